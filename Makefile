@@ -89,8 +89,8 @@ reproduce: $(STAMP)  ## Train one run of each row and compare it with the publis
 	$(BIN)/python -m agents.study $(ROWS) --seeds $(SEED) --runs runs/reproduce
 	$(foreach row,$(ROWS),$(BIN)/python -m agents.evaluate runs/reproduce/$(row)/seed-$(SEED) --against $(row) &&) true
 
-regression: $(STAMP)  ## Fail if a step is slower than its limit
-	$(BIN)/python -m benchmarks.regression
+regression: $(STAMP)  ## Fail if a ratio of speeds is below its floor
+	$(BIN)/python -m benchmarks.throughput --ratios
 
 faults: $(STAMP)  ## Interrupt trainings; fail if something is lost
 	$(BIN)/python -m tests.faults --short

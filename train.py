@@ -154,7 +154,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = read_args(arguments)
     threading.excepthook = _report
     # Imported after the command line is checked, since torch takes seconds to import.
-    from agents.report.page import compare
+    from agents.report import compare
     from agents.training import loop
 
     config, run = args.hyperparameters, args.resume

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from tyro.conf import arg
-
 from agents.evaluation.criteria import CRITERIA
 from agents.evaluation.episodes import (
     TABLE_METRICS,
@@ -24,7 +22,7 @@ from agents.evaluation.episodes import (
 from agents.evaluation.policies import find_candidate
 from agents.evaluation.statistics import paired_difference
 from baselines.tables import text_table
-from capsule_gym.command_line import Positional, check_output, parse, refuse
+from capsule_gym.command_line import Positional, arg, check_output, parse, refuse
 from capsule_gym.evaluation_sets import load_set
 from capsule_gym.files import to_json, write_atomically
 

@@ -1,4 +1,4 @@
-"""The grid of plants, the archive format and the search loop that gait search and dynamic programming share.
+"""The grid of plants, the archive format and the search loop that gaits and dynamic programming share.
 
 An archive is a folder with `archive.json`, an object whose lists hold one result a line, and with `arrays.npz` where
 results have arrays.
@@ -94,7 +94,7 @@ def reading(folder: Path, command: str) -> Iterator[tuple[dict[str, Any], dict[s
 
     Raises:
         ValueError: if a file is malformed, or the block of the `with` statement cannot process its content. The message
-            names the command that writes the files.
+            names the command.
     """
     try:
         content, arrays = {}, {}
@@ -106,7 +106,7 @@ def reading(folder: Path, command: str) -> Iterator[tuple[dict[str, Any], dict[s
                     arrays = dict(found)
         yield content, arrays
     except (KeyError, IndexError, TypeError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
-        message = f"{folder} must hold an archive written by `{command}`, got {type(error).__name__}: {error}"
+        message = f"{folder} must hold an archive for `{command}`, got {type(error).__name__}: {error}"
         raise ValueError(message) from error
 
 

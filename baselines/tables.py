@@ -10,13 +10,8 @@ from tabulate import tabulate
 Rows = Sequence[Sequence[str]]
 
 
-def text_table(rows: Rows, *, left: int | None = None, last_left: bool = True) -> str:
-    """Aligned columns for the terminal.
-
-    Args:
-        rows: a cell may contain line breaks.
-        left: number of left-aligned columns, the others are right-aligned; None aligns all to the left.
-        last_left: whether the last column is left-aligned as well, for remarks.
+def text_table(rows: Rows, *, left: int | None = None) -> str:
+    """Aligned columns for the terminal: the first `left` and the last, for remarks, to the left; None aligns all so.
 
     >>> print(text_table([["policy", "cm/s", ""], ["adaptive", "1.39", "reference"], ["epc", "11.62", ""]], left=1))
     policy      cm/s
@@ -25,10 +20,7 @@ def text_table(rows: Rows, *, left: int | None = None, last_left: bool = True) -
     epc        11.62
     """
     last = len(rows[0]) - 1
-    aligned = [
-        "left" if left is None or column < left or (last_left and column == last) else "right"
-        for column in range(last + 1)
-    ]
+    aligned = ["left" if left is None or n < left or n == last else "right" for n in range(last + 1)]
     table = tabulate(rows, headers="firstrow", tablefmt="simple", disable_numparse=True, colalign=aligned)
     return "\n".join(line.rstrip() for line in table.splitlines())
 

@@ -3,7 +3,8 @@
 Each trajectory starts at theta = -pi/3 at rest. A random torque drives it for ten seconds; the torque is uniform within
 the amplitude and held for 20 ms. If the ball meets the platform (|theta| >= pi/2) or contact is lost, the trajectory
 ends at the last torque change before this event. The error is the largest deviation of theta (rad), theta' (rad/s),
-x (m) or x' (m/s) from the reference at the end of the trajectory.
+x (m) or x' (m/s) from the reference at the end of the trajectory. Where MuJoCo is installed, the same capsule in MuJoCo
+is measured too.
 """
 
 from __future__ import annotations
@@ -11,16 +12,18 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
 from tqdm import tqdm
 
-from benchmarks.measurement import OutputArgs
+from benchmarks import mujoco
+from benchmarks.measurement import OutputArgs, machine
 from capsule_gym import task
 from capsule_gym.command_line import parse
-from capsule_gym.parameters import Capsule, Plant
+from capsule_gym.parameters import Capsule
 
 COMMAND = "python -m benchmarks.accuracy"
 START = (task.START_THETA, 0.0, 0.0, 0.0)
@@ -31,6 +34,13 @@ AMPLITUDES = (0.2, 0.5, 1.0, 1.5)
 TRAJECTORIES = 16
 # Number of plants that differ in every constant, each with its own trajectory, and the amplitude of the torque, N m.
 PLANTS, AMPLITUDE = 40, 0.7
+RANGES = {
+    **{"M": (0.3, 1.0), "m": (0.1, 0.2), "l": (0.2, 0.4), "k": (0.2, 0.6), "c": (0.05, 0.15), "mu": (0.01, 0.5)},
+    **{"static_ratio": (1.0, 1.5), "backward_ratio": (0.5, 2.0), "viscous": (0.0, 0.5), "stribeck_speed": (0.05, 0.5)},
+    **{"slope": (-0.05, 0.05), "motor_friction": (0.0, 0.1)},
+}
+# Friction coefficients and amplitudes that are compared with MuJoCo.
+MUJOCO_CASES = ((0.01, 0.5), (0.1, 1.0))
 STEPS = (0.00025, 0.0005, 0.001, 0.002, 0.005, 0.01)
 
 
@@ -47,13 +57,13 @@ class Expected(NamedTuple):
     """One trajectory of the reference.
 
     Attributes:
-        plant: the plant.
+        capsule: the plant.
         torques: torque in every control interval, N m, also after the last valid interval.
         intervals: number of valid intervals, before the ball meets the platform or contact is lost.
         state: theta, theta_dot, x, x_dot at the end of the valid intervals.
     """
 
-    plant: Plant
+    capsule: Capsule
     torques: np.ndarray
     intervals: int
     state: np.ndarray
@@ -62,20 +72,8 @@ class Expected(NamedTuple):
 def random_capsule(seed: int) -> Capsule:
     """A random plant with a slope, a Stribeck curve, and all kinds of friction."""
     rng = np.random.default_rng(seed)
-    return Capsule(
-        M=rng.uniform(0.3, 1.0),
-        m=rng.uniform(0.1, 0.2),
-        l=rng.uniform(0.2, 0.4),
-        k=rng.uniform(0.2, 0.6),
-        c=rng.uniform(0.05, 0.15),
-        mu=rng.uniform(0.01, 0.5),
-        static_ratio=rng.uniform(1.0, 1.5),
-        backward_ratio=rng.uniform(0.5, 2.0),
-        viscous=rng.uniform(0.0, 0.5),
-        stribeck_speed=rng.uniform(0.05, 0.5),
-        slope=rng.uniform(-0.05, 0.05),
-        motor_friction=rng.uniform(0.0, 0.1),
-    )
+    constants: dict[str, Any] = {name: rng.uniform(*limits) for name, limits in RANGES.items()}
+    return Capsule(**constants)
 
 
 def expected_trajectories(capsules: Sequence[Capsule], amplitude: float) -> list[Expected]:
@@ -89,11 +87,11 @@ def expected_trajectories(capsules: Sequence[Capsule], amplitude: float) -> list
         found = reference.simulate(torques, START, capsule.plant())
         ended = (np.abs(found.states[:, 0]) >= task.THETA_LIMIT) | (found.normal <= 0.0)
         last = int(np.argmax(ended)) - 1 if ended.any() else len(torques)
-        solved.append(Expected(capsule.plant(), torques, last, found.states[last]))
+        solved.append(Expected(capsule, torques, last, found.states[last]))
     return solved
 
 
-def run(torques: np.ndarray, plant: Plant, step: float) -> np.ndarray:
+def run(torques: np.ndarray, capsule: Capsule, step: float) -> np.ndarray:
     """Steps trajectories of one plant under torques in N m, shape (intervals, n), each held for `task.CONTROL_DT`.
 
     Returns:
@@ -101,6 +99,7 @@ def run(torques: np.ndarray, plant: Plant, step: float) -> np.ndarray:
     """
     from capsule_gym import dynamics
 
+    plant = capsule.plant()
     state: tuple[Any, Any, Any, Any] = START
     states, steps = [np.tile(np.array(START)[:, None], torques.shape[1])], round(task.CONTROL_DT / step)
     for u in torques:
@@ -110,17 +109,24 @@ def run(torques: np.ndarray, plant: Plant, step: float) -> np.ndarray:
     return np.array(states)
 
 
-def errors(solved: Sequence[Expected], steps: Sequence[float]) -> np.ndarray:
-    """The error of every trajectory (rows) at every step size in seconds (columns)."""
+def errors(solved: Sequence[Expected], step: float) -> list[float]:
+    """The error of every trajectory at a step size in seconds."""
     found = []
-    for plant, group in groupby(solved, key=lambda each: each.plant):
+    for capsule, group in groupby(solved, key=lambda each: each.capsule):
         members = list(group)
         longest = max(each.intervals for each in members)
-        torques = np.array([each.torques[:longest] for each in members]).T
-        runs = [run(torques, plant, step) for step in steps]
-        for i, each in enumerate(members):
-            found.append([np.abs(states[each.intervals, :, i] - each.state).max() for states in runs])
-    return np.array(found)
+        states = run(np.array([each.torques[:longest] for each in members]).T, capsule, step)
+        found += [np.abs(states[each.intervals, :, i] - each.state).max() for i, each in enumerate(members)]
+    return found
+
+
+def mujoco_errors(solved: Sequence[Expected], friction: str, step: float) -> list[float]:
+    """The same for MuJoCo."""
+    models = [mujoco.build_model(friction, step, each.capsule) for each in solved]
+    ends = [
+        mujoco.simulate(model, each.torques[: each.intervals])[-1] for model, each in zip(models, solved, strict=True)
+    ]
+    return [np.abs(end - each.state).max() for end, each in zip(ends, solved, strict=True)]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -129,20 +135,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     table = [["plant", "torque, N m", *(f"{1e3 * step:g} ms" for step in STEPS), "length"]]
     kinds = [(f"μ = {mu:g}", [Capsule(mu=mu)] * TRAJECTORIES, a) for mu in FRICTION for a in AMPLITUDES]
     kinds.append((f"{PLANTS} random", [random_capsule(seed) for seed in range(PLANTS)], AMPLITUDE))
+    compared: list[list[str]] = []
     for kind, capsules, amplitude in tqdm(kinds, desc="errors"):
         solved = expected_trajectories(capsules, amplitude)
-        deviations = errors(solved, STEPS)
         length = float(np.median([task.CONTROL_DT * each.intervals for each in solved]))
-        cells = [f"{column.max():.1e} ({np.median(column):.1e})" for column in deviations.T]
-        table.append([kind, f"±{amplitude:g}", *cells, f"{length:.1f} s"])
+        rows = {kind: [errors(solved, step) for step in STEPS]}
+        if (capsules[0].mu, amplitude) in MUJOCO_CASES and find_spec("mujoco"):
+            for name in mujoco.FRICTIONS:
+                rows[f"{kind}, MuJoCo {name}"] = [mujoco_errors(solved, name, step) for step in STEPS]
+        for name, columns in rows.items():
+            cells = [f"{max(column):.1e} ({np.median(column):.1e})" for column in columns]
+            (table if name == kind else compared).append([name, f"±{amplitude:g}", *cells, f"{length:.1f} s"])
     note = (
         f"Largest (in brackets: median) error in any state after {SECONDS:g} s of random torque held for "
         f"{1e3 * task.CONTROL_DT:g} ms, {TRAJECTORIES} trajectories of the paper's plant per row, against DOP853 at a "
         "relative tolerance of 2e-13. Trajectories in which the ball meets the platform or contact is lost are "
         "compared at the last torque change before that; the last column is the median length. The random plants "
-        "differ in every constant, with a slope, viscous friction, Stribeck's curve, and friction of the motor."
+        "differ in every constant, with a slope, viscous friction, Stribeck's curve, and friction of the motor. "
+        "MuJoCo: the same trajectories, with implicitfast; stiff: the hardest contact that it accepts."
     )
-    args.report(COMMAND, note, table)
+    args.report(COMMAND, note, [*table, *compared], f"{machine()}.")
     return 0
 
 

@@ -1,18 +1,19 @@
-"""Environment steps per second, compared with other environments: `python -m benchmarks.throughput`.
+"""Environment steps per second, and their ratios, which must not fall: `python -m benchmarks.throughput`.
 
 All actions are drawn beforehand. A single environment runs whole episodes, including resets. A batch of this package
 does not truncate episodes, so that all batch sizes are comparable; an environment that fails is reset within the step.
+
+Contenders take turns, and the 10th percentiles of their processor times are used, so that other processes have little
+effect. Unlike rates, ratios are comparable between machines. Each floor is about two thirds of the lowest ratio found
+with AVX2 and AVX-512; a ratio below its floor usually means that the compiler vectorises a loop no longer.
 """
 
 from __future__ import annotations
 
-import statistics
 import sys
 import time
-import warnings
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from itertools import cycle
@@ -20,269 +21,198 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from tqdm import tqdm
 
-from benchmarks.measurement import OutputArgs, available_cores, machine, spread, take_turns
-from benchmarks.mujoco import FRICTIONS, FrictionModel
+from benchmarks.measurement import OutputArgs, fastest, machine, take_turns
+from benchmarks.plain import copy_to_c, find_compiler
 from capsule_gym import ENV_ID, task
 from capsule_gym.command_line import Count, parse
-from capsule_gym.config import DIRECT_PHYSICS_DT, LAW_PHYSICS_DT
+from capsule_gym.config import DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, EnvConfig
+from capsule_gym.parameters import Capsule
+from capsule_gym.simulation import Simulation
 
 COMMAND = "python -m benchmarks.throughput"
-TURN_SECONDS, CALIBRATION_SECONDS = 0.2, 0.05
-SEED = 0
+TURN_SECONDS = 0.02
 # With random torques up to the limit, resets would dominate. The paper's torques rarely exceed this fraction.
 ACTION_SCALE = 0.2
 LAW: dict[str, Any] = {"controller": "baselines:adaptive", "residual_limit": ACTION_SCALE * task.TORQUE_LIMIT}
-# Number of distinct actions, which are repeated.
-DRAWS = 16
-BATCHES = (64, 1024, 16384)
-PEER_BATCH = 1024
-THREADS = (1, 2)
-SINGLE_PEER = "CartPole-v1"
-DRAWN_PEER = "Pendulum-v1, drawn"
-DIRECT, WITH_LAW = "capsule", "capsule with law"
-DISTURBED: dict[str, Any] = {"disturbances": "real", "randomization": "real"}
-INTEGRATOR = "implicitfast"
-CONDITIONS = (
-    f"A step of ours and of MuJoCo's capsule is {1e3 * task.CONTROL_DT:g} ms; direct torque is uniform within "
-    f"±{ACTION_SCALE * task.TORQUE_LIMIT:g} N m, the law is baselines:adaptive. Ours computes observation, reward and "
-    "info too, MuJoCo's batch (mujoco.rollout) the physics alone. Ratios of batches are to its batch at the same step "
-    'and number of threads. Batches of ours never truncate here. Disturbed: the plants and disturbances of "real". '
-    'Drawn: render() after each step, in "rgb_array".'
+REAL: dict[str, Any] = {"disturbances": "real", "randomization": "real"}
+# Number of distinct actions, which are repeated; of episodes from the same states; of environments in most batches.
+DRAWS, EPISODE, BATCH = 256, 40, 1024
+
+# Makes one step of all environments, or a reset of one.
+Step = Callable[[], object]
+# The smallest ratio of two contenders' rates.
+FLOORS = {
+    ("capsule", "CartPole-v1"): 1.3,
+    ("capsule, reset", "CartPole-v1, reset"): 0.4,
+    ("capsule, 1024", "CartPole-v1, 1024"): 0.2,
+    ("capsule, law, 1024", "capsule, 1 ms, 1024"): 0.46,
+    ("capsule, core, 1024", "capsule, plain C, 1024"): 0.65,
+}
+NOTE = (
+    "Environment steps per second of processor time; a number at the end: environments of a batch. A step of the "
+    "capsule is 20 ms in 10 substeps, with the law baselines:adaptive or at 1 ms in 20; the direct torque is uniform "
+    f"within ±{ACTION_SCALE * task.TORQUE_LIMIT:g} N m. It includes observation, reward and info; in MuJoCo the "
+    'physics alone, in the core and in plain C no infos and resets. Real: plants and disturbances of "real".'
 )
+
+
+def _draw(space: gym.Space[Any], count: int) -> Iterator[Any]:
+    """Endless actions out of a space; those of the capsule are multiplied by `ACTION_SCALE`."""
+    space.seed(0)
+    samples = [space.sample() for _ in range(count)]
+    return cycle(
+        samples if np.asarray(samples[0]).dtype.kind == "i" else [np.float32(ACTION_SCALE) * s for s in samples]
+    )
+
+
+def single(env_id: str, **kwargs: Any) -> Step:
+    """Steps of one environment with gymnasium's default wrappers."""
+    env = gym.make(env_id, **kwargs)
+    env.reset(seed=0)
+    actions = _draw(env.action_space, DRAWS)
+
+    def step() -> None:
+        _, _, terminated, truncated, _ = env.step(next(actions))
+        if terminated or truncated:
+            env.reset()
+
+    return step
+
+
+def resets(env_id: str) -> Step:
+    """Resets of one environment with gymnasium's default wrappers."""
+    env = gym.make(env_id)
+    env.reset(seed=0)
+    return env.reset
+
+
+def batch(env_id: str, num_envs: int = BATCH, **kwargs: Any) -> Step:
+    """Steps of a native batch through gym.make_vec."""
+    env = gym.make_vec(env_id, num_envs=num_envs, vectorization_mode="vector_entry_point", **kwargs)
+    env.reset(seed=0)
+    actions = _draw(env.action_space, 16)
+    return lambda: env.step(next(actions))
+
+
+def mujoco_physics() -> Step:
+    """The physics of one capsule in MuJoCo under random torques, which restarts where its ball meets the platform."""
+    import mujoco
+
+    from benchmarks.mujoco import build_model, start_data
+
+    model = build_model("frictionloss", DIRECT_PHYSICS_DT, Capsule())
+    data = start_data(model)
+    limit, substeps = ACTION_SCALE * task.TORQUE_LIMIT, round(task.CONTROL_DT / DIRECT_PHYSICS_DT)
+    torques = cycle(np.random.default_rng(0).uniform(-limit, limit, DRAWS).tolist())
+
+    def step() -> None:
+        data.ctrl[0] = next(torques)
+        mujoco.mj_step(model, data, nstep=substeps)
+        if abs(data.qpos[1]) >= task.THETA_LIMIT:
+            mujoco.mj_resetData(model, data)
+            data.qpos[1] = task.START_THETA
+
+    return step
+
+
+def from_the_start(compiler: str | None = None) -> tuple[Step, np.ndarray]:
+    """Steps of the core, or with a compiler of plain C, always from the same states in episodes of `EPISODE` steps.
+
+    Returns:
+        The function and the rows of the environments that it changes, see `copy_to_c`.
+    """
+    simulation = Simulation(BATCH, EnvConfig(randomization="wide"))
+    for i in range(BATCH):
+        simulation.seed(i, i)
+    simulation.reset(np.arange(BATCH))
+    advance, world = copy_to_c(compiler, simulation) if compiler else (simulation.step, simulation.world)
+    start = world.copy()
+    torques = ACTION_SCALE * np.random.default_rng(0).uniform(-1.0, 1.0, (EPISODE, BATCH))
+    actions = cycle(enumerate(torques))
+
+    def step() -> None:
+        n, action = next(actions)
+        if n == 0:
+            world[...] = start
+        advance(action)
+
+    return step, world
+
+
+def contenders() -> dict[str, Callable[[], Step]]:
+    """Functions that create what is measured; the number of environments is at the end of the names of batches."""
+    endless = {"max_episode_steps": sys.maxsize}
+    found: dict[str, Callable[[], Step]] = {}
+    kinds: dict[str, dict[str, Any]] = {"": {}, ", law": LAW, ", real": REAL, ", law, real": {**LAW, **REAL}}
+    for kind, options in kinds.items():
+        found[f"capsule{kind}"] = partial(single, ENV_ID, **options)
+        for count in (BATCH,) if "real" in kind else (64, BATCH, 16384):
+            found[f"capsule{kind}, {count}"] = partial(batch, ENV_ID, count, **options, **endless)
+    found |= {
+        f"capsule, 1 ms, {BATCH}": partial(batch, ENV_ID, physics_dt=LAW_PHYSICS_DT, **endless),
+        "CartPole-v1": partial(single, "CartPole-v1"),
+        f"CartPole-v1, {BATCH}": partial(batch, "CartPole-v1"),
+        "Pendulum-v1": partial(single, "Pendulum-v1"),
+        "capsule, reset": partial(resets, ENV_ID),
+        "CartPole-v1, reset": partial(resets, "CartPole-v1"),
+        f"capsule, core, {BATCH}": lambda: from_the_start()[0],
+    }
+    if compiler := find_compiler():
+        found[f"capsule, plain C, {BATCH}"] = lambda: from_the_start(compiler)[0]
+    if find_spec("mujoco"):
+        found["capsule, MuJoCo"] = mujoco_physics
+    return found
+
+
+def seconds_per_step(step: Step, environments: int) -> float:
+    """Makes steps for `TURN_SECONDS`; returns the processor time of a step of one environment."""
+    start, steps, seconds = time.process_time(), 0, 0.0
+    while seconds < TURN_SECONDS:
+        for _ in range(max(1, 64 // environments)):
+            step()
+            steps += environments
+        seconds = time.process_time() - start
+    return seconds / steps
 
 
 @dataclass(frozen=True, kw_only=True)
 class Args(OutputArgs):
-    """Environment steps per second, compared with other environments.
+    """Environment steps per second, and ratios to other environments and to plain C; fails if a ratio is too small.
 
-    Peers that need another package come with the extra `bench`. Takes minutes; nothing else should run meanwhile.
+    Plain C needs a compiler, MuJoCo the extra `bench`; what is not installed is left out.
 
     Examples:
-      python -m benchmarks.throughput --turns 3
       python -m benchmarks.throughput --markdown docs/speed_tables.md
+      CAPSULE_GYM_LEVEL=v3 CC=clang python -m benchmarks.throughput --ratios
     """
 
-    turns: Count = 9
-    """Turns of every contender."""
-
-
-# Functions that make a number of steps in all environments, and that free the environments.
-Stepper = tuple[Callable[[int], None], Callable[[], None]]
-
-
-@dataclass(frozen=True)
-class Contender:
-    """A way to step environments whose rate is measured.
-
-    Attributes:
-        label: label in tables.
-        make: function that creates the environments.
-        environments: number of environments.
-        substeps: integration steps in one step of the environment.
-        threads: number of threads that share the environments.
-        peer: name of the contender in the denominator of the ratio.
-        package: package that must be installed in addition to this package.
-    """
-
-    label: str
-    make: Callable[[], Stepper]
-    environments: int = 1
-    substeps: int = 1
-    threads: int = 1
-    peer: str | None = None
-    package: str = "numpy"
-
-    @property
-    def name(self) -> str:
-        """The label with batch size and threads, unique among the contenders."""
-        batch = f", {self.environments} environments" if self.environments > 1 else ""
-        return f"{self.label}{batch}{f', {self.threads} threads' if self.threads > 1 else ''}"
-
-
-def step_single(env_id: str, scale: float = 1.0, **kwargs: Any) -> Stepper:
-    """One environment with gymnasium's default wrappers; with a render mode, each step also renders a frame."""
-    env = gym.make(env_id, **kwargs)
-    env.action_space.seed(SEED)
-    samples = [env.action_space.sample() for _ in range(256)]
-    actions = cycle(s if isinstance(s, (int, np.integer)) else np.float32(scale) * s for s in samples)
-    env.reset(seed=SEED)
-
-    def step(count: int) -> None:
-        for _ in range(count):
-            _, _, terminated, truncated, _ = env.step(next(actions))
-            if "render_mode" in kwargs:
-                env.render()
-            if terminated or truncated:
-                env.reset()
-
-    return (step, env.close)
-
-
-def _step_repeatedly(
-    step: Callable[[np.ndarray], Any], actions: Sequence[np.ndarray] | np.ndarray
-) -> Callable[[int], None]:
-    """Returns a function that makes a number of steps and repeats the actions."""
-
-    def repeat(count: int) -> None:
-        for n in range(count):
-            step(actions[n % len(actions)])
-
-    return repeat
-
-
-def step_batch(env_id: str, num_envs: int, scale: float = 1.0, **kwargs: Any) -> Stepper:
-    """A native batch through gym.make_vec."""
-    env = gym.make_vec(env_id, num_envs=num_envs, vectorization_mode="vector_entry_point", **kwargs)
-    env.action_space.seed(SEED)
-    samples = [env.action_space.sample() for _ in range(DRAWS)]
-    actions = [sample if sample.dtype.kind == "i" else np.float32(scale) * sample for sample in samples]
-    env.reset(seed=SEED)
-    return (_step_repeatedly(env.step, actions), env.close)
-
-
-def step_envpool(env_id: str, num_envs: int, threads: int) -> Stepper:
-    """A batch of EnvPool, stepped synchronously."""
-    import envpool
-
-    with warnings.catch_warnings():
-        # gymnasium warns that the bounds of EnvPool's spaces lose precision.
-        warnings.simplefilter("ignore", UserWarning)
-        env = envpool.make(env_id, env_type="gymnasium", num_envs=num_envs, num_threads=threads, seed=SEED)
-        env.reset()
-        box = env.action_space
-    shape = (DRAWS, num_envs, *box.shape)
-    actions = np.random.default_rng(SEED).uniform(box.low, box.high, shape).astype(np.float32)
-    return (_step_repeatedly(env.step, actions), env.close)
-
-
-def step_mujoco(friction: FrictionModel, physics_dt: float, num_envs: int, threads: int) -> Stepper:
-    """The capsule in MuJoCo under the same random torques; only the physics is computed."""
-    from benchmarks import mujoco
-
-    model = mujoco.build_model(friction, INTEGRATOR, physics_dt)
-    batch = mujoco.Batch(model, num_envs, threads, round(task.CONTROL_DT / physics_dt))
-    limit = ACTION_SCALE * task.TORQUE_LIMIT
-    torques = np.random.default_rng(SEED).uniform(-limit, limit, (DRAWS, num_envs))
-    return (_step_repeatedly(batch.step, torques), batch.close)
-
-
-def mujoco_contender(friction: FrictionModel, physics_dt: float, threads: int = 1) -> Contender:
-    """A batch of the capsule in MuJoCo."""
-    return Contender(
-        f"MuJoCo {friction.name}, {INTEGRATOR}, {1e3 * physics_dt:g} ms",
-        partial(step_mujoco, friction, physics_dt, PEER_BATCH, threads),
-        PEER_BATCH,
-        round(task.CONTROL_DT / physics_dt),
-        threads,
-        package="mujoco",
-    )
-
-
-def ours() -> list[Contender]:
-    """The contenders of this package, without and with a law inside the step."""
-    found = []
-    kinds: tuple[tuple[str, float, dict[str, Any]], ...] = (
-        (DIRECT, DIRECT_PHYSICS_DT, {"scale": ACTION_SCALE}),
-        (WITH_LAW, LAW_PHYSICS_DT, LAW),
-    )
-    for label, physics_dt, kwargs in kinds:
-        substeps = round(task.CONTROL_DT / physics_dt)
-        single = partial(step_single, ENV_ID, **kwargs)
-        found.append(Contender(f"{label}, gym.make", single, 1, substeps, peer=SINGLE_PEER))
-        for num_envs in BATCHES:
-            for threads in THREADS if num_envs >= PEER_BATCH else THREADS[:1]:
-                endless = {"physics_dt": physics_dt, "threads": threads, "max_episode_steps": sys.maxsize}
-                batch = partial(step_batch, ENV_ID, num_envs, **endless, **kwargs)
-                peer = mujoco_contender(FRICTIONS[0], physics_dt, threads).name
-                found.append(Contender(f"{label}, gym.make_vec", batch, num_envs, substeps, threads, peer))
-    for exact in [each for each in found if each.environments in (1, PEER_BATCH) and each.threads == 1]:
-        label = exact.label.replace(", ", ", disturbed, ")
-        found.append(replace(exact, label=label, make=partial(exact.make, **DISTURBED), peer=exact.name))
-    drawn = partial(step_single, ENV_ID, ACTION_SCALE, render_mode="rgb_array")
-    found.append(Contender(f"{DIRECT}, drawn", drawn, peer=DRAWN_PEER))
-    return found
-
-
-def peers() -> list[Contender]:
-    """Tasks of similar size from gymnasium and EnvPool, and the same capsule in MuJoCo."""
-    inverted = "InvertedPendulum-v5"
-    found = [
-        Contender(SINGLE_PEER, partial(step_single, SINGLE_PEER)),
-        Contender("Pendulum-v1", partial(step_single, "Pendulum-v1")),
-        Contender(DRAWN_PEER, partial(step_single, "Pendulum-v1", render_mode="rgb_array")),
-        # Its frame_skip is 2.
-        Contender(inverted, partial(step_single, inverted), substeps=2, package="mujoco"),
-        Contender(f"{SINGLE_PEER}, gym.make_vec", partial(step_batch, SINGLE_PEER, PEER_BATCH), PEER_BATCH),
-    ]
-    for threads in THREADS:
-        make = partial(step_envpool, "Pendulum-v1", PEER_BATCH, threads)
-        found.append(Contender("EnvPool Pendulum-v1", make, PEER_BATCH, threads=threads, package="envpool"))
-    for friction in FRICTIONS:
-        for physics_dt in (DIRECT_PHYSICS_DT, LAW_PHYSICS_DT):
-            found += [mujoco_contender(friction, physics_dt, threads) for threads in THREADS]
-    return found
-
-
-def select_available(contenders: Sequence[Contender]) -> tuple[list[Contender], list[str]]:
-    """The contenders that this machine can measure, and a line with the reason for each omitted contender."""
-    found, left_out = [], []
-    for contender in contenders:
-        if find_spec(contender.package) is None:
-            reason = f'{contender.package} is not installed: pip install "capsule-gym[bench]"'
-            left_out.append(f"{contender.name} is left out: {reason}")
-        elif contender.threads > available_cores():
-            left_out.append(f"{contender.name} is left out: this machine has fewer cores")
-        else:
-            found.append(contender)
-    return found, left_out
-
-
-def measure(contenders: Sequence[Contender], turns: int) -> dict[str, list[float]]:
-    """Measures the environment steps per second of all contenders; returns them by name, one number per turn."""
-    with ExitStack() as stack:
-        ready: dict[str, Callable[[], float]] = {}
-        for contender in tqdm(contenders, desc="preparing"):
-            step, close = contender.make()
-            stack.callback(close)
-            step(1)  # compiles
-            count = 1
-            while count / (rate := _rate(step, count)) < CALIBRATION_SECONDS:
-                count *= 2
-            ready[contender.name] = partial(_rate, step, max(1, round(rate * TURN_SECONDS)))
-        rates = take_turns(ready, turns)
-    return {each.name: [each.environments * rate for rate in rates[each.name]] for each in contenders}
-
-
-def _rate(step: Callable[[int], None], count: int) -> float:
-    """Makes `count` steps; returns the steps per second."""
-    start = time.perf_counter()
-    step(count)
-    return count / (time.perf_counter() - start)
-
-
-def table(measured: Sequence[Contender], rates: Mapping[str, Sequence[float]]) -> list[list[str]]:
-    """The table of rates; a ratio is shown only if its peer was measured."""
-    rows = [["", "envs", "threads", "substeps", "env-steps/s", "IQR", "ratio", "to"]]
-    labels = {contender.name: contender.label for contender in measured}
-    for contender in measured:
-        numbers = [f"{n:,}" for n in (contender.environments, contender.threads, contender.substeps)]
-        rate, peer = statistics.median(rates[contender.name]), rates.get(contender.peer or "")
-        ratio = [f"{rate / statistics.median(peer):.3g}", labels[contender.peer or ""]] if peer else ["", ""]
-        rows.append([contender.label, *numbers, f"{rate:,.0f}", f"{spread(rates[contender.name]):.0%}", *ratio])
-    return rows
+    ratios: bool = False
+    """Measure only what the ratios need."""
+    turns: Count = 30
+    """Measurements of every contender, in turns."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns the exit status."""
+    """The command line; returns 1 if a ratio is below its floor."""
     args = parse(Args, COMMAND, arguments)
-    contenders, left_out = select_available([*ours(), *peers()])
-    rates = measure(contenders, args.turns)
-    rows = table(contenders, rates)
-    note = f"{machine('mujoco', 'envpool')}; medians of {args.turns} turns, IQR: interquartile range over it."
-    args.report(COMMAND, rows, CONDITIONS, note, *left_out)
-    return 0
+    found = contenders()
+    needed = {name for pair in FLOORS for name in pair if set(pair) <= set(found)}
+    turns = {}
+    for name, make in found.items():
+        if name in needed or not args.ratios:
+            last = name.rpartition(", ")[2]
+            turns[name] = partial(seconds_per_step, make(), int(last) if last.isdigit() else 1)
+    rates = fastest(take_turns(turns, args.turns))
+    table = [["ratio", "of", "to", "at least"]]
+    failed = False
+    for (one, other), floor in FLOORS.items():
+        if {one, other} <= set(rates):
+            table.append([f"{rates[one] / rates[other]:.2f}", one, other, f"{floor:g}"])
+            failed |= rates[one] / rates[other] < floor
+    rows = [["", "env-steps/s"], *([name, f"{each:,.0f}"] for name, each in rates.items())]
+    args.report(COMMAND, table, rows, NOTE, f"{machine()}.")
+    return int(failed)
 
 
 if __name__ == "__main__":

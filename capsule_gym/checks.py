@@ -6,7 +6,7 @@ import difflib
 import math
 import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,9 +47,9 @@ def check_number(
     """Returns `value` as a float, or raises an error that names the argument, its value and the accepted values.
 
     Args:
-        name: the argument's name, for the message.
+        name: the argument's name.
         value: value of the argument.
-        accepted: the accepted range in words, for the message.
+        accepted: the accepted range in words.
         low: smallest accepted value.
         high: largest accepted value.
         open_low: whether `low` itself is excluded.
@@ -70,16 +70,10 @@ def check_number(
 
 
 def check_integer(name: str, value: Any, accepted: str, low: int, high: int) -> int:
-    """Returns `value` as an int, or raises an error that names the argument, its value and the accepted values.
-
-    Raises:
-        TypeError: if it is not an integer.
-        ValueError: if it is below `low` or above `high`.
-    """
-    if isinstance(value, NO_NUMBERS) or not isinstance(value, (int, np.integer)):
-        raise TypeError(f"{name} must be {accepted}, got {written(value)}")
-    if not low <= value <= high:
-        raise ValueError(f"{name} must be {accepted}, got {written(value)}")
+    """Returns `value` as an int; a TypeError or ValueError names the argument, its value and the accepted values."""
+    number = isinstance(value, (int, np.integer)) and not isinstance(value, NO_NUMBERS)
+    if not number or not low <= value <= high:
+        raise (ValueError if number else TypeError)(f"{name} must be {accepted}, got {written(value)}")
     return int(value)
 
 
@@ -95,3 +89,40 @@ def check_name(argument: str, name: Any, kind: type, known: Iterable[str]) -> st
         error = ValueError if isinstance(name, str) else TypeError
         raise error(f"{argument} must be a {kind.__name__} or one of {sorted(known)}, got {written(name)}")
     return name
+
+
+def check_choice(name: str, value: Any, choices: Sequence[str], accepted: str) -> str:
+    """Returns one of the choices, or raises a ValueError."""
+    # `in` raises an error for an array.
+    if not isinstance(value, str) or value not in choices:
+        raise ValueError(f"{name} must be {accepted}, got {written(value)}")
+    return value
+
+
+def check_flag(name: str, value: Any) -> bool:
+    """Returns a bool, or raises a TypeError."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise TypeError(f"{name} must be True or False, got {written(value)}")
+    return bool(value)
+
+
+def check_timed(name: str, value: Any, accepted: str, keys: tuple[str, ...]) -> Iterator[tuple[str, float, Any]]:
+    """Checks a list of dicts with these keys, each with a later time "t" in s than the one before.
+
+    Yields:
+        The name of a dict in messages, its time, and the dict.
+    """
+    if not isinstance(value, (list, tuple)):
+        raise TypeError(f"{name} must be {accepted}, got {written(value)}")
+    last, these = -math.inf, f"{', '.join(map(repr, keys[:-1]))} and {keys[-1]!r}"
+    for n, entry in enumerate(value):
+        own = f"{name}[{n}]"
+        if not isinstance(entry, dict):
+            raise TypeError(f"{own} must be a dict with the keys {these}, got {written(entry)}")
+        if set(entry) != set(keys):
+            raise ValueError(f"{own} must have the keys {these} and no others, got {written(entry)}")
+        t = check_number(f"{own}['t']", entry["t"], "a finite number >= 0 (s)", 0.0)
+        if t <= last:
+            raise ValueError(f"{own}['t'] must be later than the one before, {last:g} s, got {t:g} s")
+        yield own, t, entry
+        last = t

@@ -27,7 +27,6 @@ NO_NEGATIONS = (tyro.conf.FlagCreatePairsOff,)
 
 
 def _count(text: str) -> int:
-    """An integer >= 0 from one word of a command line."""
     try:
         value = float(text.replace("_", ""))
     except ValueError:
@@ -54,8 +53,8 @@ def parse(kind: type[T], prog: str, arguments: Sequence[str] | None = None, *, d
     """Reads a command line.
 
     Args:
-        kind: a dataclass. Its docstring is the description. A `ValueError` or `TypeError` of its method `check`, if it
-            has one, is an error of the command line.
+        kind: a dataclass, whose docstring is the description. A `ValueError` or `TypeError` of its method `check`, if
+            it has one, is an error of the command line.
         prog: the command as the user types it.
         arguments: the words after the command; None takes them from `sys.argv`.
         default: defaults other than the fields' own.
@@ -77,21 +76,13 @@ def parse(kind: type[T], prog: str, arguments: Sequence[str] | None = None, *, d
 
 
 def refuse(prog: str, message: str) -> NoReturn:
-    """Ends the command with an error message, which names the option, its value and the accepted values.
-
-    Raises:
-        SystemExit: always, with 2.
-    """
+    """Ends the command with status 2 and a message that names the option, its value and the accepted values."""
     print(f"{prog}: error: {message}", file=sys.stderr)
     raise SystemExit(2)
 
 
 def check_output(option: str, path: Path | None, *, overwrite: bool = False) -> None:
-    """Raises an error, before the computation, if the output file cannot be written; None is accepted.
-
-    Raises:
-        ValueError: if the file exists and may not be replaced, is a folder, or its folder does not exist.
-    """
+    """Raises a ValueError, before the computation, if the output file cannot be written; None is accepted."""
     if path is None:
         return
     if path.is_dir() or not path.parent.is_dir():

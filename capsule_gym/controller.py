@@ -8,7 +8,7 @@ import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -40,11 +40,7 @@ class CoreLaw:
     constants: tuple[float, ...]
 
     def __init__(self, name: str, /, **constants: float | Sequence[float]) -> None:
-        """Puts the constants in order.
-
-        Args:
-            name: name of the law.
-            constants: each constant of the law by its name, a number or a sequence of numbers; not NaN.
+        """Puts the constants in order: each is a number or a sequence of numbers, by its name.
 
         Raises:
             TypeError: if a constant is missing, or the law has none of that name.
@@ -52,9 +48,8 @@ class CoreLaw:
         """
         if name not in _core.LAWS:
             raise ValueError(f"name must be one of {', '.join(_core.LAWS)}, got {written(name)}")
-        counts = {
-            key: int(count or 1) for key, _, count in (item.partition(":") for item in _core.LAWS[name][0].split())
-        }
+        items = [item.partition(":") for item in _core.LAWS[name][0].split()]
+        counts = {key: int(count or 1) for key, _, count in items}
         if counts.keys() != constants.keys():
             raise TypeError(f"the law {name!r} takes the constants {', '.join(counts)}, got {', '.join(constants)}")
         values = {key: np.ravel(np.asarray(constants[key], np.float64)) for key in counts}
@@ -84,9 +79,6 @@ class CoreLaw:
 
         Returns:
             The torques before their clip to the torque limit, N m, shape (n,), and the memories of the next calls.
-
-        Raises:
-            ValueError: if an array has a wrong shape.
         """
         n, columns = len(states), _core.LAWS[self.name][2]
         given, rows = (np.ascontiguousarray(array, np.float64) for array in (states, rows))
@@ -95,47 +87,31 @@ class CoreLaw:
         if (given.shape, renewed.shape, rows.shape) != expected:
             raise ValueError(f"states, memories and rows of {self.name!r} must have the shapes {expected}")
         addresses = map(native.address, (constants, given, renewed, rows, torques))
-        _core.law_torques(native.LEVEL, self.number, *addresses, n)
+        _core.call("law_torques", self.number, *addresses, n)
         return torques, renewed
 
-    def __call__(
-        self,
-        theta: float,
-        theta_dot: float,
-        x: float,
-        x_dot: float,
-        memory: Sequence[float],
-        reference: Sequence[float],
-    ) -> tuple[float, tuple[float, ...]]:
-        """Evaluates one call; see `Controller`."""
-        state = np.array([[theta, theta_dot, x, x_dot]])
-        torques, renewed = self.evaluate(state, np.array([memory]), np.array([reference]))
+    def __call__(self, *state_memory_reference: Any) -> tuple[float, tuple[float, ...]]:
+        """Evaluates one call `law(theta, theta_dot, x, x_dot, memory, reference)`; see `Controller`."""
+        *state, memory, reference = state_memory_reference
+        torques, renewed = self.evaluate(np.array([state]), np.array([memory]), np.array([reference]))
         return float(torques[0]), tuple(renewed[0].tolist())
 
 
-class BoundLaw(NamedTuple):
-    """A law as the core calls it.
+def bind_law(controller: Controller, lanes: int, state: int) -> tuple[dict[str, int], Any]:
+    """The law of a controller as fields of the core's `Batch`, for blocks of `lanes` environments.
 
-    Attributes:
-        fields: fields of the core's `Batch`.
-        kept: what must be kept alive.
+    The law observes theta in the row `state`, and theta_dot, x and x_dot in the next ones.
+
+    Returns:
+        The fields, and what must be kept alive.
     """
-
-    fields: dict[str, int]
-    kept: Any
-
-
-def bind_law(controller: Controller, lanes: int) -> BoundLaw:
-    """Binds the law of a controller, for blocks of `lanes` environments."""
     law = controller.law
-    fields = {"law": len(_core.LAWS), "law_constants": 0, "user_law": 0, "user_data": 0}
     if isinstance(law, CoreLaw):
         constants = np.array([*law.constants, 0.0])
-        fields |= {"law": law.number, "law_constants": native.address(constants)}
-        return BoundLaw(fields, constants)
-    task_size = 0 if controller.task is None else find_task(controller.task).rows
-    function, data, kept = bind_user_law(controller, controller.reference.shape[1] + task_size, lanes)
-    return BoundLaw({**fields, "user_law": function, "user_data": data}, kept)
+        return {"law": law.number, "law_constants": native.address(constants), "user_law": 0, "user_data": 0}, constants
+    size = controller.reference.shape[1] + controller.task_size
+    function, data, kept = bind_user_law(controller, size, lanes, state)
+    return {"law": len(_core.LAWS), "law_constants": 0, "user_law": function, "user_data": data}, kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,8 +160,7 @@ class Controller:
         object.__setattr__(self, "memory", _check_memory(self.memory))
         check_number("Controller.dt", self.dt, "a finite number > 0 (s)", 0.0, open_low=True)
         # A trial call, so that a wrong signature raises an error here and not inside compiled code.
-        task_size = 0 if self.task is None else find_task(self.task).rows
-        row = (*(float(value) for value in self.reference[0]), *([0.0] * task_size))
+        row = (*(float(value) for value in self.reference[0]), *([0.0] * self.task_size))
         # Compiled code does not check indices.
         law = getattr(self.law, "py_func", self.law)
         try:
@@ -203,6 +178,11 @@ class Controller:
                 f"the control law of {self.name!r} must return a finite torque and as many finite memory cells as it "
                 f"is given ({len(self.memory)}), got {values} on its reference"
             )
+
+    @property
+    def task_size(self) -> int:
+        """Numbers that the law receives after its row of the reference: the task's memory."""
+        return 0 if self.task is None else find_task(self.task).rows
 
 
 def _check_reference(reference: Any) -> np.ndarray:
@@ -255,12 +235,8 @@ def _hidden_baselines(controller: str) -> str:
 def find_controller(controller: str | Controller | Callable[[], Controller] | None) -> Controller | None:
     """Returns the `Controller` for the environment's argument `controller`.
 
-    Args:
-        controller: None; a `Controller`; a function without arguments that returns one; or an import string
-            "module:attribute" of either, such as "baselines:adaptive".
-
     Raises:
-        TypeError: if the argument or the object that it names is something else.
+        TypeError: if the argument or the object that it names is not of an accepted type.
         ValueError: if the import string names a module or attribute that does not exist.
     """
     accepted = "None, a Controller, a function that returns one, or an import string 'module:attribute'"

@@ -15,6 +15,7 @@ from gymnasium.error import DependencyNotInstalled
 
 from capsule_gym.checks import check_number, nearest
 from capsule_gym.command_line import Count, Positional, arg, check_output, parse, refuse
+from capsule_gym.env import CapsuleEnv, shown_state
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, FURTHER_SET_NAMES, SET_NAMES, PlantSpec, load_set
 from capsule_gym.policy import load_policy, policy_names, pretrained
 from capsule_gym.rendering import FRAME_SECONDS, Renderer, write_gif
@@ -24,7 +25,7 @@ PROG = "python -m capsule_gym.demo"
 # The scripted policies of `baselines`, which include control laws, and the names of all policies.
 SCRIPTED: dict[str, Any] = import_module("baselines.policies").SCRIPTED
 NAMES = [*SCRIPTED, *policy_names()]
-
+SETS = SET_NAMES + FURTHER_SET_NAMES
 TERMINATIONS = {
     Termination.none: "the time is up",
     Termination.pendulum: "the ball met the platform",
@@ -34,11 +35,7 @@ TERMINATIONS = {
 
 
 def find_policy(name_or_path: str) -> Any:
-    """Finds a policy.
-
-    Args:
-        name_or_path: a scripted policy; a trained policy; one of its runs, such as "residual-ppo/seed-2"; or the path
-            of a policy file or of a training run's folder.
+    """Finds a scripted or trained policy, one of its runs ("residual-ppo/seed-2"), or a policy file or run by its path.
 
     Raises:
         ValueError: if there is no such policy, or its file is broken.
@@ -54,23 +51,15 @@ def find_policy(name_or_path: str) -> Any:
 
 
 class Episode:
-    """An episode of one policy.
+    """An episode of one policy; `end` is the reason for its end, None while it runs.
 
     Args:
         policy: an object with the attributes `name`, `env_kwargs` and `start` of `capsule_gym.Policy`.
         plant: M, mu and the start.
         settings: the evaluation set's arguments of the environment; None for an ideal plant of the paper.
-
-    Attributes:
-        policy: the policy.
-        env: the environment.
-        end: reason for the end of the episode; None while it runs.
     """
 
     def __init__(self, policy: Any, plant: PlantSpec, settings: Mapping[str, Any] | None = None) -> None:
-        # This imports numba, which takes most of a second; `--help` and errors do not need it.
-        from capsule_gym.env import CapsuleEnv
-
         self.policy = policy
         own = {"capsule": None, "disturbances": "none"} if settings is None else settings
         self.env = CapsuleEnv(**{**policy.env_kwargs, **EPISODE_SETTINGS, **own})
@@ -100,8 +89,6 @@ class Episode:
 
     def state(self) -> dict[str, Any]:
         """The present state, as arguments of `Renderer.draw`."""
-        from capsule_gym.env import shown_state
-
         return shown_state(self.env.simulation, 0)
 
     @property
@@ -116,20 +103,15 @@ class Episode:
 
     def renderer(self, mode: str, title: str, on_key: Callable[[str, bool], None] | None = None) -> Renderer:
         """A renderer of this episode; takes the arguments of `Renderer`."""
-        simulation = self.env.simulation
-        return Renderer(
-            simulation.capsule, mode, round(1.0 / FRAME_SECONDS), simulation.settings.torque_limit, title, on_key
-        )
+        limit = self.env.simulation.settings.torque_limit
+        return Renderer(self.env.simulation.capsule, mode, round(1.0 / FRAME_SECONDS), limit, title, on_key)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlantArgs:
     """The plant."""
 
-    set: Annotated[
-        str,
-        arg(metavar="NAME_OR_PATH", help=f"One of {', '.join(SET_NAMES + FURTHER_SET_NAMES)}, or the path of a file."),
-    ] = "paper"
+    set: Annotated[str, arg(metavar="NAME_OR_PATH", help=f"One of {', '.join(SETS)}, or the path of a file.")] = "paper"
     seed: Count = 0
     """Seed of the plant in the set."""
     M: float | None = None
@@ -167,8 +149,7 @@ class Args(PlantArgs):
         Positional[str],
         arg(
             metavar="NAME_OR_PATH",
-            help=f"{', '.join(NAMES)}; one run of a trained one as NAME/seed-0; or the path "
-            "of a policy file or of a run's folder.",
+            help=f"{', '.join(NAMES)}; one run as NAME/seed-0; or the path of a policy file or of a run's folder.",
         ),
     ]
     rival: Annotated[str | None, arg(metavar="NAME_OR_PATH", help="A second policy, shown as an outline.")] = None
@@ -204,8 +185,7 @@ def draw_episode(renderer: Renderer, seconds: float, episode: Episode, rival: Ep
         episode.advance(n * FRAME_SECONDS)
         if rival is not None:
             rival.advance(episode.time)
-        ghost = {"ghost": rival.ghost()} if rival else {}
-        yield renderer.draw(**{**episode.state(), **ghost})
+        yield renderer.draw(**{**episode.state(), **({"ghost": rival.ghost()} if rival else {})})
         if episode.end is not None or renderer.closed:
             return
 

@@ -1,8 +1,9 @@
 """The physics of the plant, over arrays: the functions of the core that the environment's step calls.
 
 `capsule_gym/core/plant.hpp` and `contact.hpp` contain and derive the equations. Arguments are numbers or arrays, which
-are broadcast, also M and mu of the plant; results are float64 arrays of the common shape. Everything is in SI units.
-`slip` names the phase of contact: +1.0 forwards, -1.0 backwards, 0.0 stick.
+are broadcast, also M and mu of the plant; results are float64 arrays of the common shape. Everything is in SI units:
+`theta` is the angle from the upright (rad), `theta_dot` and `theta_ddot` are its derivatives, `x_dot` is the velocity
+of the platform, `u` the motor torque. `slip` names the phase of contact: +1.0 forwards, -1.0 backwards, 0.0 stick.
 
 Examples:
     >>> from capsule_gym import Capsule, dynamics
@@ -62,23 +63,14 @@ class Motion(NamedTuple):
 
 
 def _evaluate(name: str, plant: Plant, *arguments: Numbers) -> tuple[np.ndarray, ...]:
-    constants = {**dict.fromkeys(_core.SETTINGS, 0.0), **plant._asdict(), "M": 0.0, "mu": 0.0}
-    return evaluate(name, plant.M, plant.mu, *arguments, settings=ordered(_core.SETTINGS, constants))
+    constants = {**plant._asdict(), "M": 0.0, "mu": 0.0, "mass_ratio": 0.0}
+    return evaluate(name, plant.M, plant.mu, *arguments, plant=ordered(_core.PLANT, constants))
 
 
 def accelerations(
     theta: Numbers, theta_dot: Numbers, x_dot: Numbers, slip: Numbers, u: Numbers, plant: Plant
 ) -> Accelerations:
-    """The accelerations of Eq. (1) and the normal force, clamped at zero: a floor does not pull.
-
-    Args:
-        theta: angle, rad.
-        theta_dot: its rate, rad/s.
-        x_dot: velocity of the platform, m/s.
-        slip: phase of the contact.
-        u: motor torque, N m.
-        plant: the plant.
-    """
+    """The accelerations of Eq. (1) and the normal force, clamped at zero: a floor does not pull."""
     return Accelerations(*_evaluate("accelerations", plant, theta, theta_dot, x_dot, slip, u))
 
 
@@ -123,16 +115,6 @@ def step(
 ) -> Motion:
     """Advances the plant by h seconds at constant torque, through every change of contact phase.
 
-    Args:
-        theta: angle from the upright, rad.
-        theta_dot: its rate, rad/s.
-        x: displacement of the platform, m.
-        x_dot: its velocity, m/s.
-        u: motor torque, N m.
-        plant: the plant.
-        h: length of the step, s; one step of the fourth-order integrator where no phase changes.
-
-    Returns:
-        The state afterwards with the integrals of the step.
+    Without a change of phase this is one step of the fourth-order integrator.
     """
     return Motion(*_evaluate("step", plant, theta, theta_dot, x, x_dot, u, h))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from typing import Any, SupportsFloat, TypeVar
 
@@ -14,7 +15,7 @@ from capsule_gym import task
 from capsule_gym.checks import check_count, written
 from capsule_gym.config import RENDER_MODES, EnvConfig
 from capsule_gym.layout import Row
-from capsule_gym.observation import observation_bounds
+from capsule_gym.observation import observation_bounds, observation_names
 from capsule_gym.parameters import CONSTANTS, DISTURBANCES
 from capsule_gym.rendering import Renderer
 from capsule_gym.settings import SPEED
@@ -164,6 +165,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     | `initial_range` | `None` | half widths (rad, rad/s) of uniform distributions around 0 of the initial theta and theta_dot; None starts at rest at -pi/3 |
     | `control_dt` | `0.02` | agent step, s |
     | `physics_dt` | 2 ms, with a controller 1 ms | step of the fourth-order integrator, s; at most a million steps per agent step |
+    | `threads` | `1` | number of threads that step a batch, each at least 64 environments; results do not depend on it |
     | `render_mode` | `None` | "human" or, also of a batch, "rgb_array" |
     | `task` | `"speed"` | the task: speed, goal, velocity, or what `velocity.with_commands` returns |
 
@@ -171,10 +173,6 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         TypeError: if an argument is of the wrong type.
         ValueError: if an argument is out of range, or a plant admits Painleve's paradox or is too stiff for
             `physics_dt`.
-
-    ## Version History
-
-    * v0: initial version
     """
 
     # Gymnasium declares it as the instance's, and wrappers change it: each instance gets a copy.
@@ -217,9 +215,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
 
         Args:
             seed: an integer in [0, 2**128) that restarts the random streams; None continues them.
-            options: values that replace random draws: "M" (kg), "mu", "state" ([theta, theta_dot, x, x_dot]), "changes"
-                (a list of `{"t": s, "M": kg, "mu": ..}` in order of time) and, if these are drawn, the dicts "capsule"
-                and "disturbances".
+            options: values that replace random draws, see "Starting State".
 
         Returns:
             Observation and info.
@@ -240,8 +236,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
             own = self.simulation.task.options
             check_options(options, (*RESET_OPTIONS, *own))
             # One environment is a batch of one.
-            names = ("M", "mu", "changes", "capsule", "disturbances", *own)
-            given = {name: [options[name]] for name in names if options.get(name) is not None}
+            given = {name: [value] for name, value in options.items() if value is not None and name != "state"}
             self.simulation.reset(_FIRST, state=options.get("state"), **given)
         self._bind_drawn()
         self._running = True
@@ -299,20 +294,12 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
 
         Args:
             horizon: agent steps of a whole episode, over which `mean_speed` is computed; None for those of the task.
-
-        Raises:
-            TypeError: if the horizon is not an integer.
-            ValueError: if it is below 1.
         """
         steps = self.simulation.task.episode_steps if horizon is None else check_count("horizon", horizon)
         return {name: float(value[0]) for name, value in self.simulation.metrics(_FIRST, steps).items()}
 
     def render(self) -> np.ndarray | None:
-        """Draws the current state.
-
-        Returns:
-            An array of shape (height, width, 3), uint8, in the mode "rgb_array"; None in the mode "human".
-        """
+        """Draws the current state; returns a frame (height, width, 3), uint8, in the mode "rgb_array", else None."""
         if self.render_mode is None:
             gym.logger.warn("render() draws nothing without a render_mode: gym.make(.., render_mode='rgb_array')")
             return None
@@ -325,6 +312,10 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
+
+
+# The descriptions of the arguments in the table of `CapsuleEnv`.
+DOCS: dict[str, str] = dict(re.findall(r"(?m)^ *\| `(\w+)` \| .* \| (.*) \|$", CapsuleEnv.__doc__ or ""))
 
 
 def make_simulation(num_envs: int, config: EnvConfig) -> Simulation:
@@ -344,10 +335,8 @@ def make_renderer(simulation: Simulation, mode: str) -> Renderer:
 def describe(values: Any, state: np.ndarray, termination: Any) -> dict[str, Any]:
     """The info of a reset or a step in the speed task.
 
-    Args:
-        values: the first rows of `Row`: a list of floats for one environment, shape (n, num_envs) for a batch.
-        state: shape (4,) for one environment, (num_envs, 4) for a batch.
-        termination: an int for one environment, int64 of shape (num_envs,) for a batch.
+    `values` are the first rows of `Row`: a list of floats for one environment, shape (n, num_envs) for a batch, with the
+    state of shape (num_envs, 4) and the terminations, int64.
     """
     return {
         "state": state,
@@ -380,11 +369,10 @@ def name_drawn(drawn: Sequence[Value]) -> tuple[dict[str, Value], dict[str, Valu
 
 def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Box]:
     """The action and the observation space of one environment."""
-    settings, plants = simulation.settings, (simulation.capsule, simulation.randomization)
-    switches = settings.with_reference, settings.with_parameters
-    low, high = observation_bounds(
-        *switches, *plants, settings.torque_limit, simulation.task.entries, settings.stack_size
-    )
+    settings, entries = simulation.settings, simulation.task.entries
+    names = observation_names(settings.with_reference, settings.with_parameters, entries)
+    plants = simulation.capsule, simulation.randomization
+    low, high = observation_bounds(*plants, settings.torque_limit, entries, names, settings.stack_size)
     return spaces.Box(-1.0, 1.0, (1,), np.float32), spaces.Box(low, high, dtype=np.float32)
 
 
@@ -410,13 +398,10 @@ def check_options(options: dict[str, Any] | None, accepted: tuple[str, ...]) -> 
 
 def shown_state(simulation: Simulation, i: int) -> dict[str, Any]:
     """The arguments of `Renderer.draw` for environment i."""
-    row = simulation.columns(np.array([i]))[:, 0]
-    names = ("theta", "x", "x_dot", "torque", "M", "mu")
-    found: dict[str, Any] = {
-        **{name: float(row[getattr(Row, name)]) for name in names},
-        "time": float(row[Row.duration]),
-    }
+    row = simulation.columns(np.array([i]))[:, 0].tolist()
+    found = {name: row[getattr(Row, name)] for name in ("theta", "x", "x_dot", "torque", "M", "mu")}
+    found["time"] = row[Row.duration]
     for name, place in simulation.task.places:
         if name in _PLACES:
-            found["ghost"] = name, 0.0, float(row[simulation.task_row + place])
+            found["ghost"] = name, 0.0, row[simulation.task_row + place]
     return found

@@ -20,9 +20,8 @@ from capsule_gym.parameters import CONSTANTS, NOMINAL, Capsule, Disturbances
 from capsule_gym.task import HORIZON, LARGEST_STATE, START_THETA, TASKS, THETA_LIMIT
 
 SET_NAMES = ("nominal", "paper", "wide", "extrapolation", "drift")
-# Sets of the speed task with another capsule than the paper's.
+# Sets of the speed task with another capsule than the paper's, and of the other tasks.
 FURTHER_SET_NAMES = ("sticky", "real", "real-wide")
-# Sets of the other tasks.
 TASK_SET_NAMES = ("goal", "goal-paper", "velocity")
 # The options of an episode of a set; they override those of a policy's training.
 EPISODE_SETTINGS: dict[str, Any] = {"randomization": "none", "initial_noise": 0.0, "initial_range": None}
@@ -52,19 +51,20 @@ class PlantSpec:
     goal: float | None = None
     capsule: dict[str, float] | None = None
 
+    @property
+    def _given(self) -> dict[str, Any]:
+        return {name: value for name in ("goal", "capsule") if (value := getattr(self, name)) is not None}
+
     def reset_options(self) -> dict[str, Any]:
         """The options of `reset` for this episode."""
-        own: dict[str, Any] = {} if self.goal is None else {"goal": self.goal}
-        own |= {} if self.capsule is None else {"capsule": self.capsule}
         state = [self.theta, 0.0, 0.0, 0.0]
-        return {"M": self.M, "mu": self.mu, "state": state, "changes": list(self.changes), **own}
+        return {"M": self.M, "mu": self.mu, "state": state, "changes": list(self.changes), **self._given}
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as plain types."""
-        start: dict[str, Any] = {} if self.theta == START_THETA else {"theta": self.theta}
-        start |= {} if self.goal is None else {"goal": self.goal}
-        start |= {} if self.capsule is None else {"capsule": self.capsule}
-        return {"M": self.M, "mu": self.mu, "seed": self.seed, **start, "changes": list(self.changes)}
+        start = {} if self.theta == START_THETA else {"theta": self.theta}
+        given = {**start, **self._given}
+        return {"M": self.M, "mu": self.mu, "seed": self.seed, **given, "changes": list(self.changes)}
 
 
 NOMINAL_PLANT = PlantSpec(NOMINAL.M, NOMINAL.mu, seed=0)
@@ -141,22 +141,20 @@ def _fields(where: str, value: Any, required: Sequence[str], optional: Sequence[
 
 
 def _parse_plant(where: str, value: Any, task: str) -> PlantSpec:
-    entry = _fields(
-        where, value, ("M", "mu", "seed"), ("theta", "changes", "capsule", *(("goal",) if task == "goal" else ()))
-    )
-    accepted = f"an angle in rad within {THETA_LIMIT:.4g} of 0"
-    largest = math.nextafter(THETA_LIMIT, 0.0)
+    optional = ("theta", "changes", "capsule", *(("goal",) if task == "goal" else ()))
+    entry = _fields(where, value, ("M", "mu", "seed"), optional)
+    largest, accepted = math.nextafter(THETA_LIMIT, 0.0), f"an angle in rad within {THETA_LIMIT:.4g} of 0"
     theta = check_number(f"{where}.theta", entry.get("theta", START_THETA), accepted, -largest, largest)
     seed = check_integer(f"{where}.seed", entry["seed"], "an integer in [0, 2**128)", 0, 2**128 - 1)
     given, changes, t = entry.get("changes", []), [], 0.0
     if not isinstance(given, list):
         raise ValueError(f"{where}.changes must be a list of changes, got {written(given)}")
+    accepted = f"a number of seconds within (0, {HORIZON:g}), later than the change before"
     for j, change in enumerate(given):
         name = f"{where}.changes[{j}]"
-        fields = _fields(name, change, ("t", "M", "mu"))
-        accepted = f"a number of seconds within (0, {HORIZON:g}), later than the change before"
-        t = check_number(f"{name}.t", fields["t"], accepted, t, math.nextafter(HORIZON, 0.0), open_low=True)
-        changes.append({"t": t, "M": fields["M"], "mu": fields["mu"]})
+        change = _fields(name, change, ("t", "M", "mu"))
+        t = check_number(f"{name}.t", change["t"], accepted, t, math.nextafter(HORIZON, 0.0), open_low=True)
+        changes.append({**change, "t": t})
     goal, farthest = entry.get("goal"), LARGEST_STATE[2]
     if goal is not None:
         goal = check_number(f"{where}.goal", goal, f"a number of m within {farthest:g} of 0", -farthest, farthest)
@@ -174,11 +172,10 @@ def parse_set(content: Any) -> EvaluationSet:
     """Validates the parsed JSON of a set.
 
     Args:
-        content: `{"name": .., "plants": [{"M": .., "mu": .., "seed": .., "theta": .., "changes": [{"t": .., "M": ..,
-            "mu": ..}]}]}` with M in kg, theta in rad and t in s; `theta` and `changes` are optional. Optional fields of
-            a set: "task"; "capsule", such as `{"static_ratio": 1.3}`; "disturbances", "real" or such as
-            `{"latency": [0.005, 0.015]}`. Optional fields of a plant: "capsule", and in the task "goal" "goal" in m;
-            either all plants have one or none.
+        content: `{"name": .., "plants": [..]}`, optionally with the other fields of an `EvaluationSet`, such as
+            `"capsule": {"static_ratio": 1.3}` and `"disturbances": {"latency": [0.005, 0.015]}`. A plant is an object
+            with M, mu, seed and optionally the other fields of a `PlantSpec`; all or none have a goal, and their
+            capsules have constants of the same names.
 
     Raises:
         TypeError: if a number is of the wrong type.
@@ -193,8 +190,7 @@ def parse_set(content: Any) -> EvaluationSet:
         raise ValueError(f"set.name must be a string that is not empty, got {name!r}")
     capsule = entry.get("capsule")
     if capsule is not None:
-        constants = [each.name for each in fields(Capsule)]
-        capsule = Capsule(**_fields("set.capsule", capsule, (), constants))
+        capsule = Capsule(**_fields("set.capsule", capsule, (), [each.name for each in fields(Capsule)]))
     disturbances = entry.get("disturbances", "none")
     if isinstance(disturbances, dict):
         names = [each.name for each in fields(Disturbances)]

@@ -47,11 +47,10 @@ def write_atomically(path: Path, content: str | bytes) -> None:
 
 def synchronise(path: Path) -> None:
     """Waits until a file's content, or a folder's list of names, is on the disk."""
-    folder = path.is_dir()
     # Windows cannot open folders, and writes their names to the disk by itself.
-    if folder and os.name == "nt":
+    if os.name == "nt" and path.is_dir():
         return
-    descriptor = os.open(path, os.O_RDONLY if folder else os.O_RDWR)
+    descriptor = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
     try:
         os.fsync(descriptor)
     finally:

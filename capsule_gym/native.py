@@ -18,16 +18,16 @@ from capsule_gym.checks import written
 LEVEL = os.environ.get("CAPSULE_GYM_LEVEL", _core.LEVELS[0])
 if LEVEL not in _core.LEVELS:
     raise ImportError(f"CAPSULE_GYM_LEVEL must be one of {_core.LEVELS} on this processor, got {written(LEVEL)}")
+_core.select_level(LEVEL)
 
 # Float64 in a cache line.
 LINE = 8
-# Function numbers with the numbers of their arguments and results, by name.
-_PLANT, _ELEMENTARY = (
-    {name: (number, int(arguments), int(results)) for number, (name, arguments, results) in enumerate(parts)}
-    for parts in (
-        [entry.split(":") for entry in entries] for entries in (_core.PLANT_FUNCTIONS, _core.ELEMENTARY_FUNCTIONS)
-    )
-)
+# The number of each function that `evaluate` knows, and of its results, by name.
+_FUNCTIONS = {
+    name: (number, int(results))
+    for number, entry in enumerate([*_core.PLANT_FUNCTIONS, *_core.ELEMENTARY_FUNCTIONS])
+    for name, results in [entry.split(":")]
+}
 
 
 def aligned_zeros(shape: tuple[int, ...]) -> np.ndarray:
@@ -54,23 +54,23 @@ def ordered(names: Iterable[str], values: Mapping[str, float]) -> np.ndarray:
     return np.array([values[name] for name in names], np.float64)
 
 
-def evaluate(name: str, *arguments: np.ndarray | float, settings: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
+def evaluate(name: str, *arguments: np.ndarray | float, plant: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
     """Evaluates a function of the core at every entry of its arguments, which are broadcast.
 
     Args:
-        name: one of `_core.PLANT_FUNCTIONS`, or without `settings` of `_core.ELEMENTARY_FUNCTIONS`.
+        name: one of `_core.PLANT_FUNCTIONS`, or without `plant` of `_core.ELEMENTARY_FUNCTIONS`.
         *arguments: for a function of the plant M and mu come first.
-        settings: the plant's constants, in the order of `_core.SETTINGS`.
+        plant: the plant's constants, in the order of `_core.PLANT`; the arguments replace M and mu.
 
     Returns:
         The results, float64 arrays of the common shape.
     """
-    number, _, results = (_ELEMENTARY if settings is None else _PLANT)[name]
+    number, results = _FUNCTIONS[name]
     # `np.broadcast_arrays` takes several times as long as a function of a few numbers.
     inputs = np.empty((len(arguments), *np.broadcast_shapes(*map(np.shape, arguments))))
     for row, argument in enumerate(arguments):
         inputs[row] = argument
     outputs = np.empty((results, *inputs.shape[1:]))
-    given = 0 if settings is None else address(settings)
-    _core.evaluate(LEVEL, number, address(inputs), address(outputs), math.prod(inputs.shape[1:]), given)
+    given = 0 if plant is None else address(plant)
+    _core.call("evaluate", number, address(inputs), address(outputs), math.prod(inputs.shape[1:]), given)
     return tuple(outputs)

@@ -28,11 +28,8 @@ Header = dict[str, float]
 
 def input_names(observation: Sequence[str], identifies: bool, observes_energy_weight: bool) -> tuple[str, ...]:
     """The inputs of a network in order: the environment's observation and what the policy adds to it."""
-    return (
-        *observation,
-        *(ESTIMATES if identifies else ()),
-        *(("log_energy_weight",) if observes_energy_weight else ()),
-    )
+    weight = ("log_energy_weight",) if observes_energy_weight else ()
+    return (*observation, *(ESTIMATES if identifies else ()), *weight)
 
 
 def make_header(options: EnvConfig, *, identifies: bool, observes_energy_weight: bool, **network: Any) -> Header:
@@ -80,49 +77,43 @@ def pack(layers: Sequence[Layer], mean: np.ndarray, scale: np.ndarray, header: H
 
 
 def write_inputs(header: Header, observations: np.ndarray, memory: np.ndarray, inputs: np.ndarray) -> None:
-    """Writes the inputs of a network: the entries of the observation and what the policy adds to them.
+    """Writes the inputs of a network, shape (n, inputs), float32: the observation and what the policy adds to it.
 
     Args:
         header: the network's header.
         observations: shape (n, at least the observed entries), float32, C-contiguous; further entries are ignored.
         memory: the filter of M and mu, shape (n * _core.CELLS,), float64, 0.0 at the start of an episode; changed. Not
             read without identification.
-        inputs: shape (n, inputs), float32, C-contiguous; written.
+        inputs: written.
     """
     values = native.ordered(_core.NETWORK, header)
-    _core.write_inputs(
-        *(native.LEVEL, native.address(values), native.address(observations), *observations.shape[::-1]),
-        *(native.address(memory), native.address(inputs)),
-    )
+    addresses = native.address(values), native.address(observations)
+    further = native.address(memory), native.address(inputs)
+    _core.call("write_inputs", *addresses, *observations.shape[::-1], *further)
 
 
 def act(network: np.ndarray, observations: np.ndarray, memory: np.ndarray) -> np.ndarray:
-    """The actions of any number of environments; several threads may call it with the same network.
+    """The actions, shape (n, 1), float32, in [-1, 1], of any number of environments; threads may share the network.
 
     Args:
         network: from `pack`.
         observations: shape (n, entries), float32, C-contiguous.
         memory: as for `write_inputs`.
-
-    Returns:
-        Shape (n, 1), float32, in [-1, 1].
     """
     actions = np.empty((len(observations), 1), np.float32)
-    _core.act_batch(
-        *(native.LEVEL, native.address(network), native.address(observations), *observations.shape[::-1]),
-        *(native.address(memory), native.address(actions)),
-    )
+    addresses = native.address(network), native.address(observations)
+    _core.call("act_batch", *addresses, *observations.shape[::-1], native.address(memory), native.address(actions))
     return actions
 
 
 def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.ndarray]:
-    """Runs a policy in every environment of a simulation.
+    """Runs a policy in every environment of a simulation after `reset`, each to the end of its episode.
 
-    An environment stops at the end of its episode. The results are those of a batch that is stepped with
-    `policy.start(..)`, bit for bit. The policy's memory starts with the call.
+    The results are those of a batch that is stepped with `policy.start(..)`, bit for bit. The policy's memory starts
+    with the call.
 
     Args:
-        simulation: the simulation after `reset`; it is changed.
+        simulation: the simulation, which is changed.
         policy: the policy.
         steps: number of agent steps, at least 1, and length of a whole episode in the metrics.
 
@@ -130,8 +121,7 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
         `simulation.metrics` of every environment.
 
     Raises:
-        ValueError: if the policy does not fit the observation, or a user's control law returned a torque that is not
-            finite.
+        ValueError: if the policy does not fit the observation; errors of a law are those of `Simulation.step`.
     """
     check_count("steps", steps)
     entries = simulation.observations.shape[1]
@@ -145,10 +135,11 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
         [(i, *change) for i, schedule in simulation._changes.items() for change in schedule], np.float64
     ).reshape(-1, 4)
     memory = np.zeros(simulation.num_envs * _core.CELLS)
-    given = native.address(policy._network), native.address(memory), native.address(changes), len(changes)
+    addresses = native.address(policy._network), native.address(memory), native.address(changes)
+    given = steps, float(simulation.options.control_dt), *addresses, len(changes)
 
     def run(first: int, last: int) -> int:
-        return _core.run_episodes(simulation._batch, first, last, steps, simulation.options.control_dt, *given)
+        return _core.call("run_episodes", simulation._batch, first, last, *given)
 
     # The schedules of changes stay as they are: the next step applies due changes again.
     simulation._everyone = False

@@ -1,4 +1,4 @@
-"""The observation: its entries and their bounds. The core writes it (`capsule_gym/core/observation.hpp`)."""
+"""The observation: its entries and their bounds. The core writes it (`capsule_gym/core/step.hpp`)."""
 
 from __future__ import annotations
 
@@ -35,34 +35,26 @@ def parameter_bounds(capsule: Capsule, randomization: Randomization) -> tuple[fl
 
 
 def observation_bounds(
-    with_reference: bool,  # whether a control law runs inside the step
-    with_parameters: bool,  # whether M and mu are observed
     capsule: Capsule,
-    randomization: Randomization,  # where M and mu of an episode come from
-    torque_limit: float,  # N m
-    task_entries: dict[str, tuple[float, float]],  # bounds of the task's entries
+    randomization: Randomization,
+    torque_limit: float,
+    task_entries: dict[str, tuple[float, float]],
+    names: Iterable[str],
     stack_size: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest observation, float32."""
+    """Lowest and highest observation, float32, of the entries `names`; the torque limit is in N m."""
     largest_M, largest_mu = parameter_bounds(capsule, randomization)
+    angle, rate = (-THETA_LIMIT, THETA_LIMIT), (-THETA_DOT_BOUND, THETA_DOT_BOUND)
     bounds = {
-        "theta": (-THETA_LIMIT, THETA_LIMIT),
-        "theta_dot": (-THETA_DOT_BOUND, THETA_DOT_BOUND),
-        "x_dot": (-X_DOT_BOUND, X_DOT_BOUND),
-        "stick": (0.0, 1.0),
-        "last_action": (-1.0, 1.0),
-        "theta_d": (-THETA_LIMIT, THETA_LIMIT),
-        "theta_d_dot": (-THETA_DOT_BOUND, THETA_DOT_BOUND),
-        "sin_phase": (-1.0, 1.0),
-        "cos_phase": (-1.0, 1.0),
-        "law_torque": (-torque_limit, torque_limit),
-        "M": (0.0, largest_M),
-        "mu": (0.0, largest_mu),
+        **{"theta": angle, "theta_dot": rate, "x_dot": (-X_DOT_BOUND, X_DOT_BOUND), "stick": (0.0, 1.0)},
+        **{"last_action": (-1.0, 1.0), "theta_d": angle, "theta_d_dot": rate},
+        **{"sin_phase": (-1.0, 1.0), "cos_phase": (-1.0, 1.0), "law_torque": (-torque_limit, torque_limit)},
+        **{"M": (0.0, largest_M), "mu": (0.0, largest_mu)},
         **task_entries,
     }
-    names = observation_names(with_reference, with_parameters, task_entries)
     low, high = np.array([bounds[name] for name in names], np.float32).T
     return np.tile(low, stack_size), np.tile(high, stack_size)
+
 
 # Inputs of a policy from the online filter (`capsule_gym/core/identification.hpp`): M, log(mu), and the standard
 # deviations of both.

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
-from functools import partial
 from itertools import product
 from typing import Any, Literal, NamedTuple
 
 from capsule_gym import _core
-from capsule_gym.checks import check_name, check_number, written
+from capsule_gym.checks import check_choice, check_flag, check_name, check_number, written
 
 NormalForce = Literal["newton", "paper"]
 
@@ -25,8 +23,10 @@ LARGEST_SLOPE = 1.5
 class Plant(NamedTuple):
     """The constants of one plant as the core reads them: SI units, float64, no validation.
 
-    The first three differ between the environments of a batch. mass_ratio, m / (M + m), follows from others and saves
-    divisions in the integrator. g is the component of gravity perpendicular to the floor.
+    The first three differ between the environments of a batch. mass_ratio, m / (M + m), saves divisions. g is the
+    component of gravity perpendicular to the floor. The constants from `downhill` on are read only where `extended` is
+    1.0: g sin(slope), the floor's viscous coefficient, static_ratio - 1 and the inverse speed of the Stribeck curve
+    (0.0 without one), the motor's friction, and a force that pushes the platform forwards, N.
     """
 
     M: float
@@ -41,16 +41,21 @@ class Plant(NamedTuple):
     c: float
     static_ratio: float
     backward_ratio: float
-    # Read only where `extended` is 1.0: g sin(slope), the viscous coefficient of the floor, static_ratio - 1 and
-    # the inverse of the speed of the Stribeck curve (both 0.0 without one), and the motor's friction.
     downhill: float
     viscous: float
     stribeck_excess: float
     stribeck_rate: float
     motor_friction: float
-    # A force that pushes the platform forwards, N.
     push: float
 
+
+# The constants that a `Randomization` draws besides M and mu, in the order of their draws.
+CONSTANTS = (
+    *("m", "l", "g", "k", "c", "static_ratio", "backward_ratio"),
+    *("viscous", "stribeck_speed", "slope", "motor_friction"),
+)
+# The smallest values of those that are not 0.
+SMALLEST_CONSTANTS = {**dict.fromkeys(("M", "m", "l", "g", "backward_ratio"), SMALLEST), "static_ratio": 1.0}
 
 
 def _check_size(name: str, value: Any, smallest: float) -> float:
@@ -109,28 +114,23 @@ class Capsule:
     normal_force: NormalForce = "newton"
 
     def __post_init__(self) -> None:
-        smallest = {**dict.fromkeys(("M", "m", "l", "g", "backward_ratio"), SMALLEST), "static_ratio": 1.0}
-        friction = ("static_ratio", "backward_ratio", "viscous", "stribeck_speed", "motor_friction")
-        for name in ("M", "m", "l", "g", "k", "c", "mu", *friction):
+        for name in ("M", "mu", *CONSTANTS):
+            whose, value = f"Capsule.{name}", getattr(self, name)
+            if name == "slope":
+                accepted = f"a finite number (rad) from -{LARGEST_SLOPE} to {LARGEST_SLOPE}"
+                value = check_number(whose, value, accepted, -LARGEST_SLOPE, LARGEST_SLOPE)
+            else:
+                value = _check_size(whose, value, SMALLEST_CONSTANTS.get(name, 0.0))
             # Narrow types of numpy would reduce the precision of all derived quantities.
-            value = _check_size(f"Capsule.{name}", getattr(self, name), smallest.get(name, 0.0))
             object.__setattr__(self, name, value)
-        accepted = f"a finite number (rad) from -{LARGEST_SLOPE} to {LARGEST_SLOPE}"
-        slope = check_number("Capsule.slope", self.slope, accepted, -LARGEST_SLOPE, LARGEST_SLOPE)
-        object.__setattr__(self, "slope", slope)
-        if not isinstance(self.normal_force, str) or self.normal_force not in ("newton", "paper"):
-            raise ValueError(f"Capsule.normal_force must be 'newton' or 'paper', got {written(self.normal_force)}")
+        check_choice("Capsule.normal_force", self.normal_force, ("newton", "paper"), "'newton' or 'paper'")
         self.check_plant(self.M, self.mu)
 
     def check_plant(self, M: float, mu: float) -> None:
-        """Raises an error for values of M and mu that are invalid for this capsule.
+        """Raises an error for M in kg and mu that are invalid for this capsule.
 
         In slip N depends on theta'' and theta'' on N through friction. There is exactly one solution at every angle if
         (M + m) / m > (1 + sqrt(1 + mu^2)) / 2. Other plants admit Painleve's paradox.
-
-        Args:
-            M: mass of the platform in kg.
-            mu: kinetic friction coefficient forwards.
 
         Raises:
             TypeError: if M or mu is not a number.
@@ -154,10 +154,6 @@ class Capsule:
 
         It is the largest absolute eigenvalue of the motion linearised at rest, over all angles and both directions of
         slip (docs/physics.md). It is larger for lighter platforms and more friction.
-
-        Args:
-            M: mass of the platform in kg.
-            mu: kinetic friction coefficient forwards.
         """
         mu *= max(1.0, self.backward_ratio)
         share = self.m / (M + self.m)
@@ -181,44 +177,32 @@ class Capsule:
         return max(rates) + floor
 
     def plant(self, M: float | None = None, mu: float | None = None) -> Plant:
-        """The constants as the core reads them.
-
-        Args:
-            M: mass of the platform in kg; this capsule's own where None.
-            mu: friction coefficient; this capsule's own where None.
-        """
+        """The constants as the core reads them, with another M in kg or mu if one is given."""
         capsule = replace(self, M=self.M if M is None else M, mu=self.mu if mu is None else mu)
         derived = {
-            "mass_ratio": float(capsule.m / (capsule.M + capsule.m)),
-            "pivot_torque_on_contact": float(capsule.normal_force == "paper"),
+            "mass_ratio": capsule.m / (capsule.M + capsule.m),
+            "pivot_torque_on_contact": float(self.normal_force == "paper"),
             "extended": float(any((self.viscous, self.stribeck_speed, self.slope, self.motor_friction))),
-            "g": float(self.g * math.cos(self.slope)),
-            "downhill": float(self.g * math.sin(self.slope)),
+            "g": self.g * math.cos(self.slope),
+            "downhill": self.g * math.sin(self.slope),
             "stribeck_excess": self.static_ratio - 1.0 if self.stribeck_speed else 0.0,
             "stribeck_rate": 1.0 / self.stribeck_speed if self.stribeck_speed else 0.0,
             "push": 0.0,
         }
-        own = {name: float(getattr(capsule, name)) for name in Plant._fields if name not in derived}
-        return Plant(**own, **derived)
+        return Plant(**{name: derived.get(name, getattr(capsule, name, 0.0)) for name in Plant._fields})
 
 
 NOMINAL = Capsule()
 """The capsule of the paper."""
 
 
-def _check_range(name: str, value: Any, *, positive: bool) -> tuple[float, float]:
-    """Validates one range (low, high) of a Randomization."""
-    accepted = f"a pair (low, high) of finite numbers with {'0 <' if positive else '0 <='} low <= high"
-    return _check_pair(name, value, accepted, partial(check_number, low=0.0, open_low=positive))
-
-
-def _check_pair(name: str, value: Any, accepted: str, check: Callable[..., float]) -> tuple[float, float]:
-    """Validates a pair (low, high) whose numbers the check accepts."""
+def _check_pair(name: str, value: Any, accepted: str, **limits: Any) -> tuple[float, float]:
+    """Validates a pair (low, high) of numbers; `limits` are those of `check_number`."""
     try:
         low, high = value
     except (TypeError, ValueError):
         raise TypeError(f"{name} must be {accepted}, got {written(value)}") from None
-    low, high = check(f"{name}[0]", low, accepted), check(f"{name}[1]", high, accepted)
+    low, high = (check_number(f"{name}[{n}]", end, accepted, **limits) for n, end in enumerate((low, high)))
     if low > high:
         raise ValueError(f"{name} must be {accepted}, got {written(value)}")
     return low, high
@@ -226,32 +210,17 @@ def _check_pair(name: str, value: Any, accepted: str, check: Callable[..., float
 
 # Limit of `elementary.exp`.
 LARGEST_RATIO = 1e300
-# The constants that a `Randomization` draws besides M and mu, in the order of their draws.
-CONSTANTS = (
-    *("m", "l", "g", "k", "c", "static_ratio", "backward_ratio"),
-    *("viscous", "stribeck_speed", "slope", "motor_friction"),
-)
+Range = tuple[float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Randomization:
-    """Ranges from which every episode draws its plant uniformly. None keeps the value of the `Capsule`.
+    """Ranges (low, high) from which every episode draws its plant uniformly. None keeps the value of the `Capsule`.
+
+    The fields have the names and the units of the `Capsule`'s.
 
     Attributes:
-        M: lowest and highest mass of the platform, kg.
-        mu: lowest and highest friction coefficient.
         log_mu: draw log(mu) instead of mu uniformly.
-        m: mass of the ball, kg.
-        l: distance from the pivot to the ball, m.
-        g: gravitational acceleration, m/s^2.
-        k: stiffness of the torsional spring, N m/rad.
-        c: viscous coefficient of the pivot, N m s/rad.
-        static_ratio: static over kinetic friction coefficient.
-        backward_ratio: friction coefficient backwards over forwards.
-        viscous: viscous friction of the floor, N s/m.
-        stribeck_speed: speed of the Stribeck curve, m/s.
-        slope: slope of the floor, rad.
-        motor_friction: Coulomb friction of the motor, N m.
 
     Raises:
         TypeError: if a range is not a pair of numbers.
@@ -263,38 +232,37 @@ class Randomization:
         M in [0.8, 1] kg, mu log-uniform in [0.01, 0.1]
     """
 
-    M: tuple[float, float] | None = None
-    mu: tuple[float, float] | None = None
+    M: Range | None = None
+    mu: Range | None = None
     log_mu: bool = False
-    m: tuple[float, float] | None = None
-    l: tuple[float, float] | None = None
-    g: tuple[float, float] | None = None
-    k: tuple[float, float] | None = None
-    c: tuple[float, float] | None = None
-    static_ratio: tuple[float, float] | None = None
-    backward_ratio: tuple[float, float] | None = None
-    viscous: tuple[float, float] | None = None
-    stribeck_speed: tuple[float, float] | None = None
-    slope: tuple[float, float] | None = None
-    motor_friction: tuple[float, float] | None = None
+    m: Range | None = None
+    l: Range | None = None
+    g: Range | None = None
+    k: Range | None = None
+    c: Range | None = None
+    static_ratio: Range | None = None
+    backward_ratio: Range | None = None
+    viscous: Range | None = None
+    stribeck_speed: Range | None = None
+    slope: Range | None = None
+    motor_friction: Range | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.log_mu, bool):
-            raise TypeError(f"Randomization.log_mu must be True or False, got {written(self.log_mu)}")
-        if self.M is not None:
-            object.__setattr__(self, "M", _check_range("Randomization.M", self.M, positive=True))
-        if self.mu is not None:
-            low, high = _check_range("Randomization.mu", self.mu, positive=self.log_mu)
-            if self.log_mu and not high / low <= LARGEST_RATIO:
+        check_flag("Randomization.log_mu", self.log_mu)
+        for name in ("M", "mu", *CONSTANTS):
+            value, whose = getattr(self, name), f"Randomization.{name}"
+            if value is None:
+                continue
+            positive, limits, sign = name == "M" or (name == "mu" and self.log_mu), {}, ""
+            if name in ("M", "mu"):
+                limits, sign = {"low": 0.0, "open_low": positive}, "0 < " if positive else "0 <= "
+            accepted = f"a pair (low, high) of finite numbers with {sign}low <= high"
+            low, high = _check_pair(whose, value, accepted, **limits)
+            if name == "mu" and self.log_mu and not high / low <= LARGEST_RATIO:
                 raise ValueError(
-                    f"Randomization.mu must span at most a factor of {LARGEST_RATIO:g} where log_mu is True, "
-                    f"got {self.mu!r}"
+                    f"{whose} must span at most a factor of {LARGEST_RATIO:g} where log_mu is True, got {value!r}"
                 )
-            object.__setattr__(self, "mu", (low, high))
-        for name in self.drawn:
-            accepted = "a pair (low, high) of finite numbers with low <= high"
-            pair = _check_pair(f"Randomization.{name}", getattr(self, name), accepted, check_number)
-            object.__setattr__(self, name, pair)
+            object.__setattr__(self, name, (low, high))
 
     @property
     def drawn(self) -> list[str]:
@@ -303,52 +271,34 @@ class Randomization:
 
     @classmethod
     def named(cls, name: str | Randomization) -> Randomization:
-        """The `Randomization` of a name; a `Randomization` is returned unchanged.
-
-        Raises:
-            ValueError: if the name is not known.
-            TypeError: if `name` is neither a string nor a Randomization.
-        """
+        """The `Randomization` of a name; a `Randomization` is returned unchanged."""
         if isinstance(name, cls):
             return name
         return RANDOMIZATIONS[check_name("randomization", name, cls, RANDOMIZATIONS)]
 
-    def corners(self, capsule: Capsule) -> Iterator[Capsule]:
+    def corners(self, capsule: Capsule) -> list[Capsule]:
         """The capsules at the ends of all ranges but those of M and mu, with the lightest platform and most friction.
 
         Both are the worst case of Painleve's condition and of the integrator's stability, and every other constant is
         at one end of its range.
 
         Raises:
-            ValueError: if one would be invalid.
-        """
-        M, mu = (self.M or (capsule.M,))[0], (self.mu or (capsule.mu,))[-1]
-        for values in product(*(getattr(self, name) for name in self.drawn)):
-            try:
-                yield replace(capsule, M=M, mu=mu, **dict(zip(self.drawn, values, strict=True)))
-            except ValueError as error:
-                raise ValueError(f"{self!r}: {error}") from None
-
-    def check(self, capsule: Capsule) -> None:
-        """Raises an error for ranges that contain invalid plants.
-
-        Raises:
-            ValueError: if a plant at the ends of the ranges admits Painleve's paradox, or a value is too large or too
-                small for a `Capsule`.
+            ValueError: if one of them, or the heaviest platform with the least friction, is invalid.
         """
         try:
-            capsule.check_plant(self.M[1] if self.M else capsule.M, self.mu[0] if self.mu else capsule.mu)
+            capsule.check_plant((self.M or (capsule.M,))[-1], (self.mu or (capsule.mu,))[0])
+            M, mu = (self.M or (capsule.M,))[0], (self.mu or (capsule.mu,))[-1]
+            every = product(*(getattr(self, name) for name in self.drawn))
+            return [replace(capsule, M=M, mu=mu, **dict(zip(self.drawn, values, strict=True))) for values in every]
         except ValueError as error:
-            raise ValueError(f"Randomization(M={self.M}, mu={self.mu}): {error}") from None
-        for _ in self.corners(capsule):
-            pass
+            raise ValueError(f"{self!r}: {error}") from None
 
     def __repr__(self) -> str:
-        given = {each.name: getattr(self, each.name) for each in fields(self)}
-        return f"Randomization({', '.join(f'{name}={value!r}' for name, value in given.items() if value)})"
+        given = [f"{each.name}={getattr(self, each.name)!r}" for each in fields(self) if getattr(self, each.name)]
+        return f"Randomization({', '.join(given)})"
 
     def __str__(self) -> str:
-        if self.M is None and self.mu is None and not self.drawn:
+        if self == Randomization():
             return "the capsule's own M and mu"
         M = f"M in [{self.M[0]:g}, {self.M[1]:g}] kg" if self.M else "the capsule's own M"
         scale = "log-uniform " if self.log_mu else ""
@@ -376,7 +326,7 @@ LARGEST_DISTURBANCE, LONGEST_LATENCY = 1e3, 0.5
 # The sensors; the position has none.
 SENSORS = ("theta", "theta_dot", "x_dot")
 
-Draws = float | tuple[float, float]
+Draws = float | Range
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -389,19 +339,12 @@ class Disturbances:
     the measured |x_dot| is at most `stick_threshold`.
 
     Attributes:
-        theta_noise: standard deviation of the white noise of theta's sensor, rad; independent between readings.
-        theta_dot_noise: rad/s.
-        x_dot_noise: m/s.
-        theta_bias: constant error of theta's sensor, rad.
-        theta_dot_bias: rad/s.
-        x_dot_bias: m/s.
-        theta_drift: standard deviation of the Gauss-Markov error of theta's sensor, rad.
-        theta_dot_drift: rad/s.
-        x_dot_drift: m/s.
+        theta_noise, theta_dot_noise, x_dot_noise: standard deviations of the sensors' white noise, rad, rad/s and m/s;
+            independent between readings.
+        theta_bias, theta_dot_bias, x_dot_bias: constant errors of the sensors.
+        theta_drift, theta_dot_drift, x_dot_drift: standard deviations of the sensors' Gauss-Markov errors.
         drift_time: time constant of the Gauss-Markov errors, s.
-        theta_resolution: step to which a reading of theta is rounded, rad; 0 does not round.
-        theta_dot_resolution: rad/s.
-        x_dot_resolution: m/s.
+        theta_resolution, theta_dot_resolution, x_dot_resolution: steps to which readings are rounded; 0 does not round.
         latency: age of the state that a reading shows, s; rounded to whole periods of the law or, without a law, to
             steps of the integrator.
         lag: time constant of the motor's torque, s.
@@ -448,17 +391,14 @@ class Disturbances:
         for name in DISTURBANCES:
             low, high = self.limits(name)
             accepted = f"a number from {low:g} to {high:g}, or a pair (low, high) of such numbers with low <= high"
-            check = partial(check_number, low=low, high=high)
             value, whose = getattr(self, name), f"Disturbances.{name}"
-            pair = isinstance(value, (tuple, list))
-            value = _check_pair(whose, value, accepted, check) if pair else check(whose, value, accepted)
-            object.__setattr__(self, name, value)
+            check = _check_pair if isinstance(value, (tuple, list)) else check_number
+            object.__setattr__(self, name, check(whose, value, accepted, low=low, high=high))
         names = self.unmeasured
         if not isinstance(names, (tuple, list)) or not all(isinstance(name, str) and name in SENSORS for name in names):
             raise ValueError(f"Disturbances.unmeasured must be a tuple of names out of {SENSORS}, got {written(names)}")
         object.__setattr__(self, "unmeasured", tuple(names))
-        if not isinstance(self.controls, str) or self.controls not in ("both", "law", "agent"):
-            raise ValueError(f"Disturbances.controls must be 'both', 'law' or 'agent', got {written(self.controls)}")
+        check_choice("Disturbances.controls", self.controls, ("both", "law", "agent"), "'both', 'law' or 'agent'")
         accepted = f"a number of m/s from 0 to {LARGEST_DISTURBANCE:g}"
         number = check_number("Disturbances.stick_threshold", self.stick_threshold, accepted, 0.0, LARGEST_DISTURBANCE)
         object.__setattr__(self, "stick_threshold", number)
@@ -473,12 +413,7 @@ class Disturbances:
 
     @classmethod
     def named(cls, name: str | Disturbances) -> Disturbances | None:
-        """The `Disturbances` of a name, None for "none"; a `Disturbances` is returned unchanged.
-
-        Raises:
-            ValueError: if the name is not known.
-            TypeError: if `name` is neither a string nor a Disturbances.
-        """
+        """The `Disturbances` of a name, None for "none"; a `Disturbances` is returned unchanged."""
         if isinstance(name, cls):
             return name
         return REAL if check_name("disturbances", name, cls, ("none", "real")) == "real" else None

@@ -31,11 +31,6 @@ class Game:
         rival: the policy of the ghost.
         speed: simulated seconds per second.
         settings: the argument `settings` of both episodes.
-
-    Attributes:
-        action: action of the player, in [-1, 1].
-        episode: episode of the player.
-        rival: episode of the rival.
     """
 
     name = "you"

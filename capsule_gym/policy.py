@@ -8,18 +8,8 @@ A file is in the safetensors format:
 | `layers.0.bias`, `layers.1.bias`, .. | float32 | (outputs,) |
 | `inputs.mean`, `inputs.variance` | float64 | (inputs,) |
 
-| metadata | meaning |
-|---|---|
-| `format`, `format_version` | "capsule_gym policy", "2" |
-| `algorithm` | training algorithm: "ppo", "sac", "td3", "tqc", "dagger" |
-| `activation` | activation of the hidden layers: "tanh" or "relu" |
-| `squashing` | function that limits the output to [-1, 1]: "clip" or "tanh" |
-| `output` | the "action", or the total "torque" in torque limits, from which the law's torque is subtracted |
-| `identifies` | whether online estimates of M and mu follow the observation among the inputs: "true" or "false" |
-| `told_energy_weight` | whether the environment's energy weight follows among the inputs |
-| `clip`, `epsilon` | an input i becomes (i - mean) / sqrt(variance + epsilon), kept within +-clip |
-| `env_kwargs` | JSON: the arguments of the environment that it was trained in |
-| `training_seed`, `revision` | the seed of the training run, and the git revision that it ran at |
+The metadata are `format`, "capsule_gym policy", `format_version`, "2", and the fields of `Policy` by name, as text or
+JSON; `told_energy_weight` is the field `observes_energy_weight`.
 """
 
 from __future__ import annotations
@@ -67,11 +57,7 @@ ENV_ARGUMENTS = tuple(each.name for each in fields(EnvConfig) if each.name not i
 
 
 def policy_names(*, seeds: bool = False) -> list[str]:
-    """The names of the policies that come with the package.
-
-    Args:
-        seeds: return the names of all training runs, such as "residual-ppo/seed-2", instead.
-    """
+    """The names of the policies that come with the package, or of all their training runs ("residual-ppo/seed-2")."""
     return [name for name in pretrained() if ("/" in name) is seeds]
 
 
@@ -92,29 +78,26 @@ class Policy:
     """A trained, deterministic policy: `policy(observation)` returns the action.
 
     A policy that estimates M and mu has a memory. Call `act = policy.start([0])` at the beginning of an episode and
-    `act(observation)` at every step.
-
-    All operations are in float64 and in a fixed order. The action for an observation is the same bit for bit alone, in
-    any batch and on any processor.
+    `act(observation)` at every step. The action for an observation is the same bit for bit alone, in any batch and on
+    any processor.
 
     Attributes:
         name: name in messages and tables.
-        algorithm: training algorithm, such as "ppo".
+        algorithm: training algorithm: "ppo", "sac", "td3", "tqc", "dagger".
         layers: weights (outputs, inputs) and biases (outputs,) of each layer, float32; the last has one output.
         activation: activation of the hidden layers, "tanh" or "relu".
         squashing: function that limits the output to [-1, 1], "clip" or "tanh".
         mean: mean of the inputs in training, shape (inputs,), float64.
-        variance: variance of the inputs in training, shape (inputs,), float64.
-        clip: largest absolute value of a normalised input.
-        epsilon: constant that is added to the variance.
-        env_kwargs: arguments of the training environment, for
-            `gym.make("CapsuleStickSlip-v0", **policy.env_kwargs)`.
+        variance: their variance; an input i becomes (i - mean) / sqrt(variance + epsilon), kept within +-clip.
+        clip: see `variance`.
+        epsilon: see `variance`.
+        env_kwargs: arguments of the training environment, for `gym.make("CapsuleStickSlip-v0", **policy.env_kwargs)`.
         training_seed: seed of the training run.
         revision: git revision of the training code.
-        output: output of the network: the "action", or the total "torque" in torque limits, from which the torque of
-            the control law is subtracted.
+        output: the "action", or the total "torque" in torque limits, from which the law's torque is subtracted.
         identifies: online estimates of M and log(mu) and their standard deviations are inputs after the observation.
         observes_energy_weight: the `energy_weight` of `env_kwargs` is an input after these.
+        entries: number of entries of an observation.
 
     Raises:
         TypeError: if a field is of the wrong type.
@@ -137,7 +120,6 @@ class Policy:
     identifies: bool = False
     observes_energy_weight: bool = False
     entries: int = field(init=False)
-    """Number of entries of an observation."""
     _network: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -162,19 +144,13 @@ class Policy:
         if self.observes_energy_weight:
             accepted_weights = f"{ENERGY_WEIGHT_TEXT} where it is observed"
             check_number("env_kwargs['energy_weight']", options.energy_weight, accepted_weights, *ENERGY_WEIGHTS)
-        header = network.make_header(
-            options,
-            layers=len(self.layers),
-            relu=self.activation == "relu",
-            tanh_squashing=self.squashing == "tanh",
-            clip=self.clip,
-            identifies=self.identifies,
-            observes_energy_weight=self.observes_energy_weight,
-            outputs_torque=self.output == "torque",
-        )
-        if header["outputs_torque"] and options.total_torque:
+        flags = {name: getattr(self, name) for name in ("clip", "identifies", "observes_energy_weight")}
+        flags |= {"relu": self.activation == "relu", "tanh_squashing": self.squashing == "tanh"}
+        torque = self.output == "torque"
+        header = network.make_header(options, layers=len(self.layers), outputs_torque=torque, **flags)
+        if torque and options.total_torque:
             raise ValueError("output must be 'action' with env_kwargs['total_torque']=True, got 'torque'")
-        if header["outputs_torque"] and not header["residual_limit"] > 0.0:
+        if torque and not header["residual_limit"] > 0.0:
             raise ValueError("output must be 'action' where env_kwargs give no residual_limit > 0, got 'torque'")
         inputs = int(header["inputs"])
         for name, array in (("mean", self.mean), ("variance", self.variance)):
@@ -207,13 +183,7 @@ class Policy:
         return f"{algorithm}, {action}, trained with randomization {options.randomization}"
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
-        """The action for one observation or for many.
-
-        Args:
-            observation: shape (entries,) or (n, entries), finite; taken as float32.
-
-        Returns:
-            Shape (1,) or (n, 1), float32, in [-1, 1].
+        """The action, in [-1, 1], float32, for an observation of shape (entries,), or (n, 1) actions for (n, entries).
 
         Raises:
             TypeError: if the policy estimates M and mu, which needs `start`.
@@ -243,10 +213,7 @@ class Policy:
         return actions if array.ndim == 2 else actions[0]
 
     def start(self, seeds: Sequence[int]) -> Callable[[np.ndarray], np.ndarray]:
-        """Begins a batch of episodes.
-
-        Args:
-            seeds: one per episode, as for scripted policies; a trained policy draws no random numbers.
+        """Begins a batch of episodes, one per seed, as for scripted policies; a trained policy draws no random numbers.
 
         Returns:
             The function from observations (episodes, entries) to actions (episodes, 1), or from (entries,) of a single
@@ -263,7 +230,7 @@ class Policy:
         """
         if not self.observes_energy_weight:
             raise ValueError(
-                f"{self.name!r} does not observe the energy weight; another weight would not change its actions"
+                f"{self.name!r} does not observe the energy weight; another one would not change its actions"
             )
         return replace(self, env_kwargs={**self.env_kwargs, "energy_weight": energy_weight})
 
@@ -290,14 +257,11 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
     """Loads a trained policy. A policy file contains no pickled objects and no code.
 
     Args:
-        name_or_path: a name of `policy_names()`, such as "residual-ppo", which is the training run with the lowest
-            seed; one run, such as "residual-ppo/seed-2"; the path of a policy file; or the folder of a training run, of
-            which the best policy is loaded.
+        name_or_path: a name of `policy_names()`, which is the training run with the lowest seed; one run, such as
+            "residual-ppo/seed-2"; the path of a policy file; or the folder of a training run, whose best policy is
+            loaded.
         trust_controller: accept a policy with a control law outside this package. The environment imports the law,
             which runs its code.
-
-    Returns:
-        The policy, for `gym.make("CapsuleStickSlip-v0", **policy.env_kwargs)`.
 
     Raises:
         TypeError: if `name_or_path` is neither a string nor a path.
@@ -320,10 +284,8 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
             )
         folder = path.absolute().parent
         name = folder.parent.name if folder.name == "best" else folder.name
-    if path.stat().st_size > LARGEST_FILE:
-        raise ValueError(
-            f"{path} is not a policy file: it must have at most {LARGEST_FILE} bytes, got {path.stat().st_size}"
-        )
+    if (size := path.stat().st_size) > LARGEST_FILE:
+        raise ValueError(f"{path} is not a policy file: it must have at most {LARGEST_FILE} bytes, got {size}")
     try:
         policy = _read(name, path)
     except (SafetensorError, ValueError, TypeError, RecursionError, OverflowError) as error:
@@ -368,11 +330,12 @@ def _read(name: str, path: Path) -> Policy:
             accepted = "text" if key in TEXTS else "JSON"
             raise ValueError(f"{key} must be {accepted} in its metadata, got {metadata.get(key)!r:.50}") from None
     env_kwargs = values["env_kwargs"]
-    for key, kind in (("capsule", Capsule), ("randomization", Randomization), ("disturbances", Disturbances)):
-        if isinstance(env_kwargs, dict) and isinstance(env_kwargs.get(key), dict):
-            env_kwargs[key] = kind(**env_kwargs[key])
-    if isinstance(env_kwargs, dict) and isinstance(env_kwargs.get("initial_range"), list):
-        env_kwargs["initial_range"] = tuple(env_kwargs["initial_range"])
+    if isinstance(env_kwargs, dict):
+        for key, kind in (("capsule", Capsule), ("randomization", Randomization), ("disturbances", Disturbances)):
+            if isinstance(env_kwargs.get(key), dict):
+                env_kwargs[key] = kind(**env_kwargs[key])
+        if isinstance(env_kwargs.get("initial_range"), list):
+            env_kwargs["initial_range"] = tuple(env_kwargs["initial_range"])
     values["observes_energy_weight"] = values.pop("told_energy_weight")
     return Policy(
         name=name,

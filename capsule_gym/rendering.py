@@ -10,7 +10,7 @@ import math
 import os
 import warnings
 from collections.abc import Callable, Iterable, Sequence
-from functools import cache, lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +24,6 @@ from capsule_gym.task import ENV_ID
 
 Colour = tuple[int, int, int]
 Points = NDArray[np.float64] | Sequence[tuple[float, float]]
-# Left, top, width and height in pixels of the finished frame.
-Area = tuple[int, int, int, int]
 
 # Everything is drawn at twice the size and averaged down, which anti-aliases every shape and text alike.
 SCALE = 2
@@ -45,16 +43,6 @@ MIDDLE = WIDTH / 2
 ROD, BALL, PIVOT = 168.0, 19.0, 67.0
 SHELL_HEIGHT = PIVOT + ROD + BALL + 12.0
 SHELL_HALF = 224.0
-SHELL_BOX = (MIDDLE - SHELL_HALF, FLOOR - SHELL_HEIGHT, 2 * SHELL_HALF, SHELL_HEIGHT)
-# Areas that are redrawn in every frame: the robot, and with a ghost the whole stage.
-ROBOT_AREA: Area = (256, 112, 448, FLOOR - 105)
-ROBOT_CORNER = tuple(SCALE * side for side in ROBOT_AREA[:2])
-STAGE_AREA: Area = (0, HEADER + 1, WIDTH, FLOOR - HEADER + 6)
-# Area of one number of the ruler: no wider than the smallest distance between two.
-NUMBER_AREA: Area = (0, FLOOR + 15, 42, 16)
-# Areas of the first figure's number, and of the contact's name.
-VALUE_AREA: Area = (1, 33, 109, 31)
-CONTACT_AREA: Area = (822, 33, 114, 31)
 PLATFORM_HALF, PLATFORM_HEIGHT = 68.0, 25.0
 GAUGE = 72.0
 SPRING_INNER, SPRING_OUTER, SPRING_TURNS = 9.0, 31.0, 2.5
@@ -75,8 +63,6 @@ TORQUE: Colour = (139, 76, 199)
 STICK: Colour = (37, 99, 186)
 SLIP: Colour = (238, 128, 36)
 GHOST: Colour = (196, 205, 217)
-# Background of pictures of which only a part is drawn.
-TRANSPARENT: Colour = (255, 0, 255)
 
 # Names, decimals and units of the figures.
 FIGURES = (
@@ -151,18 +137,12 @@ class Renderer:
             message = 'pygame is not installed, run: pip install "capsule-gym[render]"'
             raise gymnasium.error.DependencyNotInstalled(message) from error
         self._marks = math.ceil(WIDTH / self._major_pixels) + 2
-        # Wider than the frame: the ruler on it moves by up to a labelled mark.
-        self._canvas = pygame.Surface((SCALE * math.ceil(WIDTH + self._major_pixels) + SCALE, SCALE * HEIGHT), 0, 32)
+        self._canvas = pygame.Surface((SCALE * WIDTH, SCALE * HEIGHT), 0, 32)
         self._pixels = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
         self._frame = pygame.image.frombuffer(self._pixels, (WIDTH, HEIGHT), "RGB")
-        # pygame contains its default font, so every machine has it.
-        self._font = cache(lambda size: pygame.font.Font(None, SCALE * size))
-        self._text, self._number = lru_cache(TEXTS)(self._draw_text), lru_cache(TEXTS)(self._draw_number)
-        self._value, self._contact = lru_cache(TEXTS)(self._draw_value), cache(self._draw_contact)
-        self._background = lru_cache(1)(self._draw_background)
-        self._ruler, self._rulers = self._draw_ruler()
-        self._inside = self._stencil(partial(self._box, *SHELL_BOX, INSIDE, radius=SHELL_HEIGHT / 2))
-        self._bodies = {contact: self._stencil(partial(self._draw_body, contact)) for contact in (STICK, SLIP)}
+        self._text = lru_cache(TEXTS)(self._draw_text)
+        self._draw_background()
+        self._background = self._canvas.copy()
         self._window: Any = None
         if mode == "human":
             pygame.display.init()
@@ -211,19 +191,16 @@ class Renderer:
                 self._on_key(pygame.key.name(event.key), event.type == pygame.KEYDOWN)
         if self.closed:
             return None
-        contact = STICK if x_dot == 0.0 else SLIP
-        # Other environments call pygame.quit() when they close, which voids every font in the process.
-        pygame.font.init()
-        self._font.cache_clear()
-        self._frame.blit(self._background(M, mu, note), (0, 0))
-        area = ROBOT_AREA if ghost is None else STAGE_AREA
-        self._draw_floor(x, area)
+        self._canvas.blit(self._background, (0, 0))
+        self._draw_floor(x)
         if ghost is not None:
             self._draw_ghost(*ghost, x)
-            self._write_title(M, mu)
-        self._draw_robot(theta, torque, contact)
-        self._show(area)
-        self._add_figures(time, x, x_dot, torque)
+        self._write(self._title, 20, SLATE, 24, HEADER + 27)
+        self._write(f"M {M:.3f} kg     \N{GREEK SMALL LETTER MU} {mu:.4f}", 17, GREY, 24, HEADER + 46)
+        self._write(note, 16, GREY, 24, HEIGHT - 13)
+        self._draw_robot(theta, torque, STICK if x_dot == 0.0 else SLIP)
+        self._draw_figures(time, x, x_dot, torque)
+        self._frame.blit(pygame.transform.smoothscale(self._canvas, (WIDTH, HEIGHT)), (0, 0))
         if self._mode == "rgb_array":
             return self._pixels.copy()
         self._window.blit(self._frame, (0, 0))
@@ -238,75 +215,33 @@ class Renderer:
             self._window = None
             self._pygame.display.quit()
 
-    def _draw_background(self, M: float, mu: float, note: str) -> Any:
-        """Draws the static part of the frames: title, plant, labels and note."""
+    def _draw_background(self) -> None:
+        """Draws what all frames have in common."""
         self._box(0, 0, WIDTH, HEIGHT, WHITE)
-        for column, (label, _, unit) in enumerate(FIGURES):
+        for column, (label, _, unit) in enumerate((*FIGURES, ("CONTACT", 0, ""))):
             left = COLUMN * column
             self._write(label, 16, GREY, left + 24, 26)
             self._write(unit, 19, GREY, left + VALUE_RIGHT + 6, VALUE_BASELINE)
             self._box(left + COLUMN, 16, 1, HEADER - 32, HAIRLINE)
-        self._write("CONTACT", 16, GREY, COLUMN * len(FIGURES) + 24, 26)
         self._box(0, HEADER, WIDTH, 1, HAIRLINE)
-        self._box(0, HEADER + 1, WIDTH, GRID_TOP - HEADER, PAPER)
-        self._write_title(M, mu)
-        self._write(note, 16, GREY, 24, HEIGHT - 13)
-        self._show((0, 0, WIDTH, HEIGHT))
-        return self._frame.copy()
+        self._box(0, HEADER + 1, WIDTH, FLOOR - HEADER - 1, PAPER)
+        self._box(0, FLOOR, WIDTH, RULER, FLOOR_FILL)
 
-    def _write_title(self, M: float, mu: float) -> None:
-        """Draws the title and the plant."""
-        self._write(self._title, 20, SLATE, 24, HEADER + 27)
-        self._write(f"M {M:.3f} kg     \N{GREEK SMALL LETTER MU} {mu:.4f}", 17, GREY, 24, HEADER + 46)
-
-    def _draw_ruler(self) -> tuple[Any, list[Any]]:
-        """Draws the stage and the ruler: at the canvas's scale, and averaged for each shift within a pixel."""
-        width, top, height = self._canvas.get_width() // SCALE, HEADER + 1, FLOOR + RULER - HEADER - 1
-        self._box(0, top, width, height, PAPER)
-        self._box(0, FLOOR, width, RULER, FLOOR_FILL)
-        self._draw_grid(0.0)
-        for part in range(10 * self._marks):
-            length = 13 if part % 10 == 0 else 9 if part % 10 == 5 else 6
-            self._box(part * self._major_pixels / 10, FLOOR, 1, length, TICK)
-        self._box(0, FLOOR - 1, width, 2, TICK)
-        drawn = self._canvas.subsurface((0, SCALE * top, SCALE * width, SCALE * height)).copy()
-        size, rulers = (width - 1, FLOOR + RULER - GRID_TOP), []
-        for shift in range(SCALE):
-            part = drawn.subsurface((shift, SCALE * (GRID_TOP - top), *(SCALE * side for side in size)))
-            # In the format of the frame, so that blitting is a plain copy.
-            rulers.append(self._pygame.Surface(size, 0, self._frame))
-            rulers[-1].blit(self._pygame.transform.smoothscale(part, size), (0, 0))
-        return drawn, rulers
-
-    def _draw_grid(self, left: float) -> None:
-        """Draws the vertical lines of the ruler's numbers, the first one at `left`."""
-        for mark in range(self._marks):
-            self._box(left + mark * self._major_pixels, GRID_TOP, 1, FLOOR - GRID_TOP, GRID)
-
-    def _draw_number(self, text: str, shift: int) -> Any:
-        """The picture of a number of the ruler, whose mark is `shift` pixels of the canvas right of the middle."""
-        self._box(*NUMBER_AREA, FLOOR_FILL)
-        self._write(text, 17, GREY, NUMBER_AREA[2] / 2 + shift / SCALE, FLOOR + 28, "midtop")
-        return self._averaged(NUMBER_AREA)
-
-    def _draw_floor(self, x: float, area: Area) -> None:
-        """Draws the ruler at x on the frame and, within `area`, on the canvas; and the inside of the shell."""
+    def _draw_floor(self, x: float) -> None:
+        """Draws the ruler with the platform at x in the middle, and the inside of the shell."""
         start = MIDDLE - x / self._major * self._major_pixels
         first = math.floor(-start / self._major_pixels)
-        across = round(SCALE * (start + first * self._major_pixels))
-        left, shift = across / SCALE, -across % SCALE
-        self._frame.blit(self._rulers[shift], ((across + shift) // SCALE, GRID_TOP))
+        left = round(SCALE * (start + first * self._major_pixels)) / SCALE
         step = 100.0 * self._major
         decimals = max(0, -round(math.log10(step)))
+        self._draw_shell(MIDDLE, INSIDE)
         for mark in range(self._marks):
-            at = across + round(SCALE * mark * self._major_pixels) + 1
-            number = self._number(_number(step * (first + mark), decimals), at % SCALE)
-            self._frame.blit(number, (at // SCALE - NUMBER_AREA[2] // 2, NUMBER_AREA[1]))
-        self._canvas.set_clip([SCALE * side for side in area])
-        self._canvas.blit(self._ruler, (across, SCALE * (HEADER + 1)))
-        self._canvas.set_clip(None)
-        self._canvas.blit(self._inside, ROBOT_CORNER)
-        self._draw_grid(left)
+            at = left + mark * self._major_pixels
+            self._box(at, GRID_TOP, 1, FLOOR - GRID_TOP, GRID)
+            for part in range(10):
+                length = 13 if part == 0 else 9 if part == 5 else 6
+                self._box(at + part * self._major_pixels / 10, FLOOR, 1, length, TICK)
+            self._write(_number(step * (first + mark), decimals), 17, GREY, at + 0.5, FLOOR + 28, "midtop")
         self._box(0, FLOOR - 1, WIDTH, 2, TICK)
 
     def _draw_ghost(self, name: str, theta: float, ghost_x: float, x: float) -> None:
@@ -314,8 +249,7 @@ class Renderer:
         distance = ghost_x - x
         offset = distance / self._major * self._major_pixels
         if abs(offset) < WIDTH / 2 + SHELL_HALF:
-            left, top = MIDDLE + offset - SHELL_HALF, FLOOR - SHELL_HEIGHT
-            self._box(left, top, 2 * SHELL_HALF, SHELL_HEIGHT, GHOST, radius=SHELL_HEIGHT / 2, line=2)
+            self._draw_shell(MIDDLE + offset, GHOST, 2)
             pivot, ball = ((at + offset, y) for at, y in (_polar(0.0, 0.0), _polar(theta, ROD)))
             self._ribbon([pivot, ball], 5.0, GHOST)
             self._disc(ball, BALL, GHOST)
@@ -323,9 +257,14 @@ class Renderer:
         text = f"{name} {_number(100.0 * abs(distance), 1)} cm {'ahead' if distance > 0.0 else 'behind'}"
         self._write(text, 17, GREY, WIDTH - 24, HEADER + 27, "topright")
 
-    def _draw_body(self, contact: Colour) -> None:
-        """Draws the contact and the platform."""
-        self._box(*SHELL_BOX, contact, radius=SHELL_HEIGHT / 2, line=3)
+    def _draw_shell(self, middle: float, colour: Colour, line: float = 0.0) -> None:
+        """Draws the shell of a robot: filled, or an inner border of `line` pixels."""
+        top = FLOOR - SHELL_HEIGHT
+        self._box(middle - SHELL_HALF, top, 2 * SHELL_HALF, SHELL_HEIGHT, colour, radius=SHELL_HEIGHT / 2, line=line)
+
+    def _draw_robot(self, theta: float, torque: float, contact: Colour) -> None:
+        """Draws the contact and the platform, the motor's torque, the spring and the pendulum."""
+        self._draw_shell(MIDDLE, contact, 3)
         half = SHELL_HALF - SHELL_HEIGHT / 2 + 6
         self._box(MIDDLE - half, FLOOR - 1, 2 * half, 7, contact, radius=2)
         deck, pivot = FLOOR - PLATFORM_HEIGHT - 3, FLOOR - PIVOT
@@ -334,10 +273,6 @@ class Renderer:
         self._polygon(tower, SLATE)
         self._disc((MIDDLE, pivot), SPRING_OUTER + 8, SLATE)
         self._disc((MIDDLE, pivot), SPRING_OUTER + 4, PAPER)
-
-    def _draw_robot(self, theta: float, torque: float, contact: Colour) -> None:
-        """Draws the contact and the platform, the motor's torque, the spring and the pendulum."""
-        self._canvas.blit(self._bodies[contact], ROBOT_CORNER)
         # An arc arrow around the pivot: from the upright, a quarter turn at the limit, the way the motor turns.
         end = 0.5 * math.pi * max(-1.0, min(1.0, torque / self._torque_limit))
         if abs(end) > 0.015:
@@ -353,45 +288,16 @@ class Renderer:
         self._disc(_polar(theta, 0.0), 4, WHITE)
         self._disc(_polar(theta, ROD), BALL, BALL_COLOUR)
 
-    def _add_figures(self, time: float, x: float, x_dot: float, torque: float) -> None:
+    def _draw_figures(self, time: float, x: float, x_dot: float, torque: float) -> None:
         """Draws the numbers, right-aligned, so that no digit moves when another appears, and stick or slip."""
         mean = x / time if time > 0.0 else 0.0
         values = (time, 100.0 * x, 100.0 * x_dot, 100.0 * mean, torque)
-        left, top = VALUE_AREA[:2]
         for column, (value, (label, decimals, _)) in enumerate(zip(values, FIGURES, strict=True)):
-            number = self._value(_number(value, decimals), TORQUE if label == "TORQUE" else INK)
-            self._frame.blit(number, (left + COLUMN * column, top))
-        self._frame.blit(self._contact(x_dot == 0.0), CONTACT_AREA[:2])
-
-    def _draw_value(self, text: str, colour: Colour) -> Any:
-        """The picture of a figure's number."""
-        self._box(*VALUE_AREA, WHITE)
-        self._write(text, 32, colour, VALUE_RIGHT, VALUE_BASELINE, "topright")
-        return self._averaged(VALUE_AREA)
-
-    def _draw_contact(self, stuck: bool) -> Any:
-        """The picture of the contact's name."""
-        self._box(*CONTACT_AREA, WHITE)
-        self._box(*CONTACT_AREA, STICK if stuck else SLIP, radius=15)
-        self._write("STICK" if stuck else "SLIP", 22, WHITE, 879, 55, "midtop")
-        return self._averaged(CONTACT_AREA)
-
-    def _stencil(self, draw: Callable[[], None]) -> Any:
-        """A picture of the robot's area of the canvas after `draw`, transparent elsewhere."""
-        self._canvas.fill(TRANSPARENT)
-        draw()
-        picture = self._canvas.subsurface([SCALE * side for side in ROBOT_AREA]).copy()
-        picture.set_colorkey(TRANSPARENT, self._pygame.RLEACCEL)
-        return picture
-
-    def _show(self, area: Area) -> None:
-        """Copies an area of the canvas to the frame."""
-        self._frame.blit(self._averaged(area), area[:2])
-
-    def _averaged(self, area: Area) -> Any:
-        """The picture of an area of the canvas at the size of the frame."""
-        part = self._canvas.subsurface([SCALE * side for side in area])
-        return self._pygame.transform.smoothscale(part, area[2:])
+            colour, right = TORQUE if label == "TORQUE" else INK, COLUMN * column + VALUE_RIGHT
+            self._write(_number(value, decimals), 32, colour, right, VALUE_BASELINE, "topright")
+        contact, colour = ("STICK", STICK) if x_dot == 0.0 else ("SLIP", SLIP)
+        self._box(822, 33, 114, 31, colour, radius=15)
+        self._write(contact, 22, WHITE, 879, 55, "midtop")
 
     def _box(
         self, x: float, y: float, width: float, height: float, colour: Colour, radius: float = 0.0, line: float = 0.0
@@ -424,16 +330,19 @@ class Renderer:
 
     def _draw_text(self, text: str, size: int, colour: Colour) -> tuple[Any, int]:
         """The picture of a text, and its height above the baseline in pixels of the canvas."""
-        font = self._font(size)
+        # Other environments call pygame.quit() when they close, which voids every font in the process. pygame contains
+        # its default font, so every machine has it.
+        self._pygame.font.init()
+        font = self._pygame.font.Font(None, SCALE * size)
         return font.render(text, True, colour), font.get_ascent()
 
 
 def write_gif(frames: Iterable[np.ndarray], path: Path, frame_seconds: float = FRAME_SECONDS, width: int = 640) -> None:
-    """Writes pictures as a looping GIF.
+    """Writes pictures, each (height, width, 3), uint8, as a looping GIF, atomically.
 
     Args:
-        frames: (height, width, 3) uint8 each.
-        path: path of the GIF, which is written atomically.
+        frames: the pictures.
+        path: path of the GIF.
         frame_seconds: time between frames; GIF counts hundredths of a second.
         width: width of the GIF, in pixels.
 
@@ -448,10 +357,8 @@ def write_gif(frames: Iterable[np.ndarray], path: Path, frame_seconds: float = F
         pictures.append(Image.fromarray(frame).resize((width, height), Image.Resampling.LANCZOS))
     if not pictures:
         raise ValueError("frames must contain at least one picture, got none: the episode ended before the first")
-    # One palette for all frames: colours do not flicker, and only moving parts are stored again. A single frame might
-    # lack the colour of stick or that of slip.
-    # By coverage, not by frequency, so that the few pixels of a legend keep their colour too. Then means (kmeans): the
-    # middle of a range of colours would tint the background, which is most of the picture.
+    # One palette for all frames: colours do not flicker, and only moving parts are stored again. By coverage, so that
+    # the few pixels of a legend keep their colour; then means (kmeans), which do not tint the background.
     shown = pictures[:: -(-len(pictures) // FRAMES_OF_PALETTE)]
     together = Image.fromarray(np.concatenate([np.asarray(picture) for picture in shown]))
     palette = together.quantize(128, method=Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)

@@ -23,12 +23,9 @@ class Stream(IntEnum):
     variation = 4
 
 
-WORD = 2**64
-
-
 def make_key(seed: int) -> tuple[int, int]:
-    """The key of the generator, two words, for a seed, any integer >= 0."""
-    return seed % WORD, (seed >> 64) % WORD
+    """The key of the generator, two words of 64 bits, for a seed, any integer >= 0."""
+    return seed % 2**64, (seed >> 64) % 2**64
 
 
 def random_stream(seed: int, episode: int, stream: Stream) -> np.random.Generator:
@@ -55,24 +52,15 @@ def plant_at(ranges: np.ndarray, share_M: float, share_mu: float) -> tuple[float
 
 
 def draw_plant(randomization: Randomization, capsule: Capsule, rng: np.random.Generator) -> tuple[float, float]:
-    """Draws M in kg and mu: always two numbers of the stream, so that ranges do not shift it.
-
-    Examples:
-        >>> from capsule_gym import Capsule, Randomization
-        >>> heavy = Randomization(M=(0.8, 1.0), mu=(0.01, 0.1), log_mu=True)
-        >>> M, mu = draw_plant(heavy, Capsule(), np.random.default_rng(0))
-        >>> 0.8 <= M < 1.0 and 0.01 <= mu < 0.1
-        True
-    """
+    """Draws M in kg and mu: always two numbers of the stream, so that ranges do not shift it."""
     return plant_at(plant_ranges(randomization, capsule), *rng.random(2).tolist())
 
 
 def draw_table(first: int, stream: Stream, draws: Sequence[Draw]) -> np.ndarray:
-    """The table that the core reads: a line for each number that an episode draws from a stream, in their order.
+    """The table that the core reads, shape (n, 6): a line for each number that an episode draws from a stream.
 
-    Returns:
-        Float64 of shape (n, 6): the row of the world, from `first` on, the stream, the number's place in it, its lowest
-        value, the range above that, and 1.0 where its sign is drawn.
+    A line is the row of the world, from `first` on, the stream, the number's place in it, its lowest value, the range
+    above that, and 1.0 where its sign is drawn.
     """
     lines = [(first + n, stream, n, draw.low, draw.high - draw.low, draw.signed) for n, draw in enumerate(draws)]
     return np.array(lines, np.float64).reshape(-1, 6)

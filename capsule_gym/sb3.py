@@ -46,10 +46,7 @@ class CapsuleSB3VecEnv(VecEnv):
             self.seed(seed)
 
     def reset(self) -> VecEnvObs:
-        """Begins a new episode in every environment, with the options of `set_options`.
-
-        Returns:
-            Observations, float32 of shape (num_envs, entries).
+        """Begins a new episode in every environment, with the options of `set_options`; returns the observations.
 
         Raises:
             ValueError: if the options of the environments have different keys, or an option is unknown or out of range.
@@ -104,19 +101,11 @@ class CapsuleSB3VecEnv(VecEnv):
         return [getattr(self.batch, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Not supported, since the environments of a batch share their settings.
-
-        Raises:
-            AttributeError: always.
-        """
+        """Raises an AttributeError, since the environments of a batch share their settings."""
         raise AttributeError(f"cannot set {attr_name!r}: the environments of a batch share their settings")
 
     def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
-        """Not supported, since a batch has no objects for its environments.
-
-        Raises:
-            AttributeError: always.
-        """
+        """Raises an AttributeError, since a batch has no objects for its environments."""
         raise AttributeError(f"cannot call {method_name!r} of one environment: call it of the attribute `batch`")
 
     def env_is_wrapped(self, wrapper_class: type[gym.Wrapper], indices: VecEnvIndices = None) -> list[bool]:

@@ -10,7 +10,7 @@ import numpy as np
 from capsule_gym import layout, task
 from capsule_gym.config import DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, MOST_SUBSTEPS, EnvConfig, find_task
 from capsule_gym.controller import Controller, CoreLaw
-from capsule_gym.parameters import Capsule, Disturbances, Randomization
+from capsule_gym.parameters import SENSORS, Capsule, Disturbances, Randomization
 
 DEFAULTS = EnvConfig()
 SPEED = find_task(DEFAULTS.task)
@@ -48,11 +48,7 @@ class StepSettings(NamedTuple):
 
 
 def divide(name: str, whole: float, part_name: str, part: float) -> int:
-    """The whole number of times that `part` fits into `whole`; both in seconds.
-
-    Raises:
-        ValueError: if it does not fit a whole number of times, or too often.
-    """
+    """The whole number of times that `part` fits into `whole`, both in seconds; a ValueError if it does not."""
     ratio = whole / part
     if ratio > MOST_SUBSTEPS:
         raise ValueError(
@@ -66,11 +62,7 @@ def divide(name: str, whole: float, part_name: str, part: float) -> int:
 
 
 def check_step(capsule: Capsule, M: float, mu: float, settings: StepSettings) -> None:
-    """Raises an error for a plant, with its M in kg and mu, that is too stiff for the integrator's step.
-
-    Raises:
-        ValueError: if the step is longer than the integrator's stability allows.
-    """
+    """Raises a ValueError for a plant, with its M in kg and mu, that is too stiff for the integrator's step."""
     h, rate = settings.physics_dt, capsule.fastest_rate(M, mu)
     if rate * h <= STABLE:
         return
@@ -90,8 +82,7 @@ def make_settings(options: EnvConfig, controller: Controller | None) -> StepSett
     Raises:
         ValueError: if the steps of the integrator, the law and the agent do not divide each other, or are too many.
     """
-    torque_limit, residual_limit = options.torque_limit, options.residual_limit
-    physics_dt = options.physics_dt
+    torque_limit, physics_dt = options.torque_limit, options.physics_dt
     if physics_dt is None:
         physics_dt = LAW_PHYSICS_DT if controller else DIRECT_PHYSICS_DT
     disturbed = Disturbances.named(options.disturbances)
@@ -104,15 +95,14 @@ def make_settings(options: EnvConfig, controller: Controller | None) -> StepSett
             f"control_dt must be at most {MOST_SUBSTEPS} times physics_dt={physics_dt!r} s, "
             f"got {options.control_dt!r} s"
         )
+    law_name, step_name = ("the law's step", "the controller's dt") if controller else ("control_dt", "physics_dt")
     settings = StepSettings(
         torque_limit=torque_limit,
-        residual_limit=torque_limit if residual_limit is None else residual_limit,
+        residual_limit=torque_limit if options.residual_limit is None else options.residual_limit,
         total_torque=options.total_torque,
         physics_dt=physics_dt,
-        physics_steps=divide("the law's step" if controller else "control_dt", law_dt, "physics_dt", physics_dt),
-        law_steps=divide(
-            "control_dt", options.control_dt, "the controller's dt" if controller else "physics_dt", law_dt
-        ),
+        physics_steps=divide(law_name, law_dt, "physics_dt", physics_dt),
+        law_steps=divide("control_dt", options.control_dt, step_name, law_dt),
         energy_weight=options.energy_weight,
         termination_penalty=options.termination_penalty,
         with_reference=controller is not None,
@@ -126,9 +116,7 @@ def make_settings(options: EnvConfig, controller: Controller | None) -> StepSett
         law_reads=controller is not None and disturbed.controls != "agent",
         agent_reads=disturbed.controls != "law",
         stick_threshold=0.0 if disturbed.controls == "law" else disturbed.stick_threshold,
-        with_theta="theta" not in disturbed.unmeasured,
-        with_theta_dot="theta_dot" not in disturbed.unmeasured,
-        with_x_dot="x_dot" not in disturbed.unmeasured,
+        **{f"with_{name}": name not in disturbed.unmeasured for name in SENSORS},
     )
 
 

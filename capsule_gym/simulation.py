@@ -11,28 +11,18 @@ from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from types import SimpleNamespace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from capsule_gym import _core, layout, native, resets, task
-from capsule_gym.checks import check_count, check_integer, check_number, written
+from capsule_gym.checks import check_count, check_integer, check_number, check_timed, written
 from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.controller import CoreLaw, bind_law, find_controller
 from capsule_gym.layout import LANES, Row
 from capsule_gym.observation import observation_names, parameter_bounds
-from capsule_gym.parameters import (
-    CONSTANTS,
-    DISTURBANCES,
-    LARGEST,
-    NOMINAL,
-    Capsule,
-    Disturbances,
-    Randomization,
-)
+from capsule_gym.parameters import CONSTANTS, DISTURBANCES, LARGEST, NOMINAL, Capsule, Disturbances, Randomization
 from capsule_gym.settings import DEFAULTS, NO_CONTROLLER, SPEED, check_step, count_rows, ends, make_settings
-
-Result = TypeVar("Result")
 
 # Upper limit of the keys of an episode's noise; floats represent all whole numbers up to it exactly.
 LARGEST_KEY = 2.0**53
@@ -50,9 +40,7 @@ CHANGE = ("t", "M", "mu")
 def check_seed(seed: Any, accepted: str = "an integer in [0, 2**128) or None", count: int = 1) -> int:
     """An environment's seed as an int; `count` environments get seeds from this one on.
 
-    Raises:
-        TypeError: if it is not an integer.
-        ValueError: if it, or the last of the environments' seeds, is negative or has more bits than a stream's key.
+    Raises a TypeError or ValueError for what is not accepted.
     """
     return check_integer("seed", seed, accepted, 0, 2**128 - count)
 
@@ -65,30 +53,27 @@ def episode_metrics(world: np.ndarray, horizon: float | None, own: task.Task = S
     Returns:
         One float64 array of shape (n,) for each field of `task.Metrics`, and for each metric of the task.
     """
-    duration, energy = world[Row.duration], world[Row.episode_energy]
-    failed = world[Row.termination] != 0
-    distance = world[Row.x] - world[Row.start_x]
+    rows = SimpleNamespace(**{name: world[row] for name, row in vars(Row).items()})
+    failed, distance = rows.termination != 0, rows.x - rows.start_x
     # Before the first step every integral is 0, and so is every ratio.
-    elapsed = np.where(duration > 0.0, duration, 1.0)
+    elapsed = np.where(rows.duration > 0.0, rows.duration, 1.0)
     whole = elapsed if horizon is None else np.where(failed, horizon, elapsed)
-    moved = world[Row.weight_distance]
-    transport = np.divide(energy, moved, out=np.full(len(moved), math.inf), where=moved > 0.0)
-    forward, backward = world[Row.forward], world[Row.backward]
-    nowhere = np.where(backward > 0.0, math.inf, 0.0)
-    backward_ratio = np.divide(backward, forward, out=nowhere, where=forward > 0.0)
+    nowhere, never = np.where(rows.backward > 0.0, math.inf, 0.0), np.full(len(failed), math.inf)
     metrics = task.Metrics(
         mean_speed=100.0 * distance / whole,
-        cost_of_transport=transport,
-        peak_torque=world[Row.peak_torque],
-        rms_torque=np.sqrt(world[Row.torque_squared] / elapsed),
-        backward_ratio=backward_ratio,
-        stuck_fraction=world[Row.stuck] / elapsed,
-        smallest_normal_ratio=world[Row.smallest_normal_ratio],
-        largest_theta=world[Row.largest_theta],
-        largest_theta_dot=world[Row.largest_theta_dot],
+        cost_of_transport=np.divide(
+            rows.episode_energy, rows.weight_distance, out=never, where=rows.weight_distance > 0.0
+        ),
+        peak_torque=rows.peak_torque,
+        rms_torque=np.sqrt(rows.torque_squared / elapsed),
+        backward_ratio=np.divide(rows.backward, rows.forward, out=nowhere, where=rows.forward > 0.0),
+        stuck_fraction=rows.stuck / elapsed,
+        smallest_normal_ratio=rows.smallest_normal_ratio,
+        largest_theta=rows.largest_theta,
+        largest_theta_dot=rows.largest_theta_dot,
         distance=distance,
-        energy=energy,
-        duration=duration,
+        energy=rows.episode_energy,
+        duration=rows.duration,
         failed=failed.astype(np.float64),
     )
     memory = SimpleNamespace(**dict(zip(own.fields, world[len(world) - own.rows :], strict=True)))
@@ -98,19 +83,14 @@ def episode_metrics(world: np.ndarray, horizon: float | None, own: task.Task = S
 class Simulation:
     """The state of N environments and its evolution; everything is float64 and in SI units.
 
-    Args:
-        num_envs: number of environments.
-        options: options of the environments.
-
     Attributes:
+        options: options of the environments.
         capsule: the plant's constants.
         controller: the law inside the step, or None.
-        task: the task.
         settings: the options as the core reads them.
-        lanes: environments in a block, LANES or, for a single environment, 1.
-        world: shape (blocks, rows, lanes): environment i is lane i % lanes of block i // lanes; the rows are those of
-            `Row`, the law's memory, its line of the reference, the task's memory and, of varied plants, the history of
-            states that late sensors show. `row` and `columns` read it by environments.
+        world: shape (blocks, rows, lanes): environment i is lane i % lanes of block i // lanes, and `lanes` is LANES
+            or, for a single environment, 1. The rows are those of `capsule_gym.layout`; those of the task's memory are
+            `task_row` to `task_end`. `row`, `rows` and `columns` read it by environments.
         observations: shape (num_envs, entries), float32, of the present state.
         start: distribution of the initial states: middle (rad) and half width of theta's, half width of theta_dot's
             (rad/s).
@@ -125,7 +105,6 @@ class Simulation:
         self.options = options
         self.capsule = options.capsule or NOMINAL
         self.randomization = Randomization.named(options.randomization)
-        self.randomization.check(self.capsule)
         # Largest M in kg and mu if they are observed.
         self._largest = parameter_bounds(self.capsule, self.randomization)
         self.controller = find_controller(options.controller)
@@ -147,7 +126,6 @@ class Simulation:
             check_step(stiffest, corner.M, corner.mu, self.settings)
         self.lanes = 1 if self.num_envs == 1 else LANES
         blocks = -(-self.num_envs // self.lanes)
-        # One past the last row of the task's memory, and the first one.
         self.task_end = count_rows(self.controller, self.task)
         self.task_row = self.task_end - self.task.rows
         rows = self.task_end + layout.HISTORY_ROWS * self.settings.history
@@ -184,33 +162,28 @@ class Simulation:
 
     def __getstate__(self) -> dict[str, Any]:
         """The state of the episodes, without code and threads."""
-        names = ("num_envs", "options", "_changes", *COPIED_ATTRIBUTES)
-        return {name: getattr(self, name) for name in names}
+        return {name: getattr(self, name) for name in ("num_envs", "options", "_changes", *COPIED_ATTRIBUTES)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         options = state["options"]
-        controller, own = find_controller(options.controller), find_task(options.task)
-        history = make_settings(options, controller).history
-        if count_rows(controller, own) + layout.HISTORY_ROWS * history != state["world"].shape[1]:
+        # A function that returns the controller may return another one the second time: a copy passes its own.
+        Simulation.__init__(
+            self, state["num_envs"], replace(options, controller=state.get("controller", options.controller))
+        )
+        self.options = options
+        if self.world.shape != state["world"].shape:
             raise ValueError(
                 f"controller={options.controller!r} must be as it was when the simulation was pickled, with as "
                 f"much memory and as many columns of the reference"
             )
-        Simulation.__init__(self, state["num_envs"], state["options"])
-        self._take_over(state)
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> Simulation:
-        # The same controller: a function that returns one may return another the second time.
-        twin = memo[id(self)] = type(self)(self.num_envs, replace(self.options, controller=self.controller))
-        twin.options = self.options
-        twin._take_over(self.__getstate__())
-        return twin
-
-    def _take_over(self, state: dict[str, Any]) -> None:
-        """Continues the episodes of another simulation."""
         for name in COPIED_ATTRIBUTES:
             getattr(self, name)[...] = state[name]
         self._changes = deepcopy(state["_changes"])
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Simulation:
+        twin = memo[id(self)] = type(self).__new__(type(self))
+        twin.__setstate__({**self.__getstate__(), "controller": self.controller})
+        return twin
 
     def _bind(self) -> None:
         """Binds the arrays and the law to the core."""
@@ -221,8 +194,10 @@ class Simulation:
         # The first quantities of the environments that begin, and the other values that their episodes draw.
         self._rows, self._starts = np.zeros(count, np.int64), np.zeros((Row.torque, count))
         self._drawn = np.zeros((len(self.draw_table), count))
-        ranges = resets.plant_ranges(self.randomization, self.capsule)
-        arrays = {
+        observed = Row.read_theta if self.settings.law_reads else Row.theta
+        law, self._law = bind_law(acting, self.lanes, observed)
+        # The core reads these arrays by their addresses.
+        self._arrays = {
             "world": self.world,
             "observations": self.observations,
             "settings": native.ordered(_core.SETTINGS, given),
@@ -232,12 +207,14 @@ class Simulation:
             "episodes": self._episodes,
             "rows": self._rows,
             "starts": self._starts,
-            "ranges": ranges,
+            "ranges": resets.plant_ranges(self.randomization, self.capsule),
             "start": self.start,
             "draw_table": self.draw_table,
             "drawn": self._drawn,
         }
-        sizes = {
+        fields = {
+            **{name: native.address(array) for name, array in self._arrays.items()},
+            **law,
             "num_envs": count,
             "lanes": self.lanes,
             "entries": self.observations.shape[1],
@@ -248,11 +225,7 @@ class Simulation:
             "reference_size": self.reference.shape[1],
             "draw_lines": len(self.draw_table),
         }
-        self._law = bind_law(acting, self.lanes)
-        # The core reads these arrays by their addresses.
-        self._arrays = arrays
-        fields = {**{name: native.address(array) for name, array in arrays.items()}, **sizes, **self._law.fields}
-        self._batch = _core.bind(native.LEVEL, fields)
+        self._batch = _core.bind(fields)
         # Looking the arguments up each time takes a tenth of a step.
         self._advance = partial(_core.advance, self._batch)
         self._step_one = partial(_core.step_one, self._batch)
@@ -288,10 +261,7 @@ class Simulation:
         M: Sequence[float] | None = None,
         mu: Sequence[float] | None = None,
         state: np.ndarray | None = None,
-        changes: Sequence[Sequence[dict[str, float]]] | None = None,
-        capsule: Sequence[dict[str, float]] | None = None,
-        disturbances: Sequence[dict[str, float]] | None = None,
-        **task_options: Sequence[Any],
+        **options: Sequence[Any],
     ) -> None:
         """Begins a new episode in some environments. Values that are not given are drawn.
 
@@ -299,39 +269,36 @@ class Simulation:
             rows: indices of the environments, shape (n,).
             M: masses of their platforms, kg.
             mu: their friction coefficients.
-            state: shape (n, 4): theta, theta_dot, x, x_dot.
-            changes: per environment the jumps of M and mu during the episode, in order of time: `{"t": s, "M": kg,
-                "mu": ..}`.
-            capsule: per environment, constants of the plant by the names in `parameters.CONSTANTS`.
-            disturbances: per environment, disturbances by the names in `parameters.DISTURBANCES`.
-            **task_options: per environment, values that the task would draw, by the names of `Task.options`.
+            state: shape (n, 4), or one state for all.
+            **options: the other options of `CapsuleEnv.reset`, one value per environment.
 
         Raises:
             TypeError: if a value is of the wrong type.
             ValueError: if a value is out of range, or the law returned a torque that is not finite.
             IndexError: if there is no such environment.
         """
-        if not self.settings.history and (capsule or disturbances):
-            raise ValueError(
-                f"options[{'capsule' if capsule else 'disturbances'!r}] needs an environment with disturbances "
-                f"other than 'none', or with a Randomization of constants besides M and mu"
-            )
-        schedules = [self._schedule(changes[n]) for n in range(len(rows))] if changes is not None else None
+        for name in ("capsule", "disturbances"):
+            if options.get(name) and not self.settings.history:
+                raise ValueError(
+                    f"options[{name!r}] needs an environment with disturbances other than 'none', or with a "
+                    "Randomization of constants besides M and mu"
+                )
+        schedules = [self._schedule(changes) for changes in options.get("changes", ())]
         count = len(rows)
-        if count and not (0 <= rows.min() and rows.max() < self.num_envs and count <= self.num_envs):
+        fits = count <= self.num_envs
+        if fits:
+            self._rows[:count] = rows
+        if not fits or _core.call("draw_episodes", self._batch, count) >= 0:
             accepted = f"rows must be indices of environments, from 0 to {self.num_envs - 1}, each at most once"
             raise IndexError(f"{accepted}, got {written(rows.tolist())}")
-        self._rows[:count] = rows
         starts = self._starts[:, :count]
-        _core.draw_episodes(self._batch, count)
-        drawn = self._draw_rows(count, task_options, capsule, disturbances) if len(self.draw_table) else None
-        if M is not None or mu is not None or capsule:
+        drawn = self._draw_rows(count, options) if len(self.draw_table) else None
+        if M is not None or mu is not None or options.get("capsule"):
             masses = starts[Row.M].tolist() if M is None else M
             frictions = starts[Row.mu].tolist() if mu is None else mu
             for n, plant in enumerate(zip(masses, frictions, strict=True)):
                 own = () if drawn is None else drawn[len(self.task.draws) :, n].tolist()
-                constants = dict(zip(CONSTANTS, own, strict=False))
-                self._check_plant(*plant, replace(self.capsule, **constants) if constants else self.capsule)
+                self._check_plant(*plant, replace(self.capsule, **dict(zip(CONSTANTS, own, strict=False))))
             starts[Row.M], starts[Row.mu] = masses, frictions
         if state is not None:
             starts[: Row.M] = self._check_state(state, len(rows)).T
@@ -339,7 +306,7 @@ class Simulation:
         # Nothing above changes the environments, so a reset that raises an error leaves them unchanged.
         if self._changes or schedules:
             self._plan(rows, schedules)
-        _core.begin_episodes(self._batch, count)
+        _core.call("begin_episodes", self._batch, count)
         self._everyone = False
         self.resets += 1
         self._run(begin=True)
@@ -352,8 +319,7 @@ class Simulation:
             active: shape (num_envs,), bool: the environments that take part; the others do not change. None means all.
 
         Raises:
-            ValueError: if a user's control law returned a torque that is not finite. An exception in a law is raised
-                as it is.
+            ValueError: if a control law returned a torque that is not finite. A law's own exception is raised as it is.
         """
         if self._changes:
             self._apply_changes()
@@ -382,34 +348,25 @@ class Simulation:
         self.run(lambda first, last: self._advance(first, last, begin))
 
     def run(self, work: Callable[[int, int], int]) -> None:
-        """Runs the core on all environments.
+        """Runs the core on all environments, distributed over the threads.
 
         Args:
-            work: function of the first environment and one past the last, which returns the index of an environment
-                whose law has failed, or -1; see `share`.
+            work: function of the first environment and one past the last, which releases the interpreter's lock and
+                returns the index of an environment whose law has failed, or -1.
 
         Raises:
-            ValueError: if a user's control law returned a torque that is not finite. An exception in a law is raised
-                as it is.
+            ValueError: as `step`.
         """
         try:
-            broken = max(self.share(work))
+            broken = max(self._share(work))
         except BaseException:
             self._discard_failed()
             raise
         if broken >= 0:
             self._report(broken)
 
-    def share(self, work: Callable[[int, int], Result]) -> list[Result]:
-        """Distributes the environments over the threads.
-
-        Args:
-            work: function of the first environment and one past the last; it must release the interpreter's lock to
-                gain from threads.
-
-        Returns:
-            The results of `work`, in the order of the environments.
-        """
+    def _share(self, work: Callable[[int, int], int]) -> list[int]:
+        """The results of `work`, which the threads call for parts of the environments."""
         (first, last), *others = self._ranges
         if not others:
             return [work(first, last)]
@@ -452,15 +409,12 @@ class Simulation:
         self.observations[lost] = np.nan_to_num(self.observations[lost])
 
     def metrics(self, rows: np.ndarray, horizon: int | None = None) -> dict[str, np.ndarray]:
-        """The metrics of running episodes.
+        """`episode_metrics` of the running episodes with these indices.
 
         Args:
             rows: indices of the environments, int64, shape (n,).
             horizon: agent steps of a whole episode. The mean speed of a failed episode is over all of them, so that an
                 early failure is no advantage; None takes the elapsed time.
-
-        Returns:
-            One float64 array of shape (n,) for each field of `task.Metrics`, and for each metric of the task.
         """
         seconds = horizon * self.options.control_dt if horizon else None
         return episode_metrics(self.columns(rows)[: self.task_end], seconds, self.task)
@@ -471,47 +425,35 @@ class Simulation:
             self._pool.shutdown()
         self._pool = None
 
-    def _draw_rows(
-        self,
-        count: int,
-        task_options: dict[str, Sequence[Any]],
-        capsule: Sequence[Any] | None,
-        disturbances: Sequence[Any] | None,
-    ) -> np.ndarray:
+    def _draw_rows(self, count: int, options: dict[str, Sequence[Any]]) -> np.ndarray:
         """The given or drawn values of `count` environments that begin, shape (lines of `draw_table`, count)."""
         drawn = self._drawn[:, :count]
         first = 0
         for name, option in self.task.options.items():
             last = first + len(option.draws)
-            for n, value in enumerate(task_options.get(name, ())):
+            for n, value in enumerate(options.get(name, ())):
                 drawn[first:last, n] = option.parse(f"options[{name!r}]", value)
             first = last
-        for name, given, names in (("capsule", capsule, CONSTANTS), ("disturbances", disturbances, DISTURBANCES)):
-            for n, values in enumerate(given or ()):
+        for name, names in (("capsule", CONSTANTS), ("disturbances", DISTURBANCES)):
+            for n, values in enumerate(options.get(name, ())):
                 accepted = f"a dict with keys out of {names}"
-                if not isinstance(values, dict):
-                    raise TypeError(f"options[{name!r}] must be {accepted}, got {written(values)}")
-                if set(values) - set(names):
-                    raise ValueError(f"options[{name!r}] must be {accepted}, got {written(values)}")
+                if not isinstance(values, dict) or set(values) - set(names):
+                    error = ValueError if isinstance(values, dict) else TypeError
+                    raise error(f"options[{name!r}] must be {accepted}, got {written(values)}")
                 for key, value in values.items():
-                    low, high = self._limits(key) if name == "disturbances" else (-LARGEST, LARGEST)
+                    low, high = Disturbances.limits(key) if name == "disturbances" else (-LARGEST, LARGEST)
+                    if key == "latency":
+                        # The length of the history.
+                        settings = self.settings
+                        high = (settings.history - 1) * settings.physics_steps * settings.physics_dt
                     in_words = f"a number from {low:g} to {high:g}"
                     number = check_number(f"options[{name!r}][{key!r}]", value, in_words, low, high)
                     drawn[first + names.index(key), n] = number
             first += len(names)
         return drawn
 
-    def _limits(self, name: str) -> tuple[float, float]:
-        """The smallest and the largest value of a disturbance that a reset may set."""
-        low, high = Disturbances.limits(name)
-        if name == "latency":
-            # The length of the history.
-            high = (self.settings.history - 1) * self.settings.physics_steps * self.settings.physics_dt
-        return low, high
-
-    def _check_plant(self, M: float, mu: float, capsule: Capsule | None = None) -> None:
+    def _check_plant(self, M: float, mu: float, capsule: Capsule) -> None:
         """Raises an error for M and mu that are invalid, too stiff for the step, or outside their observed bounds."""
-        capsule = capsule or self.capsule
         capsule.check_plant(M, mu)
         check_step(capsule, float(M), float(mu), self.settings)
         if self.settings.with_parameters:
@@ -522,11 +464,8 @@ class Simulation:
     def _check_state(self, state: Any, count: int) -> np.ndarray:
         """The states of `count` environments as float64, shape (count, 4)."""
         _, *rest = task.LARGEST_STATE
-        accepted = (
-            "[theta, theta_dot, x, x_dot] with |theta| < pi/2, |theta_dot| <= {:g} rad/s, |x| <= {:g} m and |x_dot| "
-            "<= {:g} m/s"
-        ).format(*rest)
-        message = f"options['state'] must be {accepted}, got {written(state)}"
+        accepted = "|theta| < pi/2, |theta_dot| <= {:g} rad/s, |x| <= {:g} m and |x_dot| <= {:g} m/s".format(*rest)
+        message = f"options['state'] must be [theta, theta_dot, x, x_dot] with {accepted}, got {written(state)}"
         try:
             array = np.asarray(state, dtype=np.float64)
         except (TypeError, ValueError, OverflowError) as error:
@@ -540,33 +479,22 @@ class Simulation:
     def _schedule(self, changes: Sequence[dict[str, float]]) -> list[tuple[float, float, float]]:
         """The changes of one episode as (t, M, mu)."""
         accepted = "a list of dicts {'t': s, 'M': kg, 'mu': ..}, each later than the one before"
-        if not isinstance(changes, (list, tuple)):
-            raise TypeError(f"options['changes'] must be {accepted}, got {written(changes)}")
         schedule: list[tuple[float, float, float]] = []
-        for n, change in enumerate(changes):
-            name = f"options['changes'][{n}]"
-            if not isinstance(change, dict):
-                raise TypeError(f"{name} must be a dict with the keys {CHANGE}, got {written(change)}")
-            if set(change) != set(CHANGE):
-                raise ValueError(f"{name} must have the keys {CHANGE} and no others, got {written(change)}")
-            t = check_number(f"{name}['t']", change["t"], "a finite number >= 0 (s)", 0.0)
-            if schedule and t <= schedule[-1][0]:
-                raise ValueError(f"{name}['t'] must be later than the one before, {schedule[-1][0]:g} s, got {t:g} s")
+        for name, t, change in check_timed("options['changes']", changes, accepted, CHANGE):
             try:
-                self._check_plant(change["M"], change["mu"])
+                self._check_plant(change["M"], change["mu"], self.capsule)
             except (TypeError, ValueError) as error:
                 raise type(error)(f"{name}: {error}") from None
             schedule.append((t, float(change["M"]), float(change["mu"])))
         return schedule
 
-    def _plan(self, rows: np.ndarray, schedules: list[list[tuple[float, float, float]]] | None) -> None:
+    def _plan(self, rows: np.ndarray, schedules: list[list[tuple[float, float, float]]]) -> None:
         """Replaces the scheduled changes of some environments."""
         for n, i in enumerate(rows.tolist()):
             self._changes.pop(i, None)
             self._due[i] = math.inf
             if schedules and schedules[n]:
-                self._changes[i] = schedules[n]
-                self._due[i] = schedules[n][0][0]
+                self._changes[i], self._due[i] = schedules[n], schedules[n][0][0]
 
     def _apply_changes(self) -> None:
         """Applies the changes of M and mu that are due: at the first agent step that starts at or after t."""

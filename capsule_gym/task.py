@@ -85,13 +85,7 @@ METRICS = Metrics._fields
 
 
 class Draw(NamedTuple):
-    """A number that every episode draws uniformly.
-
-    Attributes:
-        low: lower bound.
-        high: upper bound.
-        signed: the bounds are those of the absolute value, and both signs are equally likely.
-    """
+    """A number that every episode draws uniformly from [low, high], where `signed` with a random sign."""
 
     low: float
     high: float
@@ -101,10 +95,7 @@ class Draw(NamedTuple):
 class Option(NamedTuple):
     """Numbers that every episode of a task draws, and that `reset(options={name: value})` sets.
 
-    Attributes:
-        draws: the numbers.
-        parse: parse(name, value) -> the numbers for a value of the option; raises a TypeError or ValueError that names
-            the option.
+    parse(name, value) returns the numbers for a value of the option; its TypeError or ValueError names the option.
     """
 
     draws: tuple[Draw, ...]
@@ -113,18 +104,16 @@ class Option(NamedTuple):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Task:
-    """A task of the core: its names, draws and metrics. All tasks share plant and failures.
+    """A task of the core: its names, draws and metrics; reward, memory and observation are in the core.
 
-    Reward, memory and entries of the observation are in the core. The memory's last fields are the numbers that an
-    episode draws, in the order of `options`. A law with `Controller.task` receives the memory after its reference.
+    The memory's last fields are the numbers that an episode draws, in the order of `options`.
 
     Attributes:
         name: value of the environment's argument `task`.
         episode_steps: agent steps until truncation.
-        term: name of the task's reward term in `info`. The energy and termination terms are added to it.
+        term: name in `info` of the task's reward term, to which the energy and termination terms are added.
         entries: names of the additional entries, which end the observation, and the bounds to which they are clipped.
-        shown: fields of the memory that `info` contains under their names; `render` marks the position of a "goal" or a
-            "target" (m).
+        shown: fields of the memory that `info` contains; `render` marks the position of a "goal" or a "target" (m).
         options: numbers that an episode draws, by the name of their reset option.
         metrics: metrics(memory, whole) -> metrics by name, in addition to those of `Metrics`. The fields of `memory`
             are arrays with one entry per episode; `whole` is the length of a whole episode in s.

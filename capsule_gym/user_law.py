@@ -16,9 +16,12 @@ from functools import partial
 from typing import Any
 from weakref import WeakKeyDictionary
 
+import numpy as np
+
 from capsule_gym import _core
 from capsule_gym.checks import first_cause
 from capsule_gym.layout import ROWS
+from capsule_gym.native import address
 
 # Loops over the environments of a block. The source is generated since numba's public interface cannot make a tuple of
 # a part of an array. All rows are at constant offsets from one pointer: with a pointer for each kind of row LLVM cannot
@@ -28,8 +31,7 @@ SOURCE = """
 @njit(**options)
 def call_each(b, u, first, last):
     for j in range(first, last):
-        theta, theta_dot, x, x_dot = b[j], b[j + {lanes}], b[j + 2 * {lanes}], b[j + 3 * {lanes}]
-        torque, renewed = law({given}theta, theta_dot, x, x_dot, ({memory}), ({row}){named})
+        torque, renewed = law({given}{state}, ({memory}), ({row}){named})
 {stores}
         u[j] = torque
 
@@ -53,17 +55,18 @@ def call_law(data, block, torques, n):
                     pass
 """
 
-_compiled: WeakKeyDictionary[Any, dict[int, Any]] = WeakKeyDictionary()
+_compiled: WeakKeyDictionary[Any, dict[tuple[int, int], Any]] = WeakKeyDictionary()
 _lock = threading.Lock()
 
 
-def bind_user_law(controller: Any, row_size: int, lanes: int) -> tuple[int, int, Any]:
+def bind_user_law(controller: Any, row_size: int, lanes: int, state: int) -> tuple[int, int, Any]:
     """Makes the law of a `Controller` callable for the core.
 
     Args:
         controller: the controller.
         row_size: numbers that the law receives in `reference`: its row, and the task's memory if it reads it.
         lanes: environments in a block.
+        state: the row of theta that the law observes; those of theta_dot, x and x_dot follow.
 
     Returns:
         The addresses of the function and of its data, and what must be kept alive while they are used.
@@ -71,16 +74,31 @@ def bind_user_law(controller: Any, row_size: int, lanes: int) -> tuple[int, int,
     if importlib.util.find_spec("numba") is not None:
         with _lock:
             known = _compiled.setdefault(controller, {})
-            if lanes not in known:
+            if (lanes, state) not in known:
                 # Where the compilation has failed once, it has warned.
-                known[lanes] = None if None in known.values() else _compile(controller, row_size, lanes)
-            if known[lanes] is not None:
-                return known[lanes].address, 0, known[lanes]
-    handle, function, data = _core.plain_law(controller.law, len(controller.memory), row_size, lanes)
-    return function, data, handle
+                failed = None in known.values()
+                known[lanes, state] = None if failed else _compile(controller, row_size, lanes, state)
+            if (compiled := known[lanes, state]) is not None:
+                return compiled.address, 0, compiled
+    plain, cells = _plain(controller.law, len(controller.memory)), len(controller.memory)
+    # The core's `PlainLaw`.
+    data = np.array([id(plain), cells, cells + row_size, lanes, state], np.int64)
+    return _core.PLAIN_LAW, address(data), (plain, data)
 
 
-def _compile(controller: Any, row_size: int, lanes: int) -> Any:
+def _plain(law: Callable[..., Any], cells: int) -> Callable[..., tuple[float, ...]]:
+    """The law as the core calls it: with separate numbers, for one tuple of the torque and the memory."""
+
+    def call(theta: float, theta_dot: float, x: float, x_dot: float, *numbers: float) -> tuple[float, ...]:
+        found = tuple(law(theta, theta_dot, x, x_dot, numbers[:cells], numbers[cells:]))
+        if len(found) != 2 or len(renewed := tuple(found[1])) != cells:
+            raise TypeError(f"a control law must return (torque, memory) with {cells} cells of memory")
+        return found[0], *renewed
+
+    return call
+
+
+def _compile(controller: Any, row_size: int, lanes: int, state: int) -> Any:
     """The law in a loop over a block, compiled; None with a warning where numba cannot compile it."""
     law: Any = controller.law
     given: tuple[Any, ...] = ()
@@ -93,6 +111,7 @@ def _compile(controller: Any, row_size: int, lanes: int) -> Any:
         size=(ROWS + cells + row_size) * lanes,
         lanes=lanes,
         given="".join(f"given_{n}, " for n in range(len(given))),
+        state=", ".join(f"b[j + {(state + n) * lanes}]" for n in range(4)),
         memory="".join(f"{name}, " for name in names[:cells]),
         row="".join(f"{name}, " for name in names[cells:]),
         named="".join(f", {name}=named_{name}" for name in named),

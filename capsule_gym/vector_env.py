@@ -80,7 +80,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         # Nothing to close after an invalid argument: gymnasium 1.1 closes such a batch, too, when it is deleted.
         self.closed = True
         config = EnvConfig(render_mode=render_mode, **options)
-        if render_mode not in (None, "rgb_array"):
+        if render_mode == "human":
             raise ValueError(f"render_mode of a batch must be None or 'rgb_array', got {written(render_mode)}")
         self.autoreset_mode = _find_mode(autoreset_mode)
         self.simulation = make_simulation(num_envs, config)
@@ -88,11 +88,8 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.max_episode_steps = check_count("max_episode_steps", steps)
         self.num_envs = self.simulation.num_envs
         self.render_mode = render_mode
-        self.metadata = {
-            **type(self).metadata,
-            "render_fps": round(1.0 / self.simulation.options.control_dt),
-            "autoreset_mode": self.autoreset_mode,
-        }
+        fps = round(1.0 / self.simulation.options.control_dt)
+        self.metadata = {**type(self).metadata, "render_fps": fps, "autoreset_mode": self.autoreset_mode}
         self.single_action_space, self.single_observation_space = make_spaces(self.simulation)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -104,7 +101,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._everyone.flags.writeable = False
         # The masks of an info of every environment; building their names takes a third of the info's time.
         self._masks: dict[str, np.ndarray] = {}
-        # The drawn values of the running episodes, in the form of infos, and the count of resets at which they were read.
+        # The drawn values of the running episodes, as in infos, and the count of resets at which they were read.
         self._drawn: dict[str, dict[str, np.ndarray]] = {}
         self._drawn_at = 0
         self.closed = False
@@ -136,19 +133,18 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
         Returns:
             Observations, float32 of shape (num_envs, entries), and the infos.
-
-        Raises:
-            TypeError: if an option is of the wrong type.
-            ValueError: if an option is unknown, of the wrong shape or out of range.
         """
         own = self.simulation.task.options
         options = check_options(options, (*RESET_OPTIONS, *own, "reset_mask"))
         mask = self._check_mask(options.get("reset_mask"))
         self._seed(seed)
         rows = np.flatnonzero(mask)
-        names = ("M", "mu", "changes", "capsule", "disturbances", *own)
-        given = {name: self._per_row(name, options[name], rows) for name in names if options.get(name) is not None}
-        self.simulation.reset(rows, state=self._states(options.get("state"), rows), **given)
+        given = {
+            name: self._per_row(name, options[name], rows)
+            for name in (*RESET_OPTIONS, *own)
+            if options.get(name) is not None
+        }
+        self.simulation.reset(rows, **given)
         self._ended[rows] = False
         # The mask of the first reset need not name every environment; one that has not begun has no mass.
         self._started = self._started or bool(self.simulation.row(Row.M).all())
@@ -177,9 +173,8 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 f"actions must be finite, in [-1, 1] and of shape ({self.num_envs}, 1), got {written(actions)}"
             )
         simulation = self.simulation
-        resting = self._ended.any()
-        active = ~self._ended if resting else None
-        if resting and self.autoreset_mode is AutoresetMode.NEXT_STEP:
+        active = ~self._ended if self._ended.any() else None
+        if active is not None and self.autoreset_mode is AutoresetMode.NEXT_STEP:
             simulation.reset(np.flatnonzero(self._ended))
         simulation.step(array[:, 0], active)
 
@@ -188,8 +183,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         terminated = shown[Row.termination] != 0.0
         truncated = shown[Row.steps] >= self.max_episode_steps
         if active is not None:
-            terminated &= active
-            truncated &= active
+            terminated, truncated = terminated & active, truncated & active
         ended = terminated | truncated
         info = self._info(shown, self._everyone)
         if active is not None and self.autoreset_mode is AutoresetMode.DISABLED:
@@ -268,16 +262,17 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def _seed(self, seed: int | Sequence[int | None] | None) -> None:
         """Distributes the seeds: with a seed s, environment i gets s + i."""
-        last = "2**128" if self.num_envs == 1 else f"2**128 - {self.num_envs - 1}"
-        accepted = f"an integer in [0, {last}), None, or a sequence of {self.num_envs} integers in [0, 2**128) or None"
+        n = self.num_envs
+        last = f"2**128 - {n - 1}" if n > 1 else "2**128"
+        accepted = f"an integer in [0, {last}), None, or a sequence of {n} integers in [0, 2**128) or None"
         fresh = self._np_random is None
-        given: Sequence[int | None] = [None] * self.num_envs
-        if isinstance(seed, (Sequence, np.ndarray)):
-            if (isinstance(seed, np.ndarray) and seed.ndim != 1) or len(seed) != self.num_envs:
+        given: list[int | None] = [None] * n
+        if seed is not None and isinstance(seed, (Sequence, np.ndarray)):
+            if (isinstance(seed, np.ndarray) and seed.ndim != 1) or len(seed) != n:
                 raise ValueError(f"seed must be {accepted}, got {written(seed)}")
             given = [None if own is None else check_seed(own, accepted) for own in seed]
         elif seed is not None:
-            super().reset(seed=check_seed(seed, accepted, self.num_envs))
+            super().reset(seed=check_seed(seed, accepted, n))
             fresh = True
         # Without a seed the first reset draws one from the system's entropy.
         _ = self.np_random
@@ -291,15 +286,17 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """The mask of the environments to be reset."""
         if mask is None:
             return np.ones(self.num_envs, np.bool_)
-        accepted = f"a bool array of shape ({self.num_envs},) with at least one True"
+        accepted = f"options['reset_mask'] must be a bool array of shape ({self.num_envs},) with at least one True"
         if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
-            raise TypeError(f"options['reset_mask'] must be {accepted}, got {written(mask)}")
+            raise TypeError(f"{accepted}, got {written(mask)}")
         if mask.shape != (self.num_envs,) or not mask.any():
-            raise ValueError(f"options['reset_mask'] must be {accepted}, got {written(mask)}")
+            raise ValueError(f"{accepted}, got {written(mask)}")
         return mask
 
-    def _per_row(self, name: str, values: Any, rows: np.ndarray) -> list[Any]:
+    def _per_row(self, name: str, values: Any, rows: np.ndarray) -> Any:
         """One value per environment to be reset, from one for all or one for each of the batch."""
+        if name == "state":
+            return self._states(values, rows)
         accepted = f"options[{name!r}] must have one entry per environment ({self.num_envs})"
         if not isinstance(values, (Sequence, np.ndarray)) or (isinstance(values, np.ndarray) and values.ndim == 0):
             if name == "changes":
@@ -311,13 +308,11 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def _states(self, states: Any, rows: np.ndarray) -> Any:
         """The states of the environments to be reset, from one for all or one for each of the batch."""
-        if not isinstance(states, (Sequence, np.ndarray)):
-            return states
         try:
-            array = np.asarray(states)
+            array = np.asarray(states) if isinstance(states, (Sequence, np.ndarray)) else None
         except ValueError:  # rows of several lengths, which raise an error with the other invalid states
             return states
-        return array[rows] if array.ndim == 2 and len(array) == self.num_envs else states
+        return states if array is None or array.ndim != 2 or len(array) != self.num_envs else array[rows]
 
 
 def _find_mode(mode: AutoresetMode | str) -> AutoresetMode:

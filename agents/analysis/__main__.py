@@ -8,38 +8,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import arg
-
-from agents.analysis import algorithms, goal, limit_cycle, pareto, recording, residual_limit, sensitivity, statistics
-from agents.analysis.data import Document
-from capsule_gym.command_line import Positional, parse, refuse
+from agents.analysis import goal, residual_limit, sensitivity, statistics
+from capsule_gym.command_line import Positional, arg, parse, refuse
 from capsule_gym.files import write_atomically
 
 COMMAND = "python -m agents.analysis"
 ROOT = Path(__file__).resolve().parents[2]
-
-
 # Each module has a function `document`.
-DOCUMENTS = {
-    "statistics": statistics,
-    "limit_cycle": limit_cycle,
-    "pareto": pareto,
-    "residual_limit": residual_limit,
-    "goal": goal,
-    "sensitivity": sensitivity,
-    "algorithms": algorithms,
-    "animations": recording,
-}
+DOCUMENTS = {"statistics": statistics, "residual_limit": residual_limit, "goal": goal, "sensitivity": sensitivity}
 
 
 @dataclass(frozen=True)
 class Args:
-    """Writes docs/NAME_tables.md, docs/figures/NAME*.png and .svg, and the animations in docs/media.
+    """Writes docs/NAME_tables.md and docs/figures/NAME*.png and .svg.
 
     Examples:
       python -m agents.analysis
       python -m agents.analysis statistics --check
-      python -m agents.analysis limit_cycle animations --output elsewhere
+      python -m agents.analysis sensitivity --output elsewhere
     """
 
     names: Annotated[
@@ -51,33 +37,27 @@ class Args:
     """Folder of the files, which are replaced."""
 
 
-def render(document: Document) -> str:
-    """Renders a document's tables as Markdown, in sections that a page can include."""
-    parts = [f"<!-- Written by {COMMAND}: do not edit. -->"]
-    for name, text in document.sections.items():
-        parts.append(f"<!-- --8<-- [start:{name}] -->\n{text}\n<!-- --8<-- [end:{name}] -->")
-    return "\n\n".join(parts) + "\n"
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit status."""
     args = parse(Args, COMMAND, arguments)
-    unknown = [name for name in args.names if name not in DOCUMENTS]
-    if unknown:
+    if unknown := [name for name in args.names if name not in DOCUMENTS]:
         refuse(COMMAND, f"NAME must be one of {', '.join(DOCUMENTS)}, got {unknown[0]!r}")
     stale = False
     for name in args.names or DOCUMENTS:
         document, path = DOCUMENTS[name].document(), args.output / f"{name}_tables.md"
+        parts = [f"<!-- Written by {COMMAND}: do not edit. -->"]
+        for section, table in document.sections.items():
+            parts.append(f"<!-- --8<-- [start:{section}] -->\n{table}\n<!-- --8<-- [end:{section}] -->")
+        text = "\n\n".join(parts) + "\n"
         if args.check:
-            if document.sections and (not path.is_file() or path.read_text(encoding="utf-8") != render(document)):
+            if not path.is_file() or path.read_text(encoding="utf-8") != text:
                 print(f"{path} is not up to date: run `{COMMAND} {name}` and commit what it writes.")
                 stale = True
             continue
-        for place, write in document.figures.items():
-            (args.output / place).parent.mkdir(parents=True, exist_ok=True)
-            write(args.output / place)
-        if document.sections:
-            write_atomically(path, render(document))
+        (args.output / "figures").mkdir(parents=True, exist_ok=True)
+        for figure, write in document.figures.items():
+            write(args.output / "figures" / figure)
+        write_atomically(path, text)
         print(f"Written: {name}", flush=True)
     return 1 if stale else 0
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,8 @@ from agents.evaluation.statistics import Curve, estimate, learning_curve, perfor
 from agents.leaderboard.rows import Row
 from baselines.drawing import BLUE, GREEN, INK, MUTED, VERMILION, Pen, add_note, new_figure, save, style
 
-# In the order of the sets.
+# Sets with random, constant plants, and their pens.
+PROFILED_SETS = ("paper", "wide")
 PENS = (Pen(BLUE), Pen(VERMILION, (0.0, (5.0, 1.6))))
 FRONT_PENS = (Pen(MUTED), Pen(GREEN, (0.0, (5.0, 1.6))))
 FAINT = "#c5ccd6"
@@ -37,16 +37,12 @@ def write_with(draw: Callable[..., Any], *arguments: Any) -> Callable[[Path], li
     return write
 
 
-def panels(names: Sequence[str], top: float, columns: int = 4, height: float = 1.3) -> tuple[Any, Iterator[Any]]:
+def _panels(names: Sequence[str], top: float, height: float = 1.3) -> tuple[Any, Iterator[Any]]:
     """Creates a figure with a panel per name and shared axes; returns the figure and its panels in order.
 
-    Args:
-        names: titles of the panels; line breaks come after hyphens.
-        top: height outside the panels, inches.
-        columns: largest number of panels per row.
-        height: height of a row of panels, inches.
+    `top` is the height outside the panels, and `height` that of a row of panels, in inches.
     """
-    columns = min(columns, len(names))
+    columns = min(4, len(names))
     lines = math.ceil(len(names) / columns)
     figure = new_figure(top + height * lines)
     grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
@@ -61,26 +57,21 @@ def panels(names: Sequence[str], top: float, columns: int = 4, height: float = 1
     return figure, iter(grid.flat)
 
 
-def plot_curve(axes: Any, curve: Curve, pen: Pen, **more: Any) -> None:
+def _plot_curve(axes: Any, curve: Curve, pen: Pen, **more: Any) -> None:
     """Plots a curve and its interval as a band."""
     axes.fill_between(curve.x, curve.low, curve.high, color=pen.colour, alpha=0.18, linewidth=0.0)
     axes.plot(curve.x, curve.value, **pen.line(**more))
 
 
-def draw_profiles(rows: Sequence[Row], set_names: Sequence[str]) -> Any:
-    """Draws performance profiles: the share of episodes faster than a speed (cm/s), one panel per row.
-
-    Args:
-        rows: at least one row.
-        set_names: at most two sets, each drawn with its own pen.
-    """
+def draw_profiles(rows: Sequence[Row], set_names: Sequence[str] = PROFILED_SETS) -> Any:
+    """Draws the share of episodes that are faster than a speed, one panel per row, a line for each of two sets."""
     # A single row of panels is higher, for the label of its axis.
-    figure, places = panels([row.name for row in rows], 0.9, height=1.3 if len(rows) > 4 else 1.8)
+    figure, places = _panels([row.name for row in rows], 0.9, height=1.3 if len(rows) > 4 else 1.8)
     fastest = max(float(row.score(name, SPEED).max()) for row in rows for name in set_names)
     for row, axes in zip(rows, places, strict=False):
         for name, pen in zip(set_names, PENS, strict=False):
             curve = performance_profile(row.score(name, SPEED), np.linspace(0.0, fastest, 101))
-            plot_curve(axes, curve, pen, label=f"on {name}")
+            _plot_curve(axes, curve, pen, label=f"on {name}")
         axes.set(xlim=(0.0, fastest), ylim=(0.0, 1.02))
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", ncols=len(labels))
@@ -93,62 +84,39 @@ def draw_profiles(rows: Sequence[Row], set_names: Sequence[str]) -> Any:
     return figure
 
 
-def draw_learning(
-    learning: Mapping[str, Learning],
-    metric: TableMetric = TABLE_METRICS[SPEED],
-    baseline: tuple[str, float] | None = None,
-) -> Any:
-    """Draws learning curves: the metric of all seeds over steps, and the interquartile mean, one panel per row.
-
-    Args:
-        learning: evaluations during training, by the row's name.
-        metric: the metric of the curves.
-        baseline: description and metric of a policy to compare with.
-    """
-    figure, places = panels(list(learning), 0.75)
+def draw_learning(learning: Mapping[str, Learning], metric: TableMetric = TABLE_METRICS[SPEED]) -> Any:
+    """Draws the metric of all seeds over steps, and the interquartile mean, one panel per row of `learning`."""
+    figure, places = _panels(list(learning), 0.75)
     for runs, axes in zip(learning.values(), places, strict=False):
         for steps, values in runs.values():
             # A run with a single evaluation is drawn as a point.
             axes.plot(steps / 1e6, values, "." if len(values) == 1 else "-", color=MUTED, linewidth=0.5, alpha=0.6)
         curve = learning_curve(list(runs.values()))
-        plot_curve(axes, replace(curve, x=curve.x / 1e6), PENS[0])
-        if baseline:
-            axes.axhline(baseline[1], color=INK, linewidth=0.9, linestyle=(0.0, (4.0, 2.0)))
+        _plot_curve(axes, curve._replace(x=curve.x / 1e6), PENS[0])
     axes.set(xlim=(0.0, None), ylim=(0.0, None))
     figure.supylabel(metric.label, fontsize=8.0)
     add_note(
         figure,
         "Horizontal: millions of agent steps. Evaluations on each run's validation plants, never on a frozen set; "
-        "grey: the training seeds; blue: their interquartile mean, band: 95 %."
-        + (f" Dashed: {baseline[0]}." if baseline else ""),
+        "grey: the training seeds; blue: their interquartile mean, band: 95 %.",
     )
     return figure
 
 
-def plot_fronts(axes: Any) -> None:
-    """Plots the known Pareto fronts of the nominal plant: mean speed over cost of transport."""
-    for (name, points), pen in zip(fronts().items(), FRONT_PENS, strict=True):
-        x, y = zip(*points, strict=True)
-        axes.plot(x, y, **pen.line(marker=".", markersize=4.0, linewidth=1.0, label=f"front of the {name}"))
-
-
 def draw_transport(rows: Sequence[Row]) -> Any:
-    """Draws speed against cost of transport on the nominal plant, with the known fronts and a legend above.
-
-    Args:
-        rows: rows; those without progress have no cost, and the note lists them.
-    """
+    """Draws speed against cost of transport on the nominal plant, with the known fronts."""
     from matplotlib.ticker import LogLocator
 
     figure = new_figure(max(4.4, 1.4 + 0.145 * len(rows)))
     # Room for the labels on the right, whose width the layout underestimates.
     figure.get_layout_engine().set(rect=(0.0, 0.0, 0.985, 1.0))
     axes = figure.subplots()
-    plot_fronts(axes)
+    for (name, points), pen in zip(fronts().items(), FRONT_PENS, strict=True):
+        x, y = zip(*points, strict=True)
+        axes.plot(x, y, **pen.line(marker=".", markersize=4.0, linewidth=1.0, label=f"front of the {name}"))
     marks, absent = [], []
     for row in rows:
-        cost = estimate(row.score("nominal", "cost_of_transport"))
-        speed = estimate(row.score("nominal", SPEED))
+        cost, speed = (estimate(row.score("nominal", metric)) for metric in ("cost_of_transport", SPEED))
         if not math.isfinite(cost.value):
             absent.append(row.name)
             continue
@@ -180,11 +148,9 @@ def draw_transport(rows: Sequence[Row]) -> Any:
 
 
 def _label_marks(axes: Any, marks: Sequence[tuple[float, float, str, str]]) -> None:
-    """Writes names next to the axes in the order of the marks' heights, without overlap, with a line to each mark.
+    """Writes names next to axes with final limits, by height and without overlap, with a line to each mark.
 
-    Args:
-        axes: axes with their final limits.
-        marks: x and y in data coordinates, name and colour of each mark.
+    A mark is x and y in data coordinates, name and colour.
     """
     from matplotlib.patches import ConnectionPatch
 

@@ -1,4 +1,4 @@
-"""The task `goal`: a lower bound on the time of any controller, the scripted policy's time, and two of its episodes.
+"""The task `goal`: a lower bound on the time of any controller, and the scripted policy's time.
 
 Only friction changes the horizontal momentum of capsule and ball. With X and Y the position and the height of their
 centre of mass, Newton's law on the vertical gives the normal force, and so
@@ -11,36 +11,30 @@ the pivot, so that X is within s = m l / (M + m) of the platform's position, and
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any
-
 import numpy as np
 
 from agents.analysis.data import Document
-from agents.analysis.figures import write_with
-from agents.analysis.recording import TASK_POLICIES, record
 from agents.evaluation.episodes import evaluate, scores
-from baselines.drawing import BLUE, MUTED, VERMILION, add_note, new_figure
-from baselines.policies import TASK_SCRIPTED
 from baselines.tables import markdown_table
 from capsule_gym._core import HOLD, TOLERANCE
-from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec, load_set
+from capsule_gym.evaluation_sets import PlantSpec, load_set
 from capsule_gym.parameters import Capsule
-from capsule_gym.task import TORQUE_LIMIT
 
 POLICY = "goal-pulses"
-# Plants of the figure's episodes: with mu in the middle of the task's range, and on the paper's floor.
-PLANTS = {"goal": TASK_POLICIES[POLICY][0], "goal-paper": PlantSpec(0.5, 0.01, seed=0, goal=0.3)}
-SHOWN = 4.0
 # Times t before the rest, s. Each gives a valid bound, and the largest bound is used.
 TIMES = np.linspace(0.0, 15.0, 1501)
 
 
 def document() -> Document:
-    """The table and the figure."""
-    figures = {"figures/goal": write_with(draw, PLANTS)}
-    return Document({"bound": table([load_set(name) for name in PLANTS])}, figures)
+    """The scripted policy's time to the goal and its lower bound, as medians over each set."""
+    rows = [["set", "goals reached", "time to the goal (s)", "lower bound (s)", "time over bound"]]
+    for each in map(load_set, ("goal", "goal-paper")):
+        episodes = evaluate(POLICY, each)
+        times, success = (scores(episodes, name)[0] for name in ("goal_time", "success"))
+        bounds = np.array([least_time(plant, each.env_kwargs["capsule"]) for plant in each.plants])
+        medians = (f"{np.median(values):.2f}" for values in (times, bounds, times / bounds))
+        rows.append([f"`{each.name}`", f"{100.0 * success.mean():.1f} %", *medians])
+    return Document({"bound": markdown_table(rows)})
 
 
 def least_time(plant: PlantSpec, capsule: Capsule) -> float:
@@ -67,50 +61,3 @@ def least_time(plant: PlantSpec, capsule: Capsule) -> float:
     left -= 0.5 * f * g * TIMES * TIMES
     stopped = (TIMES + np.sqrt(2.0 * np.maximum(0.0, left) / (f * g)))[left >= 0.0]
     return float(max(to_rest, stopped.max(initial=0.0)) + HOLD)
-
-
-def table(sets: Sequence[EvaluationSet]) -> str:
-    """A Markdown table of the scripted policy's time to the goal and its lower bound, as medians over each set."""
-    rows = [["set", "goals reached", "time to the goal (s)", "lower bound (s)", "time over bound"]]
-    for each in sets:
-        episodes = evaluate(POLICY, each)
-        times, success = (scores(episodes, name)[0] for name in ("goal_time", "success"))
-        bounds = np.array([least_time(plant, each.env_kwargs["capsule"]) for plant in each.plants])
-        medians = (f"{np.median(values):.2f}" for values in (times, bounds, times / bounds))
-        rows.append([f"`{each.name}`", f"{100.0 * success.mean():.1f} %", *medians])
-    return markdown_table(rows)
-
-
-def draw(plants: Mapping[str, PlantSpec]) -> Any:
-    """Draws position, velocity, angle and torque over time, one column per episode.
-
-    Args:
-        plants: plants with goals, by the set that defines the floor.
-    """
-    figure, policy = new_figure(5.4), TASK_SCRIPTED[POLICY]
-    grid = figure.subplots(4, len(plants), sharex=True, sharey="row", squeeze=False)
-    for column, (name, plant) in enumerate(plants.items()):
-        settings = {**policy.env_kwargs, **load_set(name).env_kwargs}
-        recording = record(replace(policy, env_kwargs=settings), plant, seconds=SHOWN)
-        assert plant.goal is not None
-        position, velocity, angle, torque = grid[:, column]
-        position.set_title(f"M = {plant.M:g} kg, μ = {plant.mu:g}, goal at {100.0 * plant.goal:g} cm")
-        position.axhspan(*(100.0 * (plant.goal + side * TOLERANCE) for side in (-1.0, 1.0)), color=VERMILION, alpha=0.5)
-        position.plot(recording.t, 100.0 * recording.x, color=BLUE)
-        velocity.plot(recording.t, 100.0 * recording.x_dot, color=BLUE)
-        angle.plot(recording.t, np.degrees(recording.theta), color=BLUE)
-        torque.step(recording.t, recording.torque, color=BLUE, linewidth=0.8, where="pre")
-        rests = (recording.x_dot == 0.0) & (np.abs(recording.x - plant.goal) <= TOLERANCE)
-        came = recording.t[np.flatnonzero(~rests)[-1]]
-        for axes in grid[:, column]:
-            axes.axvspan(came, came + HOLD, color=VERMILION, alpha=0.12, linewidth=0.0)
-        for limit in (-TORQUE_LIMIT, TORQUE_LIMIT):
-            torque.axhline(limit, color=MUTED, linewidth=0.6)
-        torque.set(xlabel="time (s)", xlim=(0.0, SHOWN))
-    for axes, label in zip(grid[:, 0], ("x (cm)", "x' (cm/s)", "θ (deg)", "u (N m)"), strict=True):
-        axes.set_ylabel(label)
-    add_note(
-        figure,
-        "Orange line: within 2 mm of the goal. Orange band: the platform rests there for 1 s, and the goal is reached.",
-    )
-    return figure

@@ -41,47 +41,21 @@ class Agent(NamedTuple):
     limit: float
     recipe: str = ""
 
-    @property
-    def alone(self) -> Agent:
-        """The law without an agent."""
-        return Agent(self.base, self.plants, 0.0)
-
-
-# Speeds of the episodes (cm/s) and failures (0.0 or 1.0) by agent, both of shape (runs, episodes).
-Results = dict[Agent, tuple[np.ndarray, np.ndarray]]
-
-
-def load(path: Path = RESULTS) -> Results:
-    """Reads the results by agent, with training seeds in order."""
-    runs: dict[Agent, list[dict[str, Any]]] = {}
-    for run in sorted(json.loads(path.read_text(encoding="utf-8"))["runs"], key=lambda run: run["seed"] or 0):
-        runs.setdefault(Agent(**run["arm"]), []).append(run)
-    found = {}
-    for agent, own in runs.items():
-        speeds = np.array([run["speeds"] for run in own])
-        numbers = np.arange(speeds.shape[1])
-        found[agent] = (speeds, np.array([np.isin(numbers, run["failed"]) for run in own], np.float64))
-    return found
-
 
 def document() -> Document:
-    """The table of the committed results."""
-    return Document({"residual_limit": table(load())})
-
-
-def table(results: Results) -> str:
-    """A Markdown table of every agent compared with its law alone; agents without a law come last.
-
-    Args:
-        results: results of the agents and of every law alone; differences are taken plant by plant.
-    """
+    """A table of every agent compared with its law alone, plant by plant; agents without a law come last."""
+    runs: dict[Agent, list[dict[str, Any]]] = {}
+    for run in sorted(json.loads(RESULTS.read_text(encoding="utf-8"))["runs"], key=lambda run: run["seed"] or 0):
+        runs.setdefault(Agent(**run["arm"]), []).append(run)
+    speeds = {agent: np.array([run["speeds"] for run in own]) for agent, own in runs.items()}
     lines = [["law", "plants", "agent's limit (N m)", "learns", SPEED.label, "failed", "minus the law alone"]]
-    for agent in sorted(results, key=lambda agent: (not agent.base, *agent[:3])):
-        speeds, failed = results[agent]
+    for agent in sorted(runs, key=lambda agent: (not agent.base, *agent[:3])):
         learns, change = agent.recipe or ("-" if agent.base else DIRECT_ROWS[agent.plants]), "-"
-        if agent.base and agent != agent.alone:
-            difference = paired_difference(speeds, results[agent.alone][0])
+        alone = Agent(agent.base, agent.plants, 0.0)
+        if agent.base and agent != alone:
+            difference = paired_difference(speeds[agent], speeds[alone])
             change = SPEED.with_interval(difference.to_dict(), sign=True)
-        cells = [SPEED.with_interval(estimate(speeds).to_dict()), f"{failed.sum():.0f}/{failed.size}", change]
+        failed = f"{sum(len(run['failed']) for run in runs[agent])}/{speeds[agent].size}"
+        cells = [SPEED.with_interval(estimate(speeds[agent]).to_dict()), failed, change]
         lines.append([LAWS[agent.base], agent.plants, f"{agent.limit:g}", learns, *cells])
-    return markdown_table(lines)
+    return Document({"residual_limit": markdown_table(lines)})

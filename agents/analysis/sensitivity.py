@@ -68,11 +68,7 @@ def conditions() -> dict[tuple[str, float], str | Disturbances]:
 
 
 def run(candidates: Sequence[Candidate], horizon: float | None = None) -> dict[str, Cells]:
-    """Evaluates policies under all conditions; a trained policy is evaluated with its first seed.
-
-    Args:
-        candidates: policies of the speed task.
-        horizon: length of an episode in s; None takes that of the task.
+    """Evaluates policies of the speed task under all conditions, a trained one with its first seed.
 
     Returns:
         The results by the policy's name, sorted by the speed without disturbances, fastest first.
@@ -89,16 +85,11 @@ def run(candidates: Sequence[Candidate], horizon: float | None = None) -> dict[s
 
 def document() -> Document:
     """The tables and the figure for all rows."""
-    return compose(run([each for each in all_candidates() if each.name not in LEFT_OUT]))
-
-
-def compose(results: Mapping[str, Cells]) -> Document:
-    """The tables and the figure for the results."""
+    results = run([each for each in all_candidates() if each.name not in LEFT_OUT])
     fields = {name: ", ".join(f"`{each}={size}`" for each, size in given.items()) for name, given in DISTURBED.items()}
     fields[ALL] = '`disturbances="real"`'
     sizes = markdown_table([["disturbance", "at the size 1"], *([name, text] for name, text in fields.items())])
-    tables = {"sizes": sizes, "speeds": table(results)}
-    return Document(tables, {"figures/sensitivity": write_with(draw, results)})
+    return Document({"sizes": sizes, "speeds": table(results)}, {"sensitivity": write_with(draw, results)})
 
 
 def table(results: Mapping[str, Cells]) -> str:

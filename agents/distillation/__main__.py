@@ -8,13 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import arg
-
 from agents.distillation.config import STUDENTS
-from agents.training.config import LARGEST_SEED, RunError
-from agents.training.signals import INTERRUPTED
+from agents.training.config import LARGEST_SEED
+from agents.training.signals import INTERRUPTED, Stop
 from capsule_gym.checks import check_integer
-from capsule_gym.command_line import Positional, parse, refuse
+from capsule_gym.command_line import Positional, arg, parse, refuse
 
 PROG = "python -m agents.distillation"
 RUNS = Path("runs/distillation")
@@ -49,15 +47,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = parse(Args, PROG, arguments)
     # Imported after the command line is checked: --help does not need torch.
-    from agents.distillation.dagger import distil_all
+    from agents.distillation.dagger import FINISHED, distil
 
     folders = {seed: args.runs / args.name / f"seed-{seed}" for seed in args.seeds}
+    waiting = {seed: folder for seed, folder in folders.items() if not (folder / FINISHED).is_file()}
+    if started := [str(folder) for folder in waiting.values() if folder.exists()]:
+        refuse(PROG, f"{', '.join(started)} is an unfinished run: remove it, or choose another folder with --runs")
     try:
-        if not distil_all(args.name, folders):
-            print("Stopped; the best policy so far is kept.")
-            return INTERRUPTED
-    except (RunError, OSError) as error:
+        with Stop() as stop:
+            finished = all(distil(args.name, STUDENTS[args.name], *each, stop) for each in waiting.items())
+    except OSError as error:
         refuse(PROG, str(error))
+    if not finished:
+        print("Stopped; the best policy so far is kept.")
+        return INTERRUPTED
     print(f"Distilled; python -m agents.evaluate {args.runs / args.name} --against dp-oracle compares it.")
     return 0
 

@@ -68,44 +68,25 @@ class Student:
         return {"randomization": self.randomization, "observe_parameters": False, **own}
 
 
+_WIDE: dict[str, Any] = {"identifies": True, "change_rate": 0.2, "change_randomization": "wide", "deviations": 2.0}
+_STICKY: dict[str, Any] = {
+    **{"grid": STICKY_GRID, "identifies": True, "margin": 1.0, "deviations": 1.0, "max_regret": 100.0},
+    **{"num_envs": 320, "steps": 250, "rounds": 10, "evaluation_episodes": 512, "failure_cost": 1000.0},
+}
 # Keys are names of rows on the leaderboard.
 STUDENTS = {
     "dp-distilled": Student("paper"),
     "dp-distilled-wide": Student(
-        "broad",
-        identifies=True,
-        change_rate=0.2,
-        change_randomization="wide",
-        margin=0.5,
-        deviations=2.0,
-        max_regret=60.0,
-        num_envs=96,
-        rounds=10,
-        final_updates=60_000,
+        "broad", **_WIDE, margin=0.5, max_regret=60.0, num_envs=96, rounds=10, final_updates=60_000
     ),
     "residual-distilled-wide": Student(
         "broad",
-        identifies=True,
-        change_rate=0.2,
-        change_randomization="wide",
         law=("baselines:gait_identifying", 2.0),
+        **_WIDE,
         margin=0.4,
-        deviations=2.0,
         max_regret=60.0,
         num_envs=48,
         final_parts=3,
     ),
-    "sticky": Student(
-        "sticky",
-        grid=STICKY_GRID,
-        identifies=True,
-        margin=1.0,
-        deviations=1.0,
-        max_regret=100.0,
-        num_envs=320,
-        steps=250,
-        rounds=10,
-        evaluation_episodes=512,
-        failure_cost=1000.0,
-    ),
+    "sticky": Student("sticky", **_STICKY),
 }

@@ -21,12 +21,11 @@ import torch
 from torch import nn
 from tqdm import tqdm
 
-from agents.distillation.config import STUDENTS, Student
+from agents.distillation.config import Student
 from agents.distillation.dataset import Dataset, collect
 from agents.evaluation.episodes import evaluate, scores
 from agents.evaluation.sets import validation_set
 from agents.training.checkpoint import git_revision
-from agents.training.config import RunError
 from agents.training.signals import Stop
 from baselines.dynamic_programming.policy import NUM_TORQUES
 from capsule_gym import Policy
@@ -177,17 +176,3 @@ def distil(name: str, student: Student, seed: int, folder: Path, stop: Stop) -> 
     result = {"mean_speed": best[1], "failed": best[2], "core_seconds": seconds, "revision": revision}
     write_atomically(folder / FINISHED, to_json(result))
     return True
-
-
-def distil_all(name: str, folders: dict[int, Path]) -> bool:
-    """Trains the seeds whose runs are not finished; `folders` maps seeds to folders. Returns whether all finished.
-
-    Raises:
-        RunError: if a run was started before and is not finished.
-    """
-    waiting = {seed: folder for seed, folder in folders.items() if not (folder / FINISHED).is_file()}
-    started = [str(folder) for folder in waiting.values() if folder.exists()]
-    if started:
-        raise RunError(f"{', '.join(started)} is an unfinished run: remove it, or choose another folder with --runs")
-    with Stop() as stop:
-        return all(distil(name, STUDENTS[name], seed, folder, stop) for seed, folder in waiting.items())

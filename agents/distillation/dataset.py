@@ -54,16 +54,9 @@ def collect(
     count, none = student.num_envs, AutoresetMode.DISABLED
     env = CapsuleVectorEnv(num_envs=count, autoreset_mode=none, **{**student.env_kwargs, "observe_parameters": True})
     expert = Oracle(count, grid=student.grid, law=student.law)
-    header = make_header(
-        EnvConfig(**student.env_kwargs),
-        layers=1,
-        relu=False,
-        tanh_squashing=True,
-        clip=1.0,
-        identifies=student.identifies,
-        observes_energy_weight=False,
-        outputs_torque=False,
-    )
+    shape: dict[str, Any] = {"layers": 1, "relu": False, "tanh_squashing": True, "clip": 1.0}
+    shape |= {"identifies": student.identifies, "observes_energy_weight": False, "outputs_torque": False}
+    header = make_header(EnvConfig(**student.env_kwargs), **shape)
     observed, memory = int(header["observed"]), np.zeros(count * CELLS)
     given = np.zeros((count, int(header["inputs"])), np.float32)
     seeds = rng.integers(2**31, size=count).tolist()

@@ -58,29 +58,19 @@ class Criteria:
 
 CRITERIA = {
     "speed": Criteria(
-        metric=TABLE_METRICS["mean_speed"],
-        unit="cm/s",
-        suffix="cm_s",
-        weights={"mean_speed": 1.0, "failed": -30.0},
-        baseline=BASELINE,
-        ranking_set="paper",
+        TABLE_METRICS["mean_speed"], "cm/s", "cm_s", {"mean_speed": 1.0, "failed": -30.0}, BASELINE, "paper"
     ),
     # A missed goal already counts as a time of 15 s; the weight of `success` adds 15 s.
     "goal": Criteria(
-        metric=_OF_TASKS["goal_time"],
-        unit="s",
-        suffix="s",
-        weights={"goal_time": -1.0, "success": 15.0, "failed": -15.0},
-        baseline="goal-pulses",
-        ranking_set="goal",
+        _OF_TASKS["goal_time"], "s", "s", {"goal_time": -1.0, "success": 15.0, "failed": -15.0}, "goal-pulses", "goal"
     ),
     # The error of a command that never settles is large in any case.
     "velocity": Criteria(
-        metric=_OF_TASKS["velocity_error"],
-        unit="%",
-        suffix="percent",
-        weights={"velocity_error": -1.0, "unsettled": -20.0, "failed": -300.0},
-        baseline="velocity-pulses",
-        ranking_set="velocity",
+        _OF_TASKS["velocity_error"],
+        "%",
+        "percent",
+        {"velocity_error": -1.0, "unsettled": -20.0, "failed": -300.0},
+        "velocity-pulses",
+        "velocity",
     ),
 }

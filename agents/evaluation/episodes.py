@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import platform
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -95,8 +96,7 @@ def evaluate(
 ) -> list[Episode]:
     """Runs a policy once on every plant of a set, all plants at once, each from rest.
 
-    A trained policy without noise runs in compiled code, `capsule_gym.network.rollout`. Any other policy is called at
-    every step.
+    A trained policy without noise runs inside the core (`rollout`). Any other policy is called at every step.
 
     Args:
         policy: as for `wrap_policy`; or a candidate, or a name or path as for `find_candidate`, of which all training
@@ -107,14 +107,12 @@ def evaluate(
         action_noise: half width of uniform noise on every action, different in every episode.
 
     Returns:
-        One dict per plant, in order, with M (kg), mu, seed, theta (rad) and changes if the plant has them, and the
-        metrics of `capsule_gym.task.Metrics`; `share_of_optimum` on a set that the table of optima covers; and
-        `training_seed` for a trained policy.
+        One dict per plant, in order: the fields of the plant, the metrics of `capsule_gym.task.Metrics`,
+        `share_of_optimum` on a set that the table of optima covers, and `training_seed` for a trained policy.
 
     Raises:
         TypeError: if the policy is of another type.
-        ValueError: if the policy or set does not exist, their tasks differ, or the policy's actions are not finite or
-            have another shape.
+        ValueError: if the policy or set does not exist, their tasks differ, or the policy's actions are invalid.
     """
     chosen = evaluation_set if isinstance(evaluation_set, EvaluationSet) else load_set(evaluation_set)
     if isinstance(policy, (str, Path)):
@@ -158,13 +156,9 @@ def as_episodes(
     training_seed: int | None = None,
     shared: bool = True,
 ) -> list[Episode]:
-    """Converts metrics to the episodes that `evaluate` returns.
+    """Converts metrics by name, each of shape (plants,), to the episodes that `evaluate` returns.
 
-    Args:
-        evaluation_set: the plants.
-        metrics: metrics by name, each of shape (plants,).
-        training_seed: seed of a trained policy; None for a scripted policy.
-        shared: whether the policy acts under the optimum's torque limit, so that its share of the optimum is defined.
+    `shared`: whether the policy acts under the optimum's torque limit, so that its share of the optimum is defined.
     """
     # The tables of optima cover only the speed task, one start, the plants of their grids, and constant plants.
     plants, grid = evaluation_set.plants, find_grid(evaluation_set.capsule or NOMINAL)
@@ -215,7 +209,7 @@ def _run(
 def scores(episodes: Sequence[Episode], metric: str) -> np.ndarray:
     """The values of a metric in the episodes of one policy on one set, shape (training seeds, episodes of the set).
 
-    A row contains the episodes of one training seed. None, which files contain instead of infinity, becomes infinity.
+    None, which files contain instead of infinity, becomes infinity.
     """
     runs: dict[Any, list[float]] = {}
     for episode in episodes:
@@ -238,22 +232,16 @@ def summarise(episodes: Sequence[Episode]) -> dict[str, Any]:
         training seeds (a trimmed mean would hide a few failures); and `training_seeds`, empty for scripted policies.
     """
     names = [name for name in episodes[0] if name not in LABELS and name != "failed"]
-    training_seeds = list(dict.fromkeys(e["training_seed"] for e in episodes if "training_seed" in e))
-    return {
-        **{name: estimate(scores(episodes, name), mean=name in SHARES).to_dict() for name in names},
-        "episodes": len(episodes),
-        "failures": failures(episodes),
-        "training_seeds": training_seeds,
-    }
+    seeds = list(dict.fromkeys(e["training_seed"] for e in episodes if "training_seed" in e))
+    metrics = {name: estimate(scores(episodes, name), mean=name in SHARES).to_dict() for name in names}
+    return {**metrics, "episodes": len(episodes), "failures": failures(episodes), "training_seeds": seeds}
 
 
 def versions() -> dict[str, str]:
     """Versions of this package, of Python and of the packages that a result depends on."""
     found = {"capsule_gym": __version__, "python": platform.python_version()}
     for package in PACKAGES:
-        try:
+        # Scripted policies need neither torch nor Stable-Baselines3.
+        with suppress(PackageNotFoundError):
             found[package] = version(package)
-        except PackageNotFoundError:
-            # Scripted policies need neither torch nor Stable-Baselines3.
-            continue
     return found

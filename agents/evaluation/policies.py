@@ -1,12 +1,11 @@
-"""Policies by name or path: scripted policies, checkpoints, training runs, and policies written by others.
+"""Policies by name or path: scripted policies, checkpoints, training runs, and policies of other projects.
 
-Another project's policy is a function from observations to actions, an object with `predict`, or a folder with a
-policy file; docs/evaluation.md shows how to evaluate one.
+docs/evaluation.md shows how to evaluate the latter.
 """
 
 from __future__ import annotations
 
-import importlib
+import pkgutil
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -39,20 +38,13 @@ class Policy(Protocol):
 
     @property
     def env_kwargs(self) -> Mapping[str, Any]:
-        """The arguments of the policy's `CapsuleVectorEnv`: controller, residual_limit, torque_limit and so on.
-
-        The evaluation overrides `EPISODE_SETTINGS`, and the number and length of the episodes.
-        """
+        """The arguments of the policy's `CapsuleVectorEnv`; the evaluation overrides `EPISODE_SETTINGS`."""
 
     def start(self, seeds: Sequence[int], /) -> Act:
-        """Starts a batch of episodes.
-
-        Args:
-            seeds: one per episode, for policies that draw random numbers.
+        """Starts a batch of episodes, each with a seed for policies that draw random numbers.
 
         Returns:
-            A function from observations of shape (episodes, entries) to actions of shape (episodes, 1), float32,
-            called once per agent step.
+            A function from observations (episodes, entries) to actions (episodes, 1), float32, for every agent step.
         """
 
 
@@ -60,12 +52,10 @@ def wrap_policy(policy: Any, *, name: str | None = None, env_kwargs: Mapping[str
     """Wraps an object of another project as a policy; returns a policy of this project unchanged.
 
     Args:
-        policy: an object with `predict(observations, state=.., episode_start=.., deterministic=True)` that returns
-            actions and the next state, such as Stable-Baselines3's algorithms and policies; or a function from
-            observations (n, entries), float32, to actions (n, 1) in [-1, 1].
+        policy: an object with `predict` of Stable-Baselines3's algorithms and policies, or a function from observations
+            (n, entries), float32, to actions (n, 1) in [-1, 1].
         name: name in results; None takes the name of the function or of the object's class.
-        env_kwargs: arguments of the policy's `CapsuleVectorEnv`; None takes the attribute `env_kwargs` of the object,
-            if it has one.
+        env_kwargs: arguments of the policy's `CapsuleVectorEnv`; None takes the attribute of the object, if any.
 
     Raises:
         TypeError: if the policy is of another type, or `env_kwargs` is given for a policy that has its own.
@@ -80,8 +70,8 @@ def wrap_policy(policy: Any, *, name: str | None = None, env_kwargs: Mapping[str
         raise TypeError(f"policy must be {accepted}, got {what}")
     start = _start_with_predict(policy) if callable(getattr(policy, "predict", None)) else lambda seeds: policy
     kwargs = getattr(policy, "env_kwargs", {}) if env_kwargs is None else env_kwargs
-    default_name = getattr(policy, "__name__", type(policy).__name__)
-    return ScriptedPolicy(default_name if name is None else name, EXTERNAL, dict(kwargs), start)
+    name = getattr(policy, "__name__", type(policy).__name__) if name is None else name
+    return ScriptedPolicy(name, EXTERNAL, dict(kwargs), start)
 
 
 def _start_with_predict(policy: Any) -> Callable[[Sequence[int]], Act]:
@@ -128,11 +118,6 @@ class Candidate:
         return [policy for policy in self.policies if isinstance(policy, capsule_gym.Policy)]
 
 
-def _scripted(name: str) -> Candidate:
-    policy = {**SCRIPTED, **TASK_SCRIPTED}[name]
-    return Candidate(name, (policy,), policy.description)
-
-
 def _trained(name: str, folder: Path, trust_controller: bool = False) -> Candidate:
     """Loads a trained policy from a folder with runs seed-0, seed-1, .., from a run's folder or from a policy file."""
     paths = [path for path in sorted(folder.glob("seed-*")) if path.is_dir()] or [folder]
@@ -158,7 +143,7 @@ def all_candidates(task: str = "speed") -> list[Candidate]:
     Raises:
         ValueError: if a checkpoint is incomplete, or has another torque limit than the scripted policies.
     """
-    found = [_scripted(name) for name in (SCRIPTED if task == "speed" else TASK_SCRIPTED)]
+    found = [find_candidate(name) for name in (SCRIPTED if task == "speed" else TASK_SCRIPTED)]
     found += [_trained(name, CHECKPOINTS / name) for name in checkpoint_names()]
     for candidate in found:
         for policy in candidate.trained:
@@ -173,9 +158,9 @@ def find_candidate(name_or_path: str, *, trust: bool = False, trust_controller: 
     """Finds a policy.
 
     Args:
-        name_or_path: a scripted policy; a checkpoint in agents/checkpoints with all its training seeds, or one of its
-            runs as NAME/seed-0; the path of a folder with runs seed-0, seed-1, .. inside; the path of one run's folder
-            or of a policy file; or "module:attribute", which is imported and passed to `wrap_policy`.
+        name_or_path: a scripted policy; a checkpoint with all its training seeds, or one of its runs as NAME/seed-0; a
+            folder with runs seed-0, seed-1, .. inside; a run's folder or a policy file; or "module:attribute", which is
+            imported and passed to `wrap_policy`.
         trust: accept "module:attribute": importing it runs its code.
         trust_controller: as for `capsule_gym.load_policy`.
 
@@ -184,9 +169,9 @@ def find_candidate(name_or_path: str, *, trust: bool = False, trust_controller: 
     """
     if REFERENCE.fullmatch(name_or_path):
         return _imported(name_or_path, trust)
-    known_scripted = [*SCRIPTED, *TASK_SCRIPTED]
-    if name_or_path in known_scripted:
-        return _scripted(name_or_path)
+    known_scripted = {**SCRIPTED, **TASK_SCRIPTED}
+    if policy := known_scripted.get(name_or_path):
+        return Candidate(name_or_path, (policy,), policy.description)
     known = name_or_path.partition("/")[0] in checkpoint_names()
     path = CHECKPOINTS / name_or_path if known else Path(name_or_path)
     if path.exists():
@@ -202,18 +187,15 @@ def _imported(name: str, trust: bool) -> Candidate:
     """Imports the policy "module:attribute"."""
     if not trust:
         raise ValueError(f"importing policy {name!r} runs its code; --trust allows it")
-    module_name, _, attribute = name.partition(":")
     # Finds modules in the current folder, as for a script.
     sys.path.insert(0, "")
     try:
-        module = importlib.import_module(module_name)
-    except ModuleNotFoundError as error:
+        policy = pkgutil.resolve_name(name)
+    except (ModuleNotFoundError, AttributeError) as error:
         raise ValueError(f"policy {name!r} cannot be imported: {error}") from error
     finally:
         sys.path.remove("")
-    if not hasattr(module, attribute):
-        raise ValueError(f"policy {name!r}: the module {module_name!r} has no {attribute!r}")
     try:
-        return Candidate(name, (wrap_policy(getattr(module, attribute), name=name),), EXTERNAL)
+        return Candidate(name, (wrap_policy(policy, name=name),), EXTERNAL)
     except TypeError as error:
         raise ValueError(f"policy {name!r}: {error}") from error

@@ -16,31 +16,24 @@
 | `goal-paper` | 1000 | of the task `goal` on the paper's floor: M and mu as in `paper`, static friction as kinetic |
 | `velocity` | 1000 | of the task `velocity`: M and mu as the task draws them; commands from the plant's seed |
 
-`nominal`: as in all sets, episodes start at rest. The angles are uniform within 0.1 rad of the default start, to a
-microradian; the first episode has the paper's start. A single start would show a single sample of a policy that is
-sensitive to perturbations.
+Episodes start at rest. The angles of `nominal` are uniform within 0.1 rad of the default start, the first episode has
+the paper's start: a single start would show a single sample of a policy that is sensitive to perturbations.
 
 `extrapolation`: a third of the plants leaves `wide` in M alone, a third in mu alone, a third in both. Outside means
 lighter or heavier (down to 0.25 kg, up to 1.2 kg; uniform), smoother or rougher (down to 0.002, up to 0.6;
-log-uniform), each side for half of the plants; a parameter inside is drawn as in `wide`. The lightest platform with the
-roughest floor is far from Painleve's paradox ((M + m) / m = 2.81, the bound is 1.08).
+log-uniform), each side for half of the plants. The lightest platform with the roughest floor is far from Painleve's
+paradox ((M + m) / m = 2.81, the bound is 1.08).
 
 `drift`: M and mu jump together at two times, the first in the middle third of the episode's first half (5.5 to 11 s),
-the second in the middle third of its second half (22 to 27.5 s). M and mu are thus constant for at least 5.5 s. Times
-are multiples of the agent's step.
+the second in the middle third of its second half (22 to 27.5 s), at multiples of the agent's step.
 
 The plants of the speed task follow a low-discrepancy sequence (Roberts's: multiples modulo 1 of the powers of 1 / phi,
 where phi^(d + 1) = phi + 1 for d numbers). A mean over such a set is closer to the mean over the distribution than a
-mean over random plants, and the first few plants already cover the ranges. The disturbances are drawn from the plants'
-seeds.
+mean over random plants, and the first few plants already cover the ranges.
 
-Numbers are rounded (M to 0.1 g, mu to five digits). `nominal` and the sets of the other tasks have a random seed each;
-the plants' own seeds are 0, 1, ..
-
-A set's hash (`EvaluationSet.hash`) is the sha256 of its name and plants as JSON with sorted keys and no white space:
-it depends on every number but not on the file's layout. Every result and leaderboard.json contain it; results are
-comparable only if the hashes agree. A released set therefore never changes: a different set gets a different name. In
-0.1.0 `nominal` was a single episode, and `paper`, `wide`, `extrapolation` and `drift` were 100 random plants each.
+A set's hash (`EvaluationSet.hash`) is the sha256 of its name and plants as JSON with sorted keys and no white space.
+Every result and leaderboard.json contain it; results are comparable only if the hashes agree. A released set therefore
+never changes: a different set gets a different name.
 """
 
 from __future__ import annotations
@@ -79,11 +72,6 @@ SEEDS = {"nominal": 20180, "goal": 20190, "velocity": 20191, "goal-paper": 20192
 CHANGE_WINDOWS = ((HORIZON / 6.0, HORIZON / 3.0), (HORIZON * 2.0 / 3.0, HORIZON * 5.0 / 6.0))
 
 
-def _sample(rng: np.random.Generator, randomization: str | Randomization) -> tuple[float, float]:
-    """Draws M and mu from one of the environment's distributions, rounded."""
-    return _rounded(*draw_plant(Randomization.named(randomization), NOMINAL, rng))
-
-
 def _rounded(M: float, mu: float) -> tuple[float, float]:
     return round(M, 4), float(f"{mu:.5g}")
 
@@ -107,13 +95,13 @@ def _draw_task_set(name: str) -> EvaluationSet:
     task, rng = find_task(task_name), np.random.default_rng(SEEDS[name])
     plants = []
     for seed in range(EPISODES[name]):
-        M, mu = _sample(rng, floor or task.defaults["randomization"])
+        plant = _rounded(*draw_plant(Randomization.named(floor or task.defaults["randomization"]), NOMINAL, rng))
         goal = None
         if task_name == "goal":
             (draw,) = task.draws
             distance = round(rng.uniform(draw.low, draw.high), 4)
             goal = distance if rng.random() < 0.5 else -distance
-        plants.append(PlantSpec(M, mu, seed, goal=goal))
+        plants.append(PlantSpec(*plant, seed, goal=goal))
     return EvaluationSet(name, tuple(plants), task_name, NOMINAL if floor else None)
 
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -73,11 +74,8 @@ def estimate(scores: ArrayLike, *, mean: bool = False) -> Estimate:
     """The interquartile mean of all scores with its 95 % interval.
 
     Args:
-        scores: shape (training seeds, episodes).
+        scores: shape (training seeds, episodes); another shape raises a ValueError.
         mean: take the mean instead, for shares; the interval is then limited to the range of the scores.
-
-    Raises:
-        ValueError: if the scores do not have that shape.
     """
     return _estimate(_checked("scores", scores), mean)
 
@@ -116,11 +114,8 @@ def paired_difference(scores: ArrayLike, reference: ArrayLike, *, mean: bool = F
 
     Args:
         scores: shape (training seeds, episodes).
-        reference: shape (training seeds of the reference, episodes), of the same episodes in the same order.
+        reference: shape (training seeds of the reference, episodes); other shapes raise a ValueError.
         mean: take the mean of the differences instead, for shares.
-
-    Raises:
-        ValueError: if the scores do not have these shapes.
     """
     array, other = _checked("scores", scores), _checked("reference", reference)
     if array.shape[1] != other.shape[1]:
@@ -132,16 +127,8 @@ def paired_difference(scores: ArrayLike, reference: ArrayLike, *, mean: bool = F
         return _estimate(array[:, None, :] - other[None, :, :], mean)
 
 
-@dataclass(frozen=True, eq=False)
-class Curve:
-    """Estimates over a variable, with pointwise 95 % intervals.
-
-    Attributes:
-        x: the variable, ascending, shape (n,).
-        value: shape (n,).
-        low: lower ends of the intervals, shape (n,).
-        high: upper ends, shape (n,).
-    """
+class Curve(NamedTuple):
+    """Estimates over a variable, ascending, with pointwise 95 % intervals; all of shape (n,)."""
 
     x: np.ndarray
     value: np.ndarray
@@ -155,11 +142,8 @@ def performance_profile(scores: ArrayLike, thresholds: ArrayLike) -> Curve:
     This is rliable's run-score distribution. For nonnegative scores, the area under it from 0 on is their mean.
 
     Args:
-        scores: shape (training seeds, episodes).
+        scores: shape (training seeds, episodes); another shape raises a ValueError.
         thresholds: ascending, shape (n,).
-
-    Raises:
-        ValueError: if the scores do not have that shape.
     """
     array, x = _checked("scores", scores), np.asarray(thresholds, dtype=np.float64)
     return _curve(x, [_estimate((array > threshold).astype(np.float64), mean=True) for threshold in x])

@@ -5,10 +5,9 @@ README's table depend only on these files.
 
 The check is exact. It compares the list of policies, their descriptions and training seeds, the sets' hashes, the hash
 of every policy file and the revisions of the trainings. leaderboard.json and the pages must match the results. Then the
-check evaluates all policies again with the current code and compares every bit of every episode: networks, laws and
-plants give the same bits on every machine. It compares neither versions of packages nor the revision of the code, so a
-commit makes the leaderboard stale only if it changes a number. The check does not evaluate the sensitivity again, which
-follows from the same code and would take almost half as long as everything else.
+check evaluates all policies again with the current code and compares every bit of every episode. It compares neither
+versions of packages nor the revision of the code, so a commit makes the leaderboard stale only if it changes a number.
+The sensitivity is not evaluated again: it follows from the same code and takes almost as long as everything else.
 """
 
 from __future__ import annotations
@@ -21,13 +20,12 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from tyro.conf import arg
 
 from agents.evaluation.policies import Candidate, all_candidates
 from agents.leaderboard.page import COMMAND, build, files, training_commands
 from agents.leaderboard.rows import RESULTS, Row, evaluate, load_rows, save_row, static_header
 from capsule_gym.checks import nearest
-from capsule_gym.command_line import Count, Positional, parse, refuse
+from capsule_gym.command_line import Count, Positional, arg, parse, refuse
 from capsule_gym.evaluation_sets import FURTHER_SET_NAMES, SET_NAMES, TASK_SET_NAMES, EvaluationSet, load_set
 from capsule_gym.files import write_atomically
 from capsule_gym.task import TASKS
@@ -107,20 +105,16 @@ def check(
     Args:
         root: the project's folder, with leaderboard.json, LEADERBOARD.md, README.md and the results.
         candidates: the expected rows.
-        sets: the sets of all tasks; a row should be evaluated on the sets of its task.
+        sets: the sets of all tasks.
         evaluated: the rows to evaluate again.
-        plants: number of plants per set to evaluate again, from the first on; None takes all. Episodes on different
-            plants are independent.
+        plants: number of plants per set to evaluate again, from the first on; None takes all.
         jobs: number of processes.
         horizon: length of an episode in s; None takes that of the task.
     """
     names = [candidate.name for candidate in candidates]
     # Checks without an evaluation come first, since they are fast.
-    stale = [
-        f"{path.stem}: has results and does not exist"
-        for path in sorted((root / RESULTS).glob("*.npz"))
-        if path.stem not in names
-    ]
+    extra = [path.stem for path in sorted((root / RESULTS).glob("*.npz")) if path.stem not in names]
+    stale = [f"{name}: has results and does not exist" for name in extra]
     try:
         rows = load_rows(root / RESULTS, names)
         stale += _stale_headers(rows, candidates, sets)

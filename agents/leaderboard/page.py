@@ -128,12 +128,6 @@ def _ranked(rows: Sequence[Row], sets: Sequence[EvaluationSet], task: str) -> li
     return sorted(content, key=place)
 
 
-def rows_of(board: Mapping[str, Any], task: str) -> list[dict[str, Any]]:
-    """The rows of a task in leaderboard.json."""
-    found: list[dict[str, Any]] = board["rows"] if task == "speed" else board["tasks"].get(task, {}).get("rows", [])
-    return found
-
-
 def _interval(metric: TableMetric, summary: Mapping[str, Any]) -> str:
     """Formats a metric with its interval; the only possible line break is between the two."""
     return metric.with_interval(summary[metric.name]).replace(", ", ",\N{NO-BREAK SPACE}")
@@ -148,8 +142,7 @@ def _difference(row: Mapping[str, Any], set_name: str) -> str:
 def _cells(row: Mapping[str, Any], place: int, baseline: float, best: float) -> dict[str, str]:
     """The texts of all cells of a row of leaderboard.json, by the keys used in the tables.
 
-    `baseline` is the speed of the paper's controller on the ranking set, and `best` the speed of the fastest policy of
-    the paper's method, both in cm/s.
+    `baseline` and `best` are the speeds of the paper's controller and of its method's fastest policy, in cm/s.
     """
     summary, disturbed = row["results"][RANKING_SET], row["disturbed"]
     width = SPEED.format(disturbed["high"] - disturbed["low"])

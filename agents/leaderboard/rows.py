@@ -42,7 +42,7 @@ from capsule_gym.config import find_task
 from capsule_gym.evaluation_sets import NOMINAL_PLANT, EvaluationSet
 from capsule_gym.files import write_atomically
 from capsule_gym.policy import POLICY
-from capsule_gym.task import CONTROL_DT, HORIZON, METRICS, TASKS
+from capsule_gym.task import HORIZON, METRICS, TASKS
 
 # Relative to the project's folder.
 RESULTS = Path("agents", "leaderboard", "results")
@@ -59,7 +59,7 @@ class Row:
 
     Attributes:
         header: the fields of the table above.
-        scores: metrics by the set's name, shape (metrics, runs, episodes), float64; a scripted policy has one run.
+        scores: metrics by the set's name, shape (metrics, runs, episodes); a scripted policy has one run.
     """
 
     header: dict[str, Any]
@@ -81,7 +81,7 @@ class Row:
         return next(task for task in TASKS if columns(task) == self.header["metrics"])
 
     def score(self, set_name: str, metric: str) -> np.ndarray:
-        """The values of a metric in all episodes of a set, shape (runs, episodes), float64."""
+        """The values of a metric in all episodes of a set, shape (runs, episodes)."""
         found: np.ndarray = self.scores[set_name][self.header["metrics"].index(metric)]
         return found
 
@@ -112,7 +112,8 @@ class Row:
 def static_header(candidate: Candidate) -> dict[str, Any]:
     """The fields of a row's header that do not require an evaluation."""
     trained, folder = candidate.trained, candidate.folder
-    files = sorted(folder.rglob(POLICY)) if folder else []
+    files = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob(POLICY))} if folder else {}
+    hashes = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
     # The base of a residual is the scripted policy that only runs the same law.
     law = candidate.policies[0].env_kwargs.get("controller")
     bases = [name for name, each in SCRIPTED.items() if trained and law and each.env_kwargs.get("controller") == law]
@@ -121,11 +122,7 @@ def static_header(candidate: Candidate) -> dict[str, Any]:
         "description": candidate.description,
         "training_seeds": [policy.training_seed for policy in trained],
         "revision": ", ".join(dict.fromkeys(policy.revision for policy in trained)) or None,
-        "files": {
-            path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
-            for path in files
-            if folder
-        },
+        "files": hashes,
         "base": next(iter(bases), None),
     }
 
@@ -149,9 +146,8 @@ def evaluate_run(policy: Policy, sets: Sequence[EvaluationSet], horizon: float |
 def disturbed_range(policy: Policy, horizon: float = HORIZON) -> tuple[float, float]:
     """The sensitivity of a policy to perturbations: the range of its mean speed (cm/s) under noise on its actions.
 
-    The check does not use this range, since the same code gives the same bits on every machine. It informs readers: if
-    a difference in the tenth digit makes trajectories diverge, the mean speed of a single episode of `horizon` s is a
-    sample from a wide distribution, in simulation and on a robot.
+    If a difference in the tenth digit makes trajectories diverge, the mean speed of a single episode of `horizon` s is
+    a sample from a wide distribution.
     """
     copies = EvaluationSet("copies", (NOMINAL_PLANT,) * COPIES)
     episodes = evaluate_policy(policy, copies, horizon=horizon, action_noise=NOISE)
@@ -165,13 +161,9 @@ def make_row(
     runs: Sequence[dict[str, np.ndarray]],
     ranges: Sequence[tuple[float, float]] = (),
 ) -> Row:
-    """Creates a row from the results of its runs.
+    """Creates a row from the results of `evaluate_run` and `disturbed_range` for each training seed, in order.
 
-    Args:
-        candidate: the policy.
-        sets: the sets of the evaluation.
-        runs: the result of `evaluate_run` for each training seed, in order.
-        ranges: the result of `disturbed_range` for each training seed; the widest range is used.
+    Of the ranges, the widest is used.
     """
     widest = max(ranges, key=lambda ends: ends[1] - ends[0], default=())
     header = {
@@ -197,15 +189,10 @@ def evaluate(
     horizon: float | None = None,
     disturbed: bool = True,
 ) -> Iterator[Row]:
-    """Evaluates policies, with a progress bar on a terminal; yields each row as soon as it is finished.
+    """Evaluates policies on the sets of their task, with a progress bar; yields each row as soon as it is finished.
 
-    Args:
-        candidates: the policies.
-        sets: the sets of all tasks; a policy is evaluated on the sets of its task.
-        jobs: number of processes.
-        horizon: length of an episode in s; None takes that of the task.
-        disturbed: whether to evaluate the sensitivity of policies of the speed task, too, which takes a third of the
-            time; if False, the field `disturbed` is empty.
+    `jobs` is the number of processes, `horizon` the length of an episode in s. `disturbed` also evaluates the
+    sensitivity of policies of the speed task, which takes a third of the time.
     """
     # Imported here, since the import is slow and --help does not need it.
     from joblib import Parallel, delayed
@@ -214,12 +201,7 @@ def evaluate(
     work = [(policy, candidate) for candidate in candidates for policy in candidate.policies]
     if not work:
         return
-    parallel = Parallel(jobs, return_as="generator")
-    if jobs > 1:
-        # Compiles the step once, so that all processes load it from disk.
-        policy, candidate = work[-1]
-        evaluate_run(policy, own[candidate.name][:1], CONTROL_DT)
-    results = parallel(
+    results = Parallel(jobs, return_as="generator")(
         delayed(_work)(policy, own[candidate.name], horizon, disturbed and candidate.task == "speed")
         for policy, candidate in work
     )
@@ -266,9 +248,5 @@ def load_row(path: Path) -> Row:
 
 
 def load_rows(folder: Path, names: Iterable[str]) -> list[Row]:
-    """Reads the rows of policies, in order.
-
-    Raises:
-        ValueError: as in `load_row`; the message names the first policy without results.
-    """
+    """Reads the rows of policies, in order, with the errors of `load_row`."""
     return [load_row(path_of(folder, name)) for name in names]

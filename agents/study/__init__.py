@@ -1,1 +1,1 @@
-"""Trains rows of the leaderboard over seeds (`python -m agents.study`) and tunes hyperparameters (`.tune`)."""
+"""Trains rows of the leaderboard over seeds: `python -m agents.study`."""

@@ -9,14 +9,12 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Literal
 
-from tyro.conf import arg
-
-from agents.study.jobs import RESUME, plan, publish, results_table, train_all
+from agents.study.jobs import plan, publish, results_table, train_all
 from agents.training.config import RunError
 from agents.training.presets import ROWS
 from agents.training.signals import INTERRUPTED
 from capsule_gym.checks import check_count
-from capsule_gym.command_line import Positional, parse, refuse
+from capsule_gym.command_line import Positional, arg, parse, refuse
 
 PROG = "python -m agents.study"
 
@@ -53,7 +51,10 @@ class Args:
             raise ValueError(f"NAME must be one or several of {', '.join(ROWS)}")
         for job in plan(self.rows, self.seeds, self.runs):
             if job.run.exists() and not job.finished and not self.resume:
-                raise ValueError(f"{job.run} contains an unfinished run: {RESUME}")
+                raise ValueError(
+                    f"{job.run} contains an unfinished run: --resume continues what is your own, reading the pickles "
+                    "of its checkpoints"
+                )
         if self.jobs is not None:
             check_count("--jobs", self.jobs)
         if self.backend == "ray" and find_spec("ray") is None:

@@ -24,17 +24,14 @@ from capsule_gym.policy import POLICY
 # Written into a run's folder when its training is complete.
 FINISHED = "finished"
 
-# Used in messages.
-RESUME = "--resume continues what is your own, reading the pickles of its checkpoints"
-
 
 @dataclass(frozen=True)
 class Job:
-    """One run of a study."""
+    """One run of a study: row of the leaderboard, its settings with the training seed, and the run's folder."""
 
-    row: str  # row of the leaderboard
-    config: Config  # settings of the row, with the training seed
-    run: Path  # folder of the run
+    row: str
+    config: Config
+    run: Path
 
     @property
     def name(self) -> str:
@@ -81,8 +78,7 @@ def check_settings(job: Job) -> None:
 def train_job(job: Job) -> str:
     """Trains or resumes a run until its end; writes its output to the file seed-N.log next to its folder.
 
-    Returns:
-        The reason for a failure, or an empty string. Errors are not raised, so that one run cannot stop a study.
+    Returns the reason for a failure, or an empty string: one run cannot stop a study.
     """
     # Imported here, since torch takes seconds to import and only workers need it.
     from agents.training.loop import begin, train
@@ -105,11 +101,10 @@ def train_job(job: Job) -> str:
 def train_all(
     jobs: Sequence[Job], parallel: int | None = None, backend: Literal["loky", "ray"] = "loky"
 ) -> dict[Job, str]:
-    """Trains or resumes the runs that are not finished, and prints joblib's progress to stderr.
+    """Trains or resumes the runs that are not finished, `parallel` at a time (one per core by default).
 
-    Ctrl-C stops all runs; each can be resumed from its last checkpoint. By default there is one run per core. The
-    backend `ray` uses the cluster that RAY_ADDRESS names, or a new one on this machine. The machines of a cluster must
-    have the checkout and the folder of the runs at the same paths.
+    Ctrl-C stops all runs; each can be resumed from its last checkpoint. The backend `ray` uses the cluster that
+    RAY_ADDRESS names, or a new one on this machine; all machines need the checkout and the runs at the same paths.
 
     Returns:
         The reasons for the failures, by run.
@@ -136,29 +131,18 @@ def train_all(
     return {job: reason for job, reason in zip(waiting, found, strict=True) if reason}
 
 
-def evaluations(run: Path) -> list[dict[str, float]]:
-    """Reads a run's evaluations so far, each by column; an empty list if the run has not begun."""
-    path = run / EVALUATIONS
-    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
-    return [{name: float(value) for name, value in row.items()} for row in csv.DictReader(lines)]
-
-
-def score(evaluation: dict[str, float]) -> float:
-    """The score of an evaluation, which selects the best policy of a run."""
-    return next(value for name, value in evaluation.items() if name.startswith("score_"))
-
-
 def results_table(jobs: Sequence[Job]) -> str:
-    """The runs as a table, each with the evaluation of its best policy."""
+    """The runs that have begun as a table, each with the evaluation of its best policy so far."""
     rows = [["run", "steps", "best at", "best"]]
     for job in jobs:
-        lines = evaluations(job.run)
-        if lines:
-            chosen = max(lines, key=score)
-            steps = (f"{line['steps']:,.0f}" for line in (lines[-1], chosen))
-            criteria = CRITERIA[job.config.env_task]
-            best = criteria.describe(chosen | {criteria.metric.name: chosen[criteria.column]})
-            rows.append([job.name, *steps, best])
+        if not (path := job.run / EVALUATIONS).is_file():
+            continue
+        with path.open(newline="", encoding="utf-8") as file:
+            lines = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
+        criteria = CRITERIA[job.config.env_task]
+        chosen = max(lines, key=lambda line: line[f"score_{criteria.suffix}"])
+        best = criteria.describe(chosen | {criteria.metric.name: chosen[criteria.column]})
+        rows.append([job.name, *(f"{line['steps']:,.0f}" for line in (lines[-1], chosen)), best])
     return text_table(rows, left=1)
 
 

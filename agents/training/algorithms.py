@@ -21,29 +21,12 @@ from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, Ornst
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 
-from agents.training.config import (
-    Algorithm,
-    Config,
-    OffPolicyConfig,
-    OnPolicyConfig,
-    PPOConfig,
-    RunError,
-    SACConfig,
-    TQCConfig,
-)
+from agents.training.config import Algorithm, Config, OffPolicyConfig, OnPolicyConfig, RunError, SACConfig, TQCConfig
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 from capsule_gym.tasks import velocity
 
-CLASSES: dict[Algorithm, type[BaseAlgorithm]] = {
-    "ppo": PPO,
-    "sac": SAC,
-    "td3": TD3,
-    "tqc": TQC,
-    "recurrent-ppo": RecurrentPPO,
-}
-
-
-# --- environments ----------------------------------------------------------------------------------------------------
+CLASSES: dict[Algorithm, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "td3": TD3, "tqc": TQC}
+CLASSES["recurrent-ppo"] = RecurrentPPO
 
 
 class EpisodeMetrics(gym.Wrapper[Any, Any, Any, Any]):
@@ -83,9 +66,7 @@ def wrapped_env(config: Config, env_kwargs: Mapping[str, Any], steps: int) -> gy
 def make_env(config: Config, seed: int) -> VecNormalize:
     """Creates the training environments with normalised observations and, for PPO, normalised rewards.
 
-    Raises:
-        TypeError: if an argument of the environment has the wrong type.
-        ValueError: if an argument is out of range.
+    A wrong argument of the environment raises a TypeError or ValueError that names it.
     """
     kwargs = config.env_kwargs()
     # Only for training: policies are selected with `residual_limit`, on the commands of the task.
@@ -104,7 +85,7 @@ def make_env(config: Config, seed: int) -> VecNormalize:
         venv.seed(seed)
     else:
         venv = CapsuleSB3VecEnv(config.num_envs, seed, max_episode_steps=steps, **kwargs)
-    env = VecNormalize(venv, norm_reward=isinstance(config, PPOConfig), gamma=config.gamma)
+    env = VecNormalize(venv, norm_reward=config.algo == "ppo", gamma=config.gamma)
     if isinstance(config, OffPolicyConfig) and config.observation_scale is not None:
         # Running statistics would magnify `stick`, which is almost constant.
         env.training = False
@@ -113,38 +94,24 @@ def make_env(config: Config, seed: int) -> VecNormalize:
     return env
 
 
-# --- algorithms ------------------------------------------------------------------------------------------------------
-
-
 def schedule(config: Config) -> LinearSchedule:
     """The learning rate over a run."""
     return LinearSchedule(config.learning_rate, config.final_learning_rate, end_fraction=1.0)
 
 
 def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
-    """Creates an untrained agent.
-
-    Args:
-        config: the agent's hyperparameters.
-        env: the agent's environments, from `make_env`.
-    """
+    """Creates an untrained agent in the environments of `make_env`."""
     network: dict[str, Any] = {"net_arch": [config.hidden, config.hidden]}
-    kwargs: dict[str, Any] = {
-        "learning_rate": schedule(config),
-        "batch_size": config.batch_size,
-        "gamma": config.gamma,
-        "seed": config.seed,
-        "device": "cpu",
-    }
+    kwargs: dict[str, Any] = {"learning_rate": schedule(config), "device": "cpu"}
+    names: tuple[str, ...] = ("batch_size", "gamma", "seed")
     policy = "MlpPolicy"
-    names: tuple[str, ...]
     if isinstance(config, OnPolicyConfig):
         network["log_std_init"] = config.log_std_init
-        names = ("n_steps", "n_epochs", "gae_lambda", "ent_coef")
+        names += ("n_steps", "n_epochs", "gae_lambda", "ent_coef")
     else:
-        kwargs["train_freq"] = 1
-        names = ("buffer_size", "learning_starts", "gradient_steps", "tau")
         assert isinstance(config, OffPolicyConfig)
+        kwargs["train_freq"] = 1
+        names += ("buffer_size", "learning_starts", "gradient_steps", "tau")
         if config.action_noise > 0.0:
             kwargs["action_noise"] = make_noise(config)
         if config.n_steps > 1:

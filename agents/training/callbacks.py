@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import time
 from collections.abc import Callable
@@ -12,8 +13,9 @@ import numpy as np
 from sb3_contrib import RecurrentPPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import KVWriter, Logger, filter_excluded_keys, make_output_format
+from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.vec_env import DummyVecEnv
 from tqdm import tqdm
 
 from agents.evaluation.criteria import CRITERIA
@@ -24,63 +26,17 @@ from agents.evaluation.statistics import interquartile_mean
 from agents.training import checkpoint
 from agents.training.algorithms import wrapped_env
 from agents.training.checkpoint import Progress
-from agents.training.config import BEST, EVALUATIONS, LOGS, Config, RunError
+from agents.training.config import BEST, EVALUATIONS, Config
 from agents.training.export import export, normalisation, recurrent_policy, save
 from agents.training.signals import Stop
 from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, EvaluationSet
-from capsule_gym.files import canonical_hash, write_atomically
+from capsule_gym.files import write_atomically
 
 # Far from the seeds 0, 1, .. of training runs and evaluation sets, so that no other plants select models.
 SELECTION_SEED = 1_000_000
 # Agent steps between two lines of the log of off-policy algorithms; on-policy algorithms log every rollout.
 LOG_EVERY = 2_000
-# The project's name at Weights & Biases.
-PROJECT = "capsule_gym"
-
-
-class WandbWriter(KVWriter):
-    """Writes the lines of SB3's logger to Weights & Biases, by agent steps, under the name of the run's folder.
-
-    Raises:
-        RunError: if wandb is not installed or does not start.
-    """
-
-    def __init__(self, run: Path, config: dict[str, Any]) -> None:
-        try:
-            import wandb
-        except ImportError:
-            raise RunError('--wandb needs wandb: pip install "capsule-gym[wandb]"') from None
-        # The same folder with the same settings resumes the same run.
-        identity = canonical_hash([str(run.resolve()), {**config, "total_steps": None}])[:16]
-        try:
-            self._run = wandb.init(
-                project=PROJECT, name=run.name, id=identity, resume="allow", config=config, dir=run / LOGS
-            )
-        except wandb.errors.Error as error:
-            raise RunError(f"--wandb: {error}") from error
-
-    def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
-        """Writes a line of SB3's logger."""
-        self._run.log(filter_excluded_keys(key_values, key_excluded, "wandb"), step=step)
-
-    def close(self) -> None:
-        """Ends the run at Weights & Biases."""
-        self._run.finish()
-
-
-def make_logger(run: Path, config: Config, steps: int, wandb: bool) -> Logger:
-    """Creates SB3's logger for a process that starts or resumes a run after `steps` agent steps.
-
-    Raises:
-        RunError: if Weights & Biases is requested and cannot be used.
-    """
-    folder = run / LOGS
-    folder.mkdir(exist_ok=True)
-    online: list[KVWriter] = [WandbWriter(run, config.to_dict())] if wandb else []
-    # SB3's writer overwrites its file, so that every process writes its own file, named by its first step.
-    table = make_output_format("csv", str(folder), f"-{steps:012d}")
-    return Logger(str(folder), [table, make_output_format("tensorboard", str(folder)), *online])
 
 
 class Stopped(Exception):  # noqa: N818 (it is no error)
@@ -99,15 +55,8 @@ def validation_plants(config: Config) -> EvaluationSet:
 class TrainingCallback(BaseCallback):
     """Progress bar, log, evaluations on validation plants, checkpoints and the best model.
 
-    Args:
-        run: the run's folder.
-        config: the run's configuration.
-        progress: the run's progress.
-        latest: the checkpoint from which the run is resumed; None for a new run.
-        restore_streams: called when the agent begins to learn.
-        stop: the request to end the run.
-        revision: the git revision of the run's start.
-        report: called with all evaluations after each evaluation.
+    `restore_streams` is called when the agent begins to learn; `latest` is the checkpoint from which the run is
+    resumed, if any, and `revision` the git revision of its start.
     """
 
     def __init__(
@@ -119,10 +68,9 @@ class TrainingCallback(BaseCallback):
         restore_streams: Callable[[], None],
         stop: Stop,
         revision: str,
-        report: Callable[[list[dict[str, float]]], None] | None = None,
     ) -> None:
         super().__init__()
-        self.run, self.config, self.revision, self.report = run, config, revision, report
+        self.run, self.config, self.revision = run, config, revision
         self.progress, self.latest, self.stop, self.restore_streams = progress, latest, stop, restore_streams
         self.plants = validation_plants(config)
         self.criteria = CRITERIA[config.env_task]
@@ -195,12 +143,8 @@ class TrainingCallback(BaseCallback):
 
     def evaluate(self) -> None:
         """Evaluates the deterministic policy; writes a line, a checkpoint, and the model if it is the best so far."""
-        policy = self.policy()
-        if policy is not None:
-            episodes = evaluate(policy, self.plants)
-        else:
-            episodes = evaluate_wrapped(self.model, self.config, self.plants)
-        criteria = self.criteria
+        policy, criteria, plants = self.policy(), self.criteria, self.plants
+        episodes = evaluate(policy, plants) if policy else evaluate_wrapped(self.model, self.config, plants)
         names = (*criteria.weights, "energy", "stuck_fraction")
         means = {name: float(scores(episodes, name).mean()) for name in names}
         score = criteria.score(means) - self.config.energy_weight * means.pop("energy") / self.config.horizon
@@ -213,16 +157,10 @@ class TrainingCallback(BaseCallback):
                 self.logger.record(f"evaluation/{name}", logged)
         self.evaluated_at = self.num_timesteps
         shares = {name: values[name] for name in criteria.weights if name != criteria.metric.name}
-        self.progress.evaluations.append(
-            {
-                "steps": self.num_timesteps,
-                "core_seconds": round(time.process_time() - self.core_began, 1),
-                criteria.column: round(value, 4),
-                **shares,
-                f"score_{criteria.suffix}": round(score, 4),
-                f"baseline_{criteria.column}": round(self.baseline_value, 4),
-            }
-        )
+        line = {"steps": self.num_timesteps, "core_seconds": round(time.process_time() - self.core_began, 1)}
+        line |= {criteria.column: round(value, 4), **shares, f"score_{criteria.suffix}": round(score, 4)}
+        line[f"baseline_{criteria.column}"] = round(self.baseline_value, 4)
+        self.progress.evaluations.append(line)
         lines = [",".join(map(str, line.values())) for line in self.progress.evaluations]
         write_atomically(self.run / EVALUATIONS, "\n".join([",".join(self.progress.evaluations[0]), *lines, ""]))
         reference = f"{criteria.baseline} {self.baseline_value:.2f} {criteria.unit}"
@@ -231,8 +169,6 @@ class TrainingCallback(BaseCallback):
             self.progress.best_score = score
             save(self.run / BEST, self.model, policy)
         self.checkpoint()
-        if self.report is not None:
-            self.report(self.progress.evaluations)
 
     def checkpoint(self) -> None:
         """Writes a checkpoint, unless one exists for this step."""
@@ -244,20 +180,20 @@ class TrainingCallback(BaseCallback):
 
 def evaluate_wrapped(model: BaseAlgorithm, config: Config, plants: EvaluationSet) -> list[Episode]:
     """Runs an episode from rest on every plant, with the run's wrappers; returns the episodes as `evaluate` does."""
-    normalise = normalisation(model).normalize_obs
-    steps = round(config.horizon / config.control_dt)
-    episodes = []
-    for plant in plants.plants:
-        env = wrapped_env(config, {**config.env_kwargs(), **EPISODE_SETTINGS}, steps)
-        observation, _ = env.reset(seed=plant.seed, options=plant.reset_options())
-        memory, begins, ended = None, np.ones(1, np.bool_), False
-        while not ended:
-            action, memory = model.predict(
-                normalise(observation), state=memory, episode_start=begins, deterministic=True
-            )
-            observation, _, terminated, truncated, info = env.step(action)
-            begins, ended = np.zeros(1, np.bool_), terminated or truncated
-        env.close()
-        # The info of the last step contains the metrics.
-        episodes.append({"M": plant.M, "mu": plant.mu, "seed": plant.seed, **info["metrics"]})
-    return episodes
+    settings, steps = {**config.env_kwargs(), **EPISODE_SETTINGS}, round(config.horizon / config.control_dt)
+    venv = DummyVecEnv([lambda: wrapped_env(config, settings, steps)] * len(plants.plants))
+    venv.seed(plants.plants[0].seed)
+    venv.set_options([plant.reset_options() for plant in plants.plants])
+    # Shares the statistics, which do not change.
+    env = copy.copy(normalisation(model))
+    env.set_venv(venv)
+    env.training = env.norm_reward = False
+    found: dict[int, Episode] = {}
+
+    def keep(step: dict[str, Any], _: Any) -> None:
+        if step["done"]:
+            found[step["i"]] = step["info"]["metrics"]
+
+    evaluate_policy(model, env, len(plants.plants), callback=keep, warn=False)
+    env.close()
+    return [{"M": each.M, "mu": each.mu, "seed": each.seed, **found[i]} for i, each in enumerate(plants.plants)]

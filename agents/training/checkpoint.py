@@ -81,14 +81,9 @@ def locked(run: Path) -> Iterator[None]:
 
 def git_revision(folder: Path) -> str:
     """The short git revision of a checkout, with "+" for uncommitted changes; "unknown" outside a checkout."""
-
-    def git(*arguments: str) -> str:
-        command = ["git", "-C", str(folder), *arguments]
-        return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
-
+    command = ["git", "-C", str(folder), "describe", "--always", "--exclude=*", "--abbrev=12", "--dirty=+"]
     try:
-        changed = git("status", "--porcelain", "--untracked-files=no")
-        return git("rev-parse", "--short=12", "HEAD") + ("+" if changed else "")
+        return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
 
@@ -161,11 +156,9 @@ def write(run: Path, model: BaseAlgorithm, progress: Progress, before: Path | No
 def restore(
     checkpoint: Path, kind: type[BaseAlgorithm], env: VecNormalize
 ) -> tuple[BaseAlgorithm, Progress, Callable[[], None]]:
-    """Unpickles the agent of an undamaged, trusted checkpoint; the checkpoint's environments replace `env`.
+    """Unpickles the agent and the progress of an undamaged, trusted checkpoint, whose environments replace `env`.
 
-    Returns:
-        The agent, its progress, and a function that restores the random streams and the log. Call the function when
-        the agent begins to learn.
+    Also returns a function that restores the random streams and the log, to be called when the agent begins to learn.
 
     Raises:
         RunError: if the checkpoint cannot be read, for example because other versions wrote it.

@@ -18,7 +18,8 @@ from tyro.conf import Fixed, Suppress
 
 from capsule_gym.checks import check_integer, check_number
 from capsule_gym.command_line import Count
-from capsule_gym.config import DOCS, EnvConfig
+from capsule_gym.config import EnvConfig
+from capsule_gym.env import DOCS
 from capsule_gym.parameters import Capsule, Randomization
 from capsule_gym.task import CONTROL_DT, TASKS
 
@@ -41,19 +42,16 @@ def _option(name: str, more: str = "") -> Any:
 # Smallest values of the counts; 1 for all others.
 LEAST = {"seed": 0, "batch_size": 2, "learning_starts": 0, "dropped_quantiles": 0}
 # Ranges of the other numbers: description, lower and upper end, and whether the lower end is excluded.
+POSITIVE = ("a finite number > 0", 0.0, math.inf, True)
+NONNEGATIVE = ("a finite number >= 0", 0.0, math.inf, False)
+SHARE = ("a number in [0, 1]", 0.0, 1.0, False)
 RANGES: dict[str, tuple[str, float, float, bool]] = {
-    "learning_rate": ("a finite number > 0", 0.0, math.inf, True),
-    "final_learning_rate": ("a finite number >= 0", 0.0, math.inf, False),
-    "gamma": ("a number in [0, 1]", 0.0, 1.0, False),
-    "gae_lambda": ("a number in [0, 1]", 0.0, 1.0, False),
-    "ent_coef": ("a finite number >= 0", 0.0, math.inf, False),
+    **dict.fromkeys(("learning_rate", "episode_seconds", "training_limit", "observation_scale"), POSITIVE),
+    **dict.fromkeys(("final_learning_rate", "ent_coef", "action_noise", "noise_time"), NONNEGATIVE),
+    **dict.fromkeys(("gamma", "gae_lambda"), SHARE),
     "log_std_init": ("a number in [-20, 2]", -20.0, 2.0, False),
-    "episode_seconds": ("a finite number > 0 (s)", 0.0, math.inf, True),
     "tau": ("a number in (0, 1]", 0.0, 1.0, True),
     "target_entropy": ("a finite number", -math.inf, math.inf, True),
-    "training_limit": ("a finite number > 0 (N m)", 0.0, math.inf, True),
-    "action_noise": ("a finite number >= 0", 0.0, math.inf, False),
-    "noise_time": ("a finite number >= 0", 0.0, math.inf, False),
 }
 
 
@@ -160,9 +158,7 @@ class Config:
     def check(self) -> None:
         """Checks the hyperparameters; the environment checks its own arguments.
 
-        Raises:
-            TypeError: if a field has the wrong type.
-            ValueError: if a field is out of range.
+        A wrong field raises a TypeError or ValueError that names it.
         """
         for field in dataclasses.fields(self):
             name, value = field.name, getattr(self, field.name)
@@ -172,7 +168,8 @@ class Config:
                 check_integer(name, value, accepted, least, most)
             elif name in RANGES and value is not None:
                 accepted, low, high, open_low = RANGES[name]
-                check_number(name, value, accepted, low, high, open_low=open_low)
+                for number in value if isinstance(value, tuple) else (value,):
+                    check_number(name, number, accepted, low, high, open_low=open_low)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -227,12 +224,6 @@ class OffPolicyConfig(Config):
     noise_time: float = 0.0
     """Time over which that noise is correlated, s: uncorrelated noise hardly swings the pendulum."""
 
-    def check(self) -> None:
-        """Also checks the factors of the observation."""
-        super().check()
-        for factor in self.observation_scale or ():
-            check_number("observation_scale", factor, "three finite numbers > 0", 0.0, math.inf, open_low=True)
-
 
 @dataclass(frozen=True, kw_only=True)
 class SACConfig(OffPolicyConfig):
@@ -275,10 +266,7 @@ ALGORITHMS: dict[Algorithm, type[Config]] = {
 
 
 def read_config(run: Path) -> Config:
-    """Reads the configuration of a run.
-
-    Args:
-        run: the run's folder.
+    """Reads the configuration in the folder of a run.
 
     Raises:
         RunError: if the file does not exist or is invalid.

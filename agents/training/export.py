@@ -50,8 +50,7 @@ def load_best(run: Path) -> EvaluatedPolicy:
 
     Raises:
         OSError: if the run has no best agent.
-        RunError: if the folder is not that of a run.
-        ValueError: if the run has no best policy, or was trained with wrappers.
+        ValueError: if the folder is not that of a run, has no best policy, or the run was trained with wrappers.
     """
     config = read_config(run)
     if config.wrapper:
@@ -87,13 +86,13 @@ def export(name: str, model: BaseAlgorithm, config: Config, revision: str) -> Po
     else:
         actor: Any = model.policy.actor
         modules = [*actor.latent_pi, actor.mu]
-    layers = tuple((_array(layer.weight), _array(layer.bias)) for layer in modules[::2])
+    arrays = ((layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy()) for layer in modules[::2])
     env = normalisation(model)
     rms: Any = env.obs_rms
     return Policy(
         name=name,
         algorithm=config.algo,
-        layers=layers,
+        layers=tuple(arrays),
         activation=activation,
         squashing=squashing,
         mean=rms.mean.copy(),
@@ -104,8 +103,3 @@ def export(name: str, model: BaseAlgorithm, config: Config, revision: str) -> Po
         training_seed=config.seed,
         revision=revision,
     )
-
-
-def _array(parameter: Any) -> np.ndarray:
-    """Copies a parameter to a float32 array."""
-    return parameter.detach().cpu().numpy().astype(np.float32)

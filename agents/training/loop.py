@@ -7,22 +7,22 @@ import json
 import pickle
 import sys
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import torch
+from stable_baselines3.common.logger import Logger, make_output_format
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from agents.evaluation.episodes import versions
 from agents.training import checkpoint
 from agents.training.algorithms import CLASSES, make_env, make_model, schedule
-from agents.training.callbacks import Stopped, TrainingCallback, make_logger
+from agents.training.callbacks import Stopped, TrainingCallback
 from agents.training.checkpoint import Progress, git_revision, locked
-from agents.training.config import BEST, CONFIG, MODEL, Config, RunError, read_config
+from agents.training.config import BEST, CONFIG, LOGS, MODEL, Config, RunError, read_config
 from agents.training.export import save
 from agents.training.signals import Stop
-from capsule_gym.files import naming, to_json, write_atomically
+from capsule_gym.files import canonical_hash, naming, to_json, write_atomically
 
 
 def begin(run: Path, config: Config) -> None:
@@ -31,8 +31,7 @@ def begin(run: Path, config: Config) -> None:
     Raises:
         FileExistsError: if the folder exists and is not empty.
         OSError: if the folder cannot be created.
-        TypeError: if a field of the configuration has the wrong type.
-        ValueError: if a field of the configuration is out of range.
+        TypeError, ValueError: if a field of the configuration has the wrong type or is out of range.
     """
     if run.exists() and any(run.iterdir()):
         raise FileExistsError(f"{run} already exists")
@@ -65,20 +64,13 @@ def begin(run: Path, config: Config) -> None:
     write_atomically(run / CONFIG, to_json(content))
 
 
-def train(
-    run: Path,
-    total_steps: int | None = None,
-    *,
-    wandb: bool = False,
-    report: Callable[[list[dict[str, float]]], None] | None = None,
-) -> bool:
+def train(run: Path, total_steps: int | None = None, *, wandb: bool = False) -> bool:
     """Trains a run, or resumes it from its last undamaged checkpoint, until its total_steps, Ctrl-C or SIGTERM.
 
     Args:
         run: the run's folder, from `begin`.
         total_steps: new number of steps, which is written to config.json; None keeps the number.
         wandb: whether to also log to Weights & Biases.
-        report: called with all evaluations after each evaluation.
 
     Returns:
         Whether the run is complete. If not, the folder holds a checkpoint of the current step.
@@ -117,8 +109,12 @@ def train(
             model.learning_rate = schedule(config)
             model._setup_lr_schedule()
         stop = Stop()
-        callback = TrainingCallback(run, config, progress, latest, restore_streams, stop, revision, report)
-        model.set_logger(make_logger(run, config, model.num_timesteps, wandb))
+        callback = TrainingCallback(run, config, progress, latest, restore_streams, stop, revision)
+        online = start_wandb(run, config) if wandb else None
+        (run / LOGS).mkdir(exist_ok=True)
+        # SB3's writer overwrites its file, so that every process writes its own file, named by its first step.
+        table = make_output_format("csv", str(run / LOGS), f"-{model.num_timesteps:012d}")
+        model.set_logger(Logger(str(run / LOGS), [table, make_output_format("tensorboard", str(run / LOGS))]))
         try:
             with stop:
                 remaining = config.total_steps - model.num_timesteps
@@ -132,10 +128,31 @@ def train(
         finally:
             callback.bar.close()
             model.logger.close()
+            if online:
+                online.finish()
             model.get_env().close()  # type: ignore[union-attr]  # it has one
         callback.model = model
         save(run, model, callback.policy())
         return not stop.requested
+
+
+def start_wandb(run: Path, config: Config) -> Any:
+    """Starts a run of Weights & Biases, which follows TensorBoard's log.
+
+    Raises:
+        RunError: if wandb is not installed or does not start.
+    """
+    try:
+        import wandb
+    except ImportError:
+        raise RunError('--wandb needs wandb: pip install "capsule-gym[wandb]"') from None
+    # The same folder with the same settings resumes the same run.
+    identity = canonical_hash([str(run.resolve()), {**config.to_dict(), "total_steps": None}])[:16]
+    options: dict[str, Any] = {"project": "capsule_gym", "resume": "allow", "sync_tensorboard": True}
+    try:
+        return wandb.init(name=run.name, id=identity, config=config.to_dict(), dir=run, **options)
+    except wandb.errors.Error as error:
+        raise RunError(f"--wandb: {error}") from error
 
 
 def _read(run: Path, total_steps: int | None) -> tuple[Config, str]:

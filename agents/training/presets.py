@@ -3,34 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from typing import Any
 
-from agents.training.config import (
-    Algorithm,
-    Config,
-    Environment,
-    PPOConfig,
-    RecurrentPPOConfig,
-    SACConfig,
-    Task,
-    TD3Config,
-    TQCConfig,
-)
+from agents.training.config import ALGORITHMS, Algorithm, Config, Environment, PPOConfig, Task
 from capsule_gym.checks import nearest
 
 # Shared by the presets with a replay buffer, and by those of the direct task.
 OFF_POLICY: dict[str, Any] = {
-    "total_steps": 400_000,
-    "num_envs": 32,
-    "learning_rate": 7e-4,
-    "batch_size": 512,
-    "evaluate_every": 50_000,
+    **{"total_steps": 400_000, "evaluate_every": 50_000, "num_envs": 32, "batch_size": 512, "learning_rate": 7e-4},
 }
 # With only the default start, training converges to a one-sided gait; without correlated noise or without
 # `observation_scale`, it mostly converges to a narrow gait (docs/algorithms.md).
 DIRECT_OFF_POLICY: dict[str, Any] = {
-    **{"task": "direct", "controller": None, "total_steps": 500_000, "evaluate_every": 20_000},
+    **{"total_steps": 500_000, "evaluate_every": 20_000},
     **{"initial_range": (1.047, 8.0), "episode_seconds": 4.0, "termination_penalty": 10.0},
     **{"learning_rate": 1e-3, "num_envs": 32, "batch_size": 256, "learning_starts": 2000, "n_steps": 3, "tau": 0.005},
     **{"action_noise": 0.25, "noise_time": 0.25, "observation_scale": (2.0, 0.25, 6.0)},
@@ -42,102 +27,68 @@ PPO: dict[str, Any] = {
     **{"initial_range": (1.047, 8.0), "termination_penalty": 10.0, "evaluate_every": 280_000},
 }
 RECURRENT: dict[str, Any] = {"total_steps": 1_000_000, "n_steps": 128, "evaluate_every": 100_000}
-PRESETS: dict[tuple[Task, Algorithm], Config] = {
-    ("residual", "ppo"): PPOConfig(**PPO, total_torque=True),
-    ("direct", "ppo"): PPOConfig(**PPO, task="direct", controller=None),
-    ("residual", "sac"): SACConfig(**OFF_POLICY),
-    ("direct", "sac"): SACConfig(**DIRECT_OFF_POLICY, target_entropy=-3.0),
-    ("residual", "td3"): TD3Config(**OFF_POLICY, action_noise=0.2),
-    ("direct", "td3"): TD3Config(**DIRECT_OFF_POLICY),
-    ("residual", "tqc"): TQCConfig(**OFF_POLICY),
-    ("direct", "tqc"): TQCConfig(**DIRECT_OFF_POLICY, target_entropy=-3.0, quantiles=10, dropped_quantiles=0),
-    ("residual", "recurrent-ppo"): RecurrentPPOConfig(**RECURRENT),
-    # From agents/study/data/direct-recurrent-ppo.json.
-    ("direct", "recurrent-ppo"): RecurrentPPOConfig(
-        **RECURRENT | {"n_steps": 64},
-        task="direct",
-        controller=None,
-        num_envs=128,
-        n_epochs=8,
-        learning_rate=1.35e-3,
-        final_learning_rate=1.35e-4,
-        gamma=0.9946,
-        gae_lambda=0.979,
-    ),
+# From agents/study/data/direct-recurrent-ppo.json.
+DIRECT_RECURRENT: dict[str, Any] = {
+    **{**RECURRENT, "num_envs": 128, "n_steps": 64, "n_epochs": 8},
+    **{"learning_rate": 1.35e-3, "final_learning_rate": 1.35e-4, "gamma": 0.9946, "gae_lambda": 0.979},
 }
+SETTINGS: dict[tuple[Task, Algorithm], dict[str, Any]] = {
+    ("residual", "ppo"): {**PPO, "total_torque": True},
+    ("direct", "ppo"): PPO,
+    ("residual", "sac"): OFF_POLICY,
+    ("direct", "sac"): {**DIRECT_OFF_POLICY, "target_entropy": -3.0},
+    ("residual", "td3"): {**OFF_POLICY, "action_noise": 0.2},
+    ("direct", "td3"): DIRECT_OFF_POLICY,
+    ("residual", "tqc"): OFF_POLICY,
+    ("direct", "tqc"): {**DIRECT_OFF_POLICY, "target_entropy": -3.0, "quantiles": 10, "dropped_quantiles": 0},
+    ("residual", "recurrent-ppo"): RECURRENT,
+    ("direct", "recurrent-ppo"): DIRECT_RECURRENT,
+}
+LAWS: dict[Task, dict[str, Any]] = {"residual": {}, "direct": {"controller": None}}
+PRESETS = {(task, algo): ALGORITHMS[algo](task=task, **LAWS[task], **own) for (task, algo), own in SETTINGS.items()}
+
+
+def _vary(base: Config, *changes: dict[str, Any]) -> Config:
+    """A configuration with other values."""
+    return dataclasses.replace(base, **{name: value for each in changes for name, value in each.items()})
+
 
 # Shared by the presets of the other tasks. Failures are rare, so a score needs many validation episodes.
-ON_GRIP = PPOConfig(
-    task="direct",
-    controller=None,
-    randomization="default",
-    energy_weight=0.0,
-    termination_penalty=3.0,
-    total_steps=8_000_000,
-    num_envs=256,
-    final_learning_rate=2e-5,
-    gamma=0.99,
-    evaluation_episodes=512,
+ON_GRIP = _vary(
+    PPOConfig(task="direct", controller=None, randomization="default", energy_weight=0.0, termination_penalty=3.0),
+    {"total_steps": 8_000_000, "num_envs": 256, "final_learning_rate": 2e-5, "gamma": 0.99, "evaluation_episodes": 512},
 )
-ENV_PRESETS: dict[Environment, PPOConfig] = {
+ENV_PRESETS: dict[Environment, Config] = {
     # A training episode is hardly longer than the time to the goal. A rest within 2 mm requires little noise: without
     # an entropy bonus, exploration would end early.
-    "CapsuleGoal-v0": dataclasses.replace(
+    "CapsuleGoal-v0": _vary(
         ON_GRIP,
-        env="CapsuleGoal-v0",
-        total_steps=14_000_000,
-        hidden=128,
-        n_steps=64,
-        episode_seconds=3.0,
-        ent_coef=0.006,
+        {"env": "CapsuleGoal-v0", "episode_seconds": 3.0},
+        {"total_steps": 14_000_000, "hidden": 128, "n_steps": 64, "ent_coef": 0.006},
     ),
     # The platform lifts at the ends of the ranges of M, mu and the commands, and at a start with full torque. Training
     # exceeds all of these limits, so that failures are more frequent in training than in evaluations.
-    "CapsuleVelocity-v0": dataclasses.replace(
+    "CapsuleVelocity-v0": _vary(
         ON_GRIP,
-        env="CapsuleVelocity-v0",
-        mass_range=(0.42, 0.55),
-        friction_range=(0.042, 0.57),
-        command_range=(-0.115, 0.115),
-        residual_limit=1.3,
-        training_limit=1.4,
-        total_steps=16_000_000,
-        hidden=128,
-        num_envs=128,
-        n_steps=128,
-        episode_seconds=20.0,
-        termination_penalty=20.0,
-        evaluation_episodes=4096,
+        {"env": "CapsuleVelocity-v0", "mass_range": (0.42, 0.55), "friction_range": (0.042, 0.57)},
+        {"command_range": (-0.115, 0.115), "residual_limit": 1.3, "training_limit": 1.4, "episode_seconds": 20.0},
+        {"total_steps": 16_000_000, "hidden": 128, "num_envs": 128, "n_steps": 128, "termination_penalty": 20.0},
+        {"evaluation_episodes": 4096},
     ),
 }
 
 # Residuals on a gait: small residuals with little noise.
-ON_GAIT = PPOConfig(
-    controller="baselines:gait",
-    residual_limit=0.75,
-    total_steps=1_000_000,
-    num_envs=256,
-    n_steps=64,
-    gamma=0.9975,
-    learning_rate=3e-4,
-    final_learning_rate=3e-5,
-    log_std_init=-1.2,
-    episode_seconds=10.0,
-    evaluate_every=100_000,
+ON_GAIT = _vary(
+    PPOConfig(controller="baselines:gait", residual_limit=0.75, episode_seconds=10.0),
+    {"total_steps": 1_000_000, "num_envs": 256, "n_steps": 64, "gamma": 0.9975, "evaluate_every": 100_000},
+    {"learning_rate": 3e-4, "final_learning_rate": 3e-5, "log_std_init": -1.2},
 )
-ON_PREDICTION = dataclasses.replace(
+LARGE_BATCHES: dict[str, Any] = {"n_steps": 128, "batch_size": 4096, "learning_rate": 1e-3}
+ON_PREDICTION = _vary(
     ON_GAIT,
-    controller="baselines:gait_predictive",
-    disturbances="real",
-    randomization="real-wide",
-    residual_limit=1.0,
-    total_steps=6_000_000,
-    n_steps=128,
-    batch_size=4096,
-    learning_rate=1e-3,
-    termination_penalty=100.0,
-    evaluate_every=500_000,
-    evaluation_episodes=512,
+    {"controller": "baselines:gait_predictive", "disturbances": "real", "randomization": "real-wide"},
+    {**LARGE_BATCHES, "residual_limit": 1.0, "total_steps": 6_000_000, "termination_penalty": 100.0},
+    {"evaluate_every": 500_000, "evaluation_episodes": 512},
 )
 FRUGAL = PPOConfig(task="direct", controller=None, num_envs=256, n_steps=64)
 # Keys are the names of the folders in agents/checkpoints; each run sets its own seed. The committed policies are those
@@ -145,63 +96,33 @@ FRUGAL = PPOConfig(task="direct", controller=None, num_envs=256, n_steps=64)
 ROWS: dict[str, Config] = {
     "residual-ppo": PRESETS["residual", "ppo"],
     "direct-ppo": PRESETS["direct", "ppo"],
-    "direct-ppo-wide": dataclasses.replace(PRESETS["direct", "ppo"], randomization="wide"),
+    "direct-ppo-wide": _vary(PRESETS["direct", "ppo"], {"randomization": "wide"}),
     "direct-sac": PRESETS["direct", "sac"],
     "residual-on-gait": ON_GAIT,
-    "residual-on-gait-wide": dataclasses.replace(ON_GAIT, randomization="wide"),
-    "residual-identifying": dataclasses.replace(
+    "residual-on-gait-wide": _vary(ON_GAIT, {"randomization": "wide"}),
+    "residual-identifying": _vary(
         ON_GAIT,
-        controller="baselines:gait_identifying",
-        randomization="wide",
-        residual_limit=1.5,
-        total_steps=8_000_000,
-        n_steps=128,
-        batch_size=4096,
-        learning_rate=1e-3,
-        termination_penalty=50.0,
-        evaluate_every=1_000_000,
+        {"controller": "baselines:gait_identifying", "randomization": "wide", "residual_limit": 1.5},
+        {**LARGE_BATCHES, "total_steps": 8_000_000, "termination_penalty": 50.0, "evaluate_every": 1_000_000},
     ),
-    "residual-real": dataclasses.replace(ON_PREDICTION, randomization="real"),
-    "residual-real-wide": dataclasses.replace(ON_PREDICTION, termination_penalty=400.0),
-    "direct-real": PPOConfig(
-        task="direct",
-        controller=None,
-        disturbances="real",
-        randomization="real",
-        stack_size=8,
-        hidden=128,
-        total_steps=15_000_000,
-        num_envs=256,
-        n_steps=64,
-        batch_size=4096,
-        gamma=0.9975,
-        termination_penalty=100.0,
-        evaluate_every=1_000_000,
-        evaluation_episodes=1024,
+    "residual-real": _vary(ON_PREDICTION, {"randomization": "real"}),
+    "residual-real-wide": _vary(ON_PREDICTION, {"termination_penalty": 400.0}),
+    "direct-real": _vary(
+        FRUGAL,
+        {"disturbances": "real", "randomization": "real", "stack_size": 8, "hidden": 128, "batch_size": 4096},
+        {"total_steps": 15_000_000, "gamma": 0.9975, "termination_penalty": 100.0},
+        {"evaluate_every": 1_000_000, "evaluation_episodes": 1024},
     ),
-    "efficient": dataclasses.replace(FRUGAL, total_steps=4_000_000, energy_weight=3.5),
-    "pareto": dataclasses.replace(FRUGAL, total_steps=10_000_000, energy_weight=1.0),
+    "efficient": _vary(FRUGAL, {"total_steps": 4_000_000, "energy_weight": 3.5}),
+    "pareto": _vary(FRUGAL, {"total_steps": 10_000_000, "energy_weight": 1.0}),
     "goal": ENV_PRESETS["CapsuleGoal-v0"],
     # Little noise: noise of 1 % of the torque would keep the platform from resting on this floor.
-    "residual-on-pulses": dataclasses.replace(
+    "residual-on-pulses": _vary(
         ON_GAIT,
-        env="CapsuleGoal-v0",
-        controller="baselines:goal_pulses",
-        randomization="paper",
-        static_ratio=1.0,
-        residual_limit=0.5,
-        energy_weight=0.0,
-        termination_penalty=10.0,
-        total_steps=10_000_000,
-        n_steps=128,
-        batch_size=4096,
-        final_learning_rate=1e-5,
-        gamma=0.995,
-        gae_lambda=0.995,
-        log_std_init=-4.5,
-        episode_seconds=8.0,
-        evaluate_every=500_000,
-        evaluation_episodes=1024,
+        {"env": "CapsuleGoal-v0", "controller": "baselines:goal_pulses", "static_ratio": 1.0, "residual_limit": 0.5},
+        {"energy_weight": 0.0, "termination_penalty": 10.0, "episode_seconds": 8.0, "log_std_init": -4.5},
+        {"total_steps": 10_000_000, "n_steps": 128, "batch_size": 4096, "final_learning_rate": 1e-5},
+        {"gamma": 0.995, "gae_lambda": 0.995, "evaluate_every": 500_000, "evaluation_episodes": 1024},
     ),
     "velocity": ENV_PRESETS["CapsuleVelocity-v0"],
 }
@@ -220,12 +141,12 @@ def preset(env: Environment, task: Task, algo: Algorithm) -> Config:
     return dataclasses.replace(PRESETS[task, algo], **shared)
 
 
-def row_settings(name: str, choices: Mapping[str, Config] = ROWS) -> Config:
-    """The settings of a row of the leaderboard with seed 0, or of another of `choices`, by name.
+def row_settings(name: str) -> Config:
+    """The settings of a row of the leaderboard, with seed 0.
 
     Raises:
         ValueError: if the name is unknown.
     """
-    if name not in choices:
-        raise ValueError(f"a row must be one of {', '.join(choices)}, got {name!r}{nearest(name, choices)}")
-    return choices[name]
+    if name not in ROWS:
+        raise ValueError(f"a row must be one of {', '.join(ROWS)}, got {name!r}{nearest(name, ROWS)}")
+    return ROWS[name]

@@ -26,13 +26,10 @@ def _print_to_stderr(text: str) -> None:
 
 
 class QuietExit:
-    """A signal handler that ends the process without a traceback.
+    """A signal handler that ends the process without a traceback, and prints `message` to stderr.
 
-    An exception from the handler could be raised in imports, the compiler or destructors, some of which print a
-    traceback or swallow it. Files are written atomically, so the process may end at any moment.
-
-    Attributes:
-        message: printed to stderr at the end.
+    An exception from the handler could be raised in imports or destructors, some of which print a traceback or swallow
+    it. Files are written atomically, so the process may end at any moment.
     """
 
     message = "Stopped."
@@ -51,12 +48,9 @@ class QuietExit:
 
 
 class Stop:
-    """A context in which the first signal requests a stop and a second signal has its previous effect.
+    """A context in which the first signal sets `requested` and a second signal has its previous effect.
 
     Outside the main thread, which alone may handle signals, it has no effect.
-
-    Attributes:
-        requested: whether a signal has arrived.
     """
 
     def __init__(self) -> None:

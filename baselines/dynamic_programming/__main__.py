@@ -41,9 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = parse(Args, PROG, arguments)
     # Imported after parsing, since `--help` does not need these modules.
     from baselines.archive import run_search
-    from baselines.dynamic_programming.archive import load_archive
-    from baselines.dynamic_programming.figure import report
-    from baselines.dynamic_programming.plants import set_plants, solve_plants
+    from baselines.dynamic_programming.archive import load_archive, set_plants, solve_plants
     from baselines.dynamic_programming.problem import PROBLEMS
 
     try:
@@ -60,6 +58,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if args.report:
         if lacking := len(missing) + len(plants):
             refuse(PROG, f"--report needs all problems and plants on file, and {args.folder} lacks {lacking}")
+        from baselines.dynamic_programming.figure import report
+
         print(report(archive))
         return 0
     steps = chain(archive.solve(missing), solve_plants(archive, plants))

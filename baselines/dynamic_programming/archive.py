@@ -26,8 +26,18 @@ from baselines.dynamic_programming.problem import (
     record,
     repeat,
 )
-from baselines.dynamic_programming.solver import GRIDS, Solution, solve_on_grids
+from baselines.dynamic_programming.solver import (
+    GRIDS,
+    STARTS,
+    Solution,
+    divide_nodes,
+    final_solutions,
+    run_policy,
+    solve,
+    solve_on_grids,
+)
 from capsule_gym.config import DIRECT_PHYSICS_DT
+from capsule_gym.evaluation_sets import load_set
 from capsule_gym.task import CONTROL_DT, START_THETA, TORQUE_LIMIT
 
 # cm: step of the stored values, larger if two bytes cannot count the steps; a control interval earns half a cm.
@@ -35,6 +45,9 @@ RESOLUTION = 0.005
 MAX_STEPS = 65535
 # rad, rad/s, m, m/s: scales of the differences between the ends of a cycle.
 SCALES = np.array([0.1, 1.0, np.inf, 0.05])
+# Evaluation sets whose plants are solved themselves, and the number of plants between two writes of the archive.
+SETS = ("paper", "wide")
+PART = 20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,8 +58,8 @@ class Result(Problem):
         grids: nodes along theta, s and w of every grid, from coarse to fine.
         gains: mean reward of the Markov chain on each grid, cm/s.
         steady: mean speed of each grid's trajectory over whole cycles, cm/s.
-        mean_speed: mean speed of the archived trajectory, the best of all grids, over 33 s from rest, cm/s.
-        cost_of_transport: cost of transport of the archived trajectory.
+        mean_speed: of the archived trajectory, the best of all grids, over 33 s from rest, cm/s.
+        cost_of_transport: of the archived trajectory.
     """
 
     grids: tuple[tuple[int, int, int], ...]
@@ -58,13 +71,10 @@ class Result(Problem):
 
 @dataclass
 class Archive:
-    """The results with their arrays.
+    """The results by key, and their arrays by key and kind.
 
-    Attributes:
-        results: the results by key.
-        arrays: arrays by key and kind: `torques` of the trajectory as indices of `ACTIONS`, uint8; `differences` and
-            `numbers` of the values. For the plants of evaluation sets: `plants` with M, mu and mean speed, shape
-            (plants, 3), and `plants torques`, shape (plants, steps).
+    The kinds are `torques` of the trajectory as indices of `ACTIONS`, uint8, and `differences` and `numbers` of the
+    values; for plants of evaluation sets `plants` with M, mu and speed, and `plants torques`, shape (plants, steps).
     """
 
     results: dict[str, Result] = field(default_factory=dict)
@@ -78,9 +88,8 @@ class Archive:
             solved = solve_on_grids(problem, GRIDS[: (4 if problem == Problem() else 2) if own_interval else 3])
 
             def reward(trajectory: Trajectory, energy_weight: float = problem.energy_weight) -> float:
-                metrics = trajectory.metrics
-                value = 100.0 * metrics["distance"][0] - energy_weight * metrics["energy"][0]
-                return float(value) - 1e9 * float(metrics["failed"][0])
+                distance, energy, failed = (trajectory.metrics[key][0] for key in ("distance", "energy", "failed"))
+                return float(100.0 * distance - energy_weight * energy) - 1e9 * float(failed)
 
             best = max((trajectory for _, trajectory in solved), key=reward)
             self.results[problem.key] = Result(
@@ -94,8 +103,7 @@ class Archive:
             # The policies look ahead with the values of the speed problems.
             if problem.energy_weight == 0.0 and own_interval:
                 self._add_values(problem.key, solved[0][0])
-            speed = self.results[problem.key].mean_speed
-            print(f"{speed:.2f} cm/s over 33 s, {perf_counter() - began:.0f} s", flush=True)
+            print(f"{self.results[problem.key].mean_speed:.2f} cm/s, {perf_counter() - began:.0f} s", flush=True)
             yield
 
     def _add_values(self, key: str, solution: Solution) -> None:
@@ -227,9 +235,9 @@ def cycle() -> dict[str, np.ndarray]:
     """The settled period of the trajectory on the nominal plant whose ends differ the least.
 
     Returns:
-        `time` (s, from 0), `theta` (rad), `theta_dot` (rad/s), `x` (m, from 0), `x_dot` (m/s), `normal_force` (N, the
-        smallest of the step) and `torque` (N m, during it) at every step of the integrator, from one reversal of the
-        pendulum, left of upright and into forward motion, to the next; each of shape (steps + 1,), float64.
+        `time` (s), `theta` (rad), `theta_dot` (rad/s), `x` (m), `x_dot` (m/s), `normal_force` (N, the smallest of the
+        step) and `torque` (N m) at every step of the integrator from one reversal of the pendulum, left of upright and
+        into forward motion, to the next; each of shape (steps + 1,), float64.
     """
     problem, archive = Problem(), known_results()
     trajectory = archive.repeat(problem)
@@ -246,3 +254,35 @@ def cycle() -> dict[str, np.ndarray]:
     torque = TORQUE_LIMIT * ACTIONS[fine.choices[part, 0]]
     time = dt * np.arange(torque.size)
     return {"time": time, **states, "normal_force": fine.normal_forces[part, 0], "torque": torque}
+
+
+def set_plants(*names: str) -> list[tuple[float, float]]:
+    """M in kg and mu of all plants of sets, by default `SETS`, without repetitions."""
+    return list(dict.fromkeys((plant.M, plant.mu) for name in names or SETS for plant in load_set(name).plants))
+
+
+def solve_plant(problem: Problem, archive: Archive, shape: tuple[int, int, int] = GRIDS[0]) -> Trajectory:
+    """The trajectory of a plant within `GRID`, solved over the ranges and from the values of the plants around it.
+
+    The nodes of `shape` along s and w are divided between both by their ranges.
+    """
+    corners, along_M, along_mu = GRID.cell(problem.M, problem.mu)
+    near = [archive.solution(plant_problems(GRID)[corner]) for corner in corners]
+    weights = np.outer([1.0 - along_M, along_M], [1.0 - along_mu, along_mu]).ravel()
+    y, w = (
+        (min(low for low, _ in each), max(high for _, high in each))
+        for each in ([s.grid.y for s in near], [s.grid.w for s in near])
+    )
+    curvature = sum(weight * solution.curvature for weight, solution in zip(weights.tolist(), near, strict=True))
+    grid = Grid(divide_nodes(shape, y, w), y, w, problem.M)
+    solution = solve(problem, grid, curvature=curvature, start=near[int(weights.argmax())])
+    return run_policy(solution, STARTS[:1], final=final_solutions(solution))
+
+
+def solve_plants(archive: Archive, missing: Sequence[tuple[float, float]]) -> Iterator[None]:
+    """Iterates over plants, M in kg and mu, solves them and adds them to an archive with the values of `GRID`."""
+    for n, (M, mu) in enumerate(missing):
+        archive.add_plant(M, mu, solve_plant(Problem(M=M, mu=mu), archive))
+        if n % PART == PART - 1 or n == len(missing) - 1:
+            print(f"{n + 1}/{len(missing)} plants of the sets", flush=True)
+            yield

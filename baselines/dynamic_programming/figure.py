@@ -9,8 +9,7 @@ import numpy as np
 
 from baselines.archive import GRID, STICKY_GRID
 from baselines.drawing import BLUE, GREEN, INK, MUTED, VERMILION, add_note, new_figure
-from baselines.dynamic_programming import plants
-from baselines.dynamic_programming.archive import Archive, Result, cycle, known_results
+from baselines.dynamic_programming.archive import SETS, Archive, Result, cycle, known_results, set_plants
 from baselines.dynamic_programming.problem import (
     ACTIONS,
     CONTROL_INTERVALS,
@@ -72,8 +71,7 @@ def _maps(solution: Solution, w: float) -> tuple[np.ndarray, np.ndarray]:
     x_dot = solution.grid.q * (w + np.cos(theta) * theta_dot)
     states = np.stack([theta.ravel(), theta_dot.ravel(), x_dot.ravel()])
     model = Transitions(solution.problem, states.shape[1])
-    best = np.full(states.shape[1], -np.inf)
-    torques = np.zeros(states.shape[1])
+    best, torques = np.full(states.shape[1], -np.inf), np.zeros(states.shape[1])
     # Every third torque is fine enough for a map.
     for action in ACTIONS[::3]:
         ends, rewards, failed = model.step(states, np.full(best.size, action))
@@ -88,15 +86,8 @@ def _draw_map(
 ) -> None:
     """Draws a map and the cycle on top of it."""
     axes.set_facecolor("#d9d9d9")
-    shown = axes.imshow(
-        image,
-        extent=(-THETA, THETA, *RATES),
-        origin="lower",
-        aspect="auto",
-        cmap=colours,
-        interpolation="nearest",
-        clim=limits,
-    )
+    options = {"origin": "lower", "aspect": "auto", "interpolation": "nearest", "cmap": colours, "clim": limits}
+    shown = axes.imshow(image, extent=(-THETA, THETA, *RATES), **options)
     below = np.nanmin(image) < limits[0]
     figure.colorbar(shown, ax=axes, label=label, pad=0.02, extend="min" if below else "neither")
     axes.plot(own["theta"], own["theta_dot"], color=INK, lw=1.4)
@@ -131,22 +122,21 @@ def report(archive: Archive) -> str:
         grids.append([" x ".join(map(str, shape)), f"{nodes:,}", f"{gain:.2f}", f"{steady:.2f}"])
     grids.append(["extrapolated", "", extrapolated(nominal), ""])
 
-    intervals = [
-        ["interval (ms)", "speed over 33 s (cm/s)", "steady speed (cm/s)", "gain (cm/s)", "extrapolated (cm/s)"]
-    ]
+    speed = "speed over 33 s (cm/s)"
+    intervals = [["interval (ms)", speed, "steady speed (cm/s)", "gain (cm/s)", "extrapolated (cm/s)"]]
     for each in (nominal, *(results[Problem(control_dt=control_dt).key] for control_dt in CONTROL_INTERVALS)):
         numbers = [f"{value:.2f}" for value in (each.mean_speed, max(each.steady), each.gains[-1])]
         intervals.append([f"{1e3 * each.control_dt:g}", *numbers, extrapolated(each)])
 
-    weights = [["energy weight (cm/J)", "speed over 33 s (cm/s)", "cost of transport", "cheapest gait of that speed"]]
+    weights = [["energy weight (cm/J)", speed, "cost of transport", "cheapest gait of that speed"]]
     for each in (nominal, *(results[Problem(energy_weight=weight).key] for weight in ENERGY_WEIGHTS)):
         costs = [gait.cost_of_transport for gait in pareto_front() if gait.mean_speed >= each.mean_speed]
         numbers = [f"{each.energy_weight:g}", f"{each.mean_speed:.2f}", f"{each.cost_of_transport:.2f}"]
         weights.append([*numbers, f"{min(costs):.2f}" if costs else "-"])
 
     sets = [["set", "plants", "slowest (cm/s)", "fastest (cm/s)", "interpolated over solved, mean", "from", "to"]]
-    for name in plants.SETS:
-        own = plants.set_plants(name)
+    for name in SETS:
+        own = set_plants(name)
         solved = np.array([archive.plant_speeds[plant] for plant in own])
         ratios = 100.0 * np.array([archive.interpolated_speed(*plant) for plant in own]) / solved - 100.0
         numbers = [f"{speed:.2f}" for speed in (solved.min(), solved.max())]

@@ -53,14 +53,9 @@ def clamped(positions: np.ndarray, last: np.ndarray | float) -> np.ndarray:
 
 
 class Cells(NamedTuple):
-    """The cells of a grid in which positions lie, and where the positions lie in their cells; arrays of one shape.
+    """The cells in which positions lie: the first node's index in the flat array of values, strides, and shares.
 
-    Attributes:
-        corner: index of a cell's first node in the flat array of values.
-        strides: distances in that array to the next nodes along theta and s; the next one along w follows.
-        a: position in the cell along theta, from 0 to 1.
-        b: along s.
-        c: along w.
+    The strides lead to the next nodes along theta and s. The shares along theta, s and w are from 0 to 1.
     """
 
     corner: np.ndarray
@@ -102,13 +97,9 @@ def interpolate(values: np.ndarray, cells: Cells, curvature: np.ndarray | float)
 
 @dataclass(frozen=True)
 class Grid:
-    """A regular grid over (theta, s, w) for one mass of the platform; a state off the grid counts as failed.
+    """A regular grid over (theta, s, w) for one mass of the platform (kg); a state off the grid counts as failed.
 
-    Attributes:
-        shape: nodes along theta, s and w, at least 4 each.
-        y: range of y, rad/s, around 0.
-        w: first and last node of w, rad/s.
-        M: mass of the platform, kg.
+    It has `shape` nodes, at least 4 along each, and spans a range of y around 0 and of w, rad/s.
     """
 
     shape: tuple[int, int, int]
@@ -128,19 +119,13 @@ class Grid:
         spacing = (high - low) / (self.shape[1] - 1)
         # A node lies at s = 0.
         first = -round(-low / spacing) * spacing
-        return np.array(
-            [
-                (-THETA_LIMIT, 2.0 * THETA_LIMIT / (self.shape[0] - 1)),
-                (first, spacing),
-                (self.w[0], (self.w[1] - self.w[0]) / (self.shape[2] - 1)),
-            ]
-        )
+        along_theta = -THETA_LIMIT, 2.0 * THETA_LIMIT / (self.shape[0] - 1)
+        along_w = self.w[0], (self.w[1] - self.w[0]) / (self.shape[2] - 1)
+        return np.array([along_theta, (first, spacing), along_w])
 
     def nodes(self) -> np.ndarray:
         """theta, theta_dot and x_dot of all nodes in order, shape (3, nodes)."""
-        theta, s, w = (
-            first + spacing * np.arange(n) for (first, spacing), n in zip(self.axes, self.shape, strict=True)
-        )
+        theta, s, w = (a + spacing * np.arange(n) for (a, spacing), n in zip(self.axes, self.shape, strict=True))
         s[np.abs(s).argmin()] = 0.0
         theta, s, w = (each.reshape(-1) for each in np.meshgrid(theta, s, w, indexing="ij"))
         cos = sincos(theta)[1]

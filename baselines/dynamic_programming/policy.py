@@ -32,15 +32,7 @@ FAILURE_SCORE = -1e6
 
 
 class Tables(NamedTuple):
-    """The values of several solutions.
-
-    Attributes:
-        values: the values of all solutions, one after the other, cm, float32.
-        starts: index of the first value of each, shape (tables,).
-        shapes: their nodes along theta, s and w, shape (tables, 3).
-        axes: axes of their grids, shape (tables, 3, 2).
-        curvatures: their `cell_curvature`, cm, shape (tables,).
-    """
+    """The values of several solutions, one after the other, and the first index, grid and `cell_curvature` of each."""
 
     values: np.ndarray
     starts: np.ndarray
@@ -61,40 +53,6 @@ def _tables(*problems: Problem) -> Tables:
         np.array([solution.grid.axes for solution in solutions]),
         np.array([cell_curvature(solution.curvature, solution.grid) for solution in solutions]),
     )
-
-
-def _score(
-    states: np.ndarray,
-    rewards: np.ndarray,
-    failed: np.ndarray,
-    q: np.ndarray,
-    corners: np.ndarray,
-    weights: np.ndarray,
-    tables: Tables,
-) -> np.ndarray:
-    """The scores of every environment's torques, cm, shape (environments, torques).
-
-    Args:
-        states: next states, shape (3, environments torques).
-        rewards: rewards of the steps, cm.
-        failed: whether the steps fail.
-        q: m l / (M + m) of every environment, m.
-        corners: indices of the tables around every environment's plant, shape (environments, corners).
-        weights: weights of these tables, shape (environments, corners).
-        tables: the tables.
-    """
-    # A failed step may end in NaN, which has no cell.
-    states = np.where(failed, 0.0, states).reshape(3, -1, NUM_TORQUES)
-    own = coordinates(states, q[:, None])
-    scores = rewards.reshape(-1, NUM_TORQUES)
-    for corner, weight in zip(corners.T, weights.T, strict=True):
-        # Shapes (3, environments, 1).
-        first, spacing = tables.axes[corner].transpose(2, 1, 0)[..., None]
-        nodes = tables.shapes[corner].T[..., None]
-        positions = tuple(clamped((own[n] - first[n]) / spacing[n], nodes[n] - 1.0) for n in range(3))
-        cells = find_cells(positions, nodes[1], nodes[2], tables.starts[corner, None])
-        scores = scores + weight[:, None] * interpolate(tables.values, cells, tables.curvatures[corner, None])
-    return np.where(failed.reshape(scores.shape), FAILURE_SCORE, scores)
 
 
 class Lookahead:
@@ -124,8 +82,19 @@ class Lookahead:
         if self._with_law and simulation is not None:
             self._transitions.take_over(simulation)
         states = np.repeat(observations[:, :3].T.astype(np.float64), NUM_TORQUES, axis=1)
-        outcome = self._transitions.step(states, self._actions)
-        return _score(*outcome, self._q, self._corners, self._weights, self._tables)
+        ends, rewards, failed = self._transitions.step(states, self._actions)
+        # A failed step may end in NaN, which has no cell.
+        own = coordinates(np.where(failed, 0.0, ends).reshape(3, -1, NUM_TORQUES), self._q[:, None])
+        tables, scores = self._tables, rewards.reshape(-1, NUM_TORQUES)
+        # The tables around every environment's plant.
+        for corner, weight in zip(self._corners.T, self._weights.T, strict=True):
+            # Shapes (3, environments, 1).
+            first, spacing = tables.axes[corner].transpose(2, 1, 0)[..., None]
+            nodes = tables.shapes[corner].T[..., None]
+            positions = tuple(clamped((own[n] - first[n]) / spacing[n], nodes[n] - 1.0) for n in range(3))
+            cells = find_cells(positions, nodes[1], nodes[2], tables.starts[corner, None])
+            scores = scores + weight[:, None] * interpolate(tables.values, cells, tables.curvatures[corner, None])
+        return np.where(failed.reshape(scores.shape), FAILURE_SCORE, scores)
 
     @property
     def normal_force(self) -> np.ndarray:

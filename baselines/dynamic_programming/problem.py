@@ -138,14 +138,11 @@ class Transitions:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """The trajectories of a batch of episodes.
+    """The trajectories of a batch of episodes, and their metrics (`capsule_gym.task.Metrics`), of shape (episodes,).
 
-    Attributes:
-        metrics: those of `capsule_gym.task.Metrics`, each of shape (episodes,).
-        states: theta (rad), theta_dot (rad/s), x (m), x_dot (m/s) at the beginning of every step, shape (steps, 4,
-            episodes).
-        choices: the torques as indices of `ACTIONS`, shape (steps, episodes), uint8.
-        normal_forces: smallest normal force in each step, N, shape (steps, episodes).
+    `states` are theta (rad), theta_dot (rad/s), x (m) and x_dot (m/s) at the beginning of every step, shape (steps, 4,
+    episodes); `choices`, uint8, the torques as indices of `ACTIONS`, and `normal_forces` the smallest in each step, N,
+    both of shape (steps, episodes).
     """
 
     metrics: dict[str, np.ndarray]
@@ -174,14 +171,10 @@ def record(
     choose: Callable[[int, np.ndarray], Any],
     plants: np.ndarray | None = None,
 ) -> Trajectory:
-    """Runs episodes from rest.
+    """Runs episodes of a problem from rest at the angles `thetas`, rad.
 
-    Args:
-        problem: the problem, which sets the plant and the control interval.
-        thetas: initial angles of the episodes, rad.
-        steps: number of steps.
-        choose: choose(step, states) -> torques as indices of `ACTIONS`; the states are of shape (4, episodes).
-        plants: M in kg and mu of every episode, shape (episodes, 2), instead of the problem's.
+    choose(step, states) gives the torques as indices of `ACTIONS` for states of shape (4, episodes). `plants` are M in
+    kg and mu of every episode, shape (episodes, 2), instead of the problem's.
     """
     count = thetas.size
     M, mu = (np.tile([problem.M, problem.mu], (count, 1)) if plants is None else plants).T

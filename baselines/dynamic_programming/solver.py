@@ -53,14 +53,9 @@ ROOM, MIN_ROOM = 0.3, 1.0
 
 @dataclass(frozen=True)
 class Solution:
-    """The solution on a grid.
+    """The solution on a grid: h at its nodes (cm, float32, 0 at the start of an episode), and the gain, cm/s.
 
-    Attributes:
-        problem: the solved problem.
-        grid: grid of the states.
-        values: h at the nodes, cm, shape of the grid, float32; 0 at the start of an episode.
-        curvature: half the second derivative of the values along w, in cm / (rad/s)^2.
-        gain: mean reward of the Markov chain, cm/s.
+    `curvature` is half the second derivative of the values along w, in cm / (rad/s)^2.
     """
 
     problem: Problem
@@ -104,12 +99,7 @@ def transitions(problem: Problem, grid: Grid, torques: np.ndarray) -> tuple[np.n
 
 
 class Outcome(NamedTuple):
-    """Where the steps of one torque per node end.
-
-    Attributes:
-        cells: their cells on the grid.
-        failed: whether they fail, shape (nodes,).
-    """
+    """Where the steps of one torque per node end: the cells on the grid, and whether they fail."""
 
     cells: Cells
     failed: np.ndarray
@@ -127,10 +117,7 @@ class Outcome(NamedTuple):
 def _backup(
     values: np.ndarray, positions: np.ndarray, rewards: np.ndarray, gain: float, curvature: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """One step of value iteration.
-
-    `positions` are those of the next states on the grid, shape (nodes, torques, 3); `rewards`, of shape (nodes,
-    torques), values, gain per step and `cell_curvature` are in cm.
+    """One step of value iteration on `transitions`, with the gain per step and `cell_curvature` in cm.
 
     Returns:
         The new values, cm, and the indices of the best torques, each of shape (nodes,).
@@ -246,13 +233,9 @@ def curvature_of(solution: Solution, trajectory: Trajectory) -> float:
 
 
 def solve_on_grids(problem: Problem, shapes: Sequence[tuple[int, int, int]]) -> list[tuple[Solution, Trajectory]]:
-    """Solves a problem on grids of these shapes, from coarse to fine.
+    """The solutions on grids from coarse to fine, and their policies' episodes from `STARTS`.
 
-    The problem is solved twice on the first grid: over ranges that contain any solution, and over the ranges that its
-    own trajectories cover.
-
-    Returns:
-        For each grid the solution and its policy's episodes from `STARTS`.
+    On the first grid the problem is solved over ranges that contain any solution, and over those of its trajectories.
     """
     friction = min(problem.mu, 0.3)
     w = -3.0 - 25.0 * friction, 8.0 + 35.0 * friction

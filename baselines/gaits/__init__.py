@@ -1,4 +1,4 @@
-"""Best-known gaits of the direct-torque task: `python -m baselines.gaits` searches them."""
+"""Best-known gaits of the direct-torque task: `python -m baselines.gaits` lists them."""
 
 from pathlib import Path
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -84,45 +84,23 @@ def phase_space(p: np.ndarray, time: float, state: np.ndarray) -> np.ndarray:
     return torque + p200 * aa + p201 * aa * c + p210 * aa * b + p300 * (aa * a)
 
 
-@dataclass(frozen=True)
-class Family:
+class Family(NamedTuple):
     """A kind of gait.
 
     Attributes:
         torque: its torque divided by the limit, shape (n,), from parameters (parameters, n), the time in s, and theta,
             theta_dot and x_dot, shape (3, n).
-        units: scale of each parameter in the search, in the parameter's own unit.
-        start: parameters around which a search without known gaits starts.
-        spread: standard deviations of these starts.
+        parameters: number of parameters.
     """
 
     torque: Callable[[np.ndarray, float, np.ndarray], np.ndarray]
-    units: tuple[float, ...]
-    start: tuple[float, ...]
-    spread: tuple[float, ...]
+    parameters: int
 
 
-_SERIES = 2 * HARMONICS
 FAMILIES = {
-    "harmonics": Family(
-        harmonics,
-        units=(0.05, 0.3, *(0.5,) * _SERIES, 1.0, 0.1, 1.0),
-        start=(0.65, 0.0, *(0.0,) * _SERIES, 0.0, 0.0, 0.0),
-        spread=(0.08, 0.2, *(0.7,) * _SERIES, 0.5, 0.05, 0.5),
-    ),
-    "bang-bang": Family(
-        bang_bang,
-        units=(0.04, 0.04, 0.04, 0.04, 0.1, 1.0, 0.1, 1.0),
-        start=(0.25, 0.1, 0.1, 0.25, 0.0, 0.0, 0.0, 0.0),
-        spread=(0.08, 0.08, 0.08, 0.08, 0.3, 0.3, 0.03, 0.3),
-    ),
-    "phase-space": Family(
-        phase_space,
-        units=(1.0,) * len(COEFFICIENTS),
-        # Positive feedback of theta_dot starts an oscillation.
-        start=tuple(1.0 if name == "phi_010" else 0.0 for name in COEFFICIENTS),
-        spread=(0.7,) * len(COEFFICIENTS),
-    ),
+    "harmonics": Family(harmonics, GAINS + 3),
+    "bang-bang": Family(bang_bang, 8),
+    "phase-space": Family(phase_space, len(COEFFICIENTS)),
 }
 
 
@@ -143,6 +121,6 @@ def actions(gaits: np.ndarray, time: float, observations: np.ndarray) -> np.ndar
     for number, family in enumerate(FAMILIES.values()):
         rows = np.flatnonzero(gaits[:, 0] == number)
         if rows.size:
-            parameters = gaits[rows, 1 : 1 + len(family.units)].T
+            parameters = gaits[rows, 1 : 1 + family.parameters].T
             out[rows, 0] = np.clip(family.torque(parameters, time, states[:, rows]), -1.0, 1.0)
     return out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from decimal import Context, Decimal
 from typing import Any, NamedTuple
 
@@ -26,12 +27,8 @@ from capsule_gym.controller import Controller, CoreLaw
 from capsule_gym.parameters import NOMINAL, Capsule, Plant
 
 # The memory: the estimates of alpha_theta and alpha_x, the (2n + 1)-th root of eta, and the start of x_d, m.
-MEMORY = (
-    *(f"alpha_theta_{i}" for i in range(1, 6)),
-    *(f"alpha_x_{i}" for i in range(1, 5)),
-    "eta_root",
-    "x_anchor",
-)
+ESTIMATES = (*(f"alpha_theta_{i}" for i in range(1, 6)), *(f"alpha_x_{i}" for i in range(1, 5)))
+MEMORY = (*ESTIMATES, "eta_root", "x_anchor")
 
 
 def nominal_estimates(p: Plant) -> tuple[float, ...]:
@@ -78,33 +75,17 @@ def eta_of(memory: np.ndarray, n: int = REGULARISED.n) -> np.ndarray:
 
 
 class Sliding(NamedTuple):
-    """The variables of (37) over a recorded run of the law.
+    """The sliding variables (37b) over a recorded run of the law, rad/s and m/s."""
 
-    Attributes:
-        e_x: x - x_d, m.
-        delta_theta: rad/s.
-        delta_x: m/s.
-    """
-
-    e_x: np.ndarray
     delta_theta: np.ndarray
     delta_x: np.ndarray
 
 
-def sliding_variables(
-    theta: np.ndarray,
-    theta_dot: np.ndarray,
-    x: np.ndarray,
-    x_dot: np.ndarray,
-    anchor: np.ndarray,
-    reference: np.ndarray,
-    gains: Gains,
-) -> Sliding:
-    """Errors and sliding variables (37b); x_d starts from `anchor`, m; rows of `reference` are those of `COLUMNS`."""
-    theta_d, theta_d_dot, _, x_d, x_d_dot, _, _ = reference
-    e_x = x - (anchor + x_d)
+def sliding_variables(state: Sequence[np.ndarray], anchor: np.ndarray, reference: np.ndarray, gains: Gains) -> Sliding:
+    """The sliding variables (37b) of theta, theta', x and x'; x_d starts from `anchor`, m; `reference` by `COLUMNS`."""
+    (theta, theta_dot, x, x_dot), (theta_d, theta_d_dot, _, x_d, x_d_dot, _, _) = state, reference
     delta_theta = (theta_dot - theta_d_dot) + gains.Lambda_theta * (theta - theta_d)
-    return Sliding(e_x, delta_theta, (x_dot - x_d_dot) + gains.Lambda_x * e_x)
+    return Sliding(delta_theta, (x_dot - x_d_dot) + gains.Lambda_x * (x - (anchor + x_d)))
 
 
 def adaptive(

@@ -10,17 +10,7 @@ from capsule_gym.parameters import Plant
 
 
 class Gains(NamedTuple):
-    """The gains of the adaptive law (37) to (39).
-
-    Attributes:
-        Lambda_theta: bandwidth of the first-order filter of the pendulum's error, 1/s.
-        Lambda_x: bandwidth of the filter of the platform's error, 1/s.
-        K1: gain of delta_theta, N m s/rad.
-        K2: gain of the switching term, N s.
-        K3: gain of the non-collocated terms, N s/m.
-        Gamma_1: rate of adaptation of alpha_theta.
-        Gamma_2: rate of adaptation of alpha_x.
-    """
+    """The gains of the adaptive law (37) to (39), which `baselines.laws.adaptive.adaptive` describes."""
 
     Lambda_theta: float
     Lambda_x: float

@@ -62,14 +62,7 @@ def gait(parameters: Sequence[float] | None = None) -> Controller:
 def gait_identifying(parameters: Sequence[float] | None = None) -> Controller:
     """The gait with a guard that estimates M while the platform slips and acts earlier on light platforms.
 
-    On platforms within the range of `wide`, once M is estimated, the torque is that of `gait`.
-
-    Args:
-        parameters: see `gait`.
-
-    Raises:
-        TypeError: if a parameter is not a number.
-        ValueError: if a parameter is not finite, or their number is wrong.
+    On platforms within the range of `wide`, once M is estimated, the torque is that of `gait`, also for `parameters`.
     """
     m, l, g = NOMINAL.m, NOMINAL.l, NOMINAL.g
     constants = gait_constants(_checked(parameters))

@@ -24,16 +24,7 @@ OPTIMA = Path(__file__).parents[1] / "paper" / "optimal_profiles.json"
 
 @dataclass(frozen=True)
 class Segment:
-    """One phase: theta_d'(s) = amplitude sin(phase + rate s) + offset + slope s for s in [0, duration).
-
-    Attributes:
-        duration: length of the phase, s.
-        amplitude: amplitude of the sine, rad/s.
-        phase: phase of the sine at the start, rad.
-        rate: angular frequency of the sine, rad/s.
-        offset: constant term, rad/s.
-        slope: linear term, rad/s^2.
-    """
+    """One phase: theta_d'(s) = amplitude sin(phase + rate s) + offset + slope s for s in [0, duration); SI units."""
 
     duration: float
     amplitude: float = 0.0
@@ -55,10 +46,8 @@ class Segment:
     def turned(self, s: np.ndarray) -> np.ndarray:
         """Angle since the start of the segment, rad."""
         _, cosines = sincos(self.phase + self.rate * s)
-        return (
-            self.amplitude / self.rate * (float(sincos(self.phase)[1]) - cosines)
-            + (self.offset + 0.5 * self.slope * s) * s
-        )
+        sine = self.amplitude / self.rate * (float(sincos(self.phase)[1]) - cosines)
+        return sine + (self.offset + 0.5 * self.slope * s) * s
 
 
 def _ramp(duration: float, start: float, end: float) -> Segment:
@@ -109,12 +98,6 @@ class Profile:
             begin += segment.duration
             reached += float(segment.turned(np.float64(segment.duration)))
         return angle, velocity, acceleration
-
-    @property
-    def peak_to_peak(self) -> float:
-        """Largest minus smallest angle of the cycle, rad."""
-        angle, _, _ = self.evaluate(np.linspace(0.0, self.period, 20001)[:-1])
-        return float(angle.max() - angle.min())
 
     @property
     def restoring_speed(self) -> float:
@@ -178,24 +161,10 @@ def optimal(torque_limit: float, dropped: int = 0) -> Profile:
 
 
 def six_phases(times: Sequence[float], V1: float, P2: float, name: str = "EPC") -> Profile:
-    """The profile of the EPC system, with which the paper compares.
-
-    Args:
-        times: t1 to t6, s.
-        V1: peak velocity, rad/s.
-        P2: velocity at t2, rad/s.
-        name: name in tables and figures.
-
-    Raises:
-        ValueError: if the times do not increase, or P2 is not between 0 and V1.
-    """
+    """The profile of the EPC system, with which the paper compares: as `seven_phases`, with t1 to t6 and P2 at t2."""
     d = _durations(times, 6, V1, P2)
-    progressive = [
-        Segment(d[0], amplitude=V1, rate=math.pi / (2.0 * d[0])),
-        _ramp(d[1], V1, P2),
-        _ramp(d[2], P2, 0.0),
-    ]
-    return _closed(name, progressive, d[3:])
+    rise = Segment(d[0], amplitude=V1, rate=math.pi / (2.0 * d[0]))
+    return _closed(name, (rise, _ramp(d[1], V1, P2), _ramp(d[2], P2, 0.0)), d[3:])
 
 
 # Table 1: t1 to t7, and t1 to t6 of EPC, s.

@@ -6,7 +6,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from baselines.laws.gains import plant_constants
 from baselines.laws.profiles import Profile
 from capsule_gym import _core, native
 from capsule_gym.checks import check_number
@@ -29,12 +28,10 @@ def platform_motion(
     Returns:
         Shape (3, n), from rest at x = 0: m, m/s, m/s^2.
     """
-    motion, constants = np.zeros((3, len(angle))), plant_constants(p)
-    plant = np.array([constants[name] for name in ("M", "mu", "mass_ratio", *_core.PLANT, "pivot_torque_on_contact")])
+    motion, plant = np.zeros((3, len(angle))), native.ordered(_core.PLANT, p._asdict())
     arrays = [np.ascontiguousarray(values, np.float64) for values in (angle, velocity, acceleration)]
-    given, out = native.address(plant), native.address(motion)
-    theta, theta_dot, theta_ddot = map(native.address, arrays)
-    _core.platform_motion(native.LEVEL, theta, theta_dot, theta_ddot, given, out, len(angle), h)
+    addresses = map(native.address, arrays)
+    _core.call("platform_motion", *addresses, len(angle), float(h), native.address(plant), native.address(motion))
     return motion
 
 

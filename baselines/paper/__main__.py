@@ -16,10 +16,7 @@ PROG = "python -m baselines.paper"
 
 @dataclass(frozen=True)
 class Args:
-    """Prints the paper's numbers next to the computed ones, with the reasons for differences; draws its figures.
-
-    About a minute: Section 5, two proofs on the published torques, the origin of Table 1, Principles and Lemmas, the
-    optimum of the paper's profiles, the adaptive law over its ranges, and the sensitivity of the speeds.
+    """Prints the paper's numbers and claims next to the computed ones; draws its figures. About a minute.
 
     Examples:
       python -m baselines.paper                           all tables

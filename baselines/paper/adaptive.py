@@ -40,8 +40,8 @@ SHOWN_CYCLES = (1, 5, 10, 20, LONG, 200, LONGEST)
 
 def sliding(run: Trajectory) -> Any:
     """The `Sliding` variables of (37), each an array over a run of the adaptive law with the published gains."""
-    anchors = run.memory[:, MEMORY.index("x_anchor")]
-    return sliding_variables(run.theta, run.theta_dot, run.x, run.x_dot, anchors, run.reference.T, PUBLISHED)
+    state, anchors = (run.theta, run.theta_dot, run.x, run.x_dot), run.memory[:, MEMORY.index("x_anchor")]
+    return sliding_variables(state, anchors, run.reference.T, PUBLISHED)
 
 
 def lyapunov(run: Trajectory, start: tuple[float, ...], plant: Plant) -> np.ndarray:
@@ -103,25 +103,17 @@ def study_law(regularised: bool, torque_limit: float = UNLIMITED) -> LawStudy:
     for row in range(0, len(plants), GRID):
         batch = plants[row : row + GRID]
         for (M, mu), run in zip(batch, simulate(controller, batch, torque_limit=torque_limit), strict=True):
-            runs.append(
-                {
-                    "M": M,
-                    "mu": mu,
-                    "failed": not run.completed,
-                    "error_rms": run.error_rms,
-                    "peak_velocity": float(run.theta_dot.max()),
-                    "peak_torque": run.metrics["peak_torque"],
-                    "mean_speed": 100.0 * run.metrics["distance"] / run.metrics["duration"],
-                    "eta": float(eta_of(run.memory[-1])),
-                }
-            )
+            values: dict[str, Any] = {"M": M, "mu": mu, "failed": not run.completed, "error_rms": run.error_rms}
+            values |= {"peak_velocity": float(run.theta_dot.max()), "peak_torque": run.metrics["peak_torque"]}
+            speed = 100.0 * run.metrics["distance"] / run.metrics["duration"]
+            runs.append({**values, "mean_speed": speed, "eta": float(eta_of(run.memory[-1]))})
             if any(np.allclose((M, mu), plant, rtol=1e-9) for plant in (NOMINAL_PLANT, *CORNERS)):
                 V = lyapunov(run, controller.memory, NOMINAL.plant(M, mu))
                 change = np.diff(V)
                 rises = np.where(change > 1e-12, change, 0.0)  # below is rounding
-                values = {"M": M, "mu": mu, "start": V[0], "end": V[-1], "rising": (rises > 0.0).mean()}
-                values |= {"rise": rises.sum(), "fall": np.abs(change[change < 0.0]).sum()}
-                falls.append({name: float(value) for name, value in values.items()})
+                fall, rising = float(np.abs(change[change < 0.0]).sum()), float((rises > 0.0).mean())
+                ends = {"M": M, "mu": mu, "start": float(V[0]), "end": float(V[-1])}
+                falls.append({**ends, "rising": rising, "rise": float(rises.sum()), "fall": fall})
     return LawStudy(REGULARISED_LAW if regularised else CORRECTED_LAW, torque_limit, runs, falls)
 
 
@@ -198,15 +190,13 @@ def study_long_runs() -> dict[int, list[dict[int, tuple[float, ...]]]]:
     Returns:
         By rate (Hz), plant and cycle from 1, the largest of each of `ERRORS` in that cycle.
     """
-    runs = {}
+    runs, plants = {}, [NOMINAL_PLANT, *CORNERS]
     for rate in RATES:
         cycles = LONGEST if rate == RATES[0] else LONG
         shown = [n for n in SHOWN_CYCLES if n <= cycles]
-        _, errors = run_cycles(adaptive(dt=1.0 / rate), [NOMINAL_PLANT, *CORNERS], cycles=cycles, shown=shown)
-        runs[rate] = [
-            {n: tuple(found) for n, found in zip(shown, errors[..., i].tolist(), strict=True)}
-            for i in range(1 + len(CORNERS))
-        ]
+        _, errors = run_cycles(adaptive(dt=1.0 / rate), plants, cycles=cycles, shown=shown)
+        by_plant = errors.transpose(2, 0, 1).tolist()
+        runs[rate] = [dict(zip(shown, map(tuple, own), strict=True)) for own in by_plant]
     return runs
 
 

@@ -213,13 +213,14 @@ def draw_torque() -> Any:
     return figure
 
 
-def _draw_law(title: str, quantities: dict[str, Quantity], note: str) -> Any:
+def _draw_law(title: str, quantities: dict[str, Quantity], stated: str) -> Any:
     """Quantities, by their label, on the three plants: the whole run of the regularised law, the start of the other.
 
-    A cross marks loss of contact.
+    A cross marks loss of contact; the note compares the largest values of the whole runs with what is published.
     """
     figure = new_figure(1.4 + 1.7 * len(quantities))
     panels = figure.subplots(len(quantities), 2, sharex="col", squeeze=False)
+    largest: dict[str, list[str]] = {}
     for column, end, (law, runs) in zip(panels.T, (DURATION, CHATTER), adaptive_runs().items(), strict=True):
         window = slice(1, round(end / LAW_DT) + 1)
         for axes, (label, quantity) in zip(column, quantities.items(), strict=True):
@@ -228,39 +229,35 @@ def _draw_law(title: str, quantities: dict[str, Quantity], note: str) -> Any:
                 if not run.completed:
                     axes.plot(run.t[-1], quantity(run)[-1], "x", color=pen.colour, ms=6, mew=1.6, clip_on=False)
             axes.set(xlim=(0.0, end), ylabel=label if end == DURATION else "")
+            largest.setdefault(law, []).append(f"{max(np.abs(quantity(run)).max() for run in runs):.3g}")
         column[0].set_title(f"{title}, {law}" if end == DURATION else f"{law}, the first {end:g} s")
         column[-1].set_xlabel("time (s)")
     figure.legend(*panels[0][0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     ended = [f"{run.t[-1]:.2f} s" for run in adaptive_runs()[CORRECTED_LAW] if not run.completed]
+    found = "; ".join(f"{law} {' and '.join(values)}" for law, values in largest.items())
     add_note(
         figure,
-        f"{note} {CORRECTED_LAW.capitalize()}, with the torque limit of {TORQUE_LIMIT:g} N m: {len(ended)} of "
-        f"{len(PLANTS)} runs loses contact with the floor, at {' and '.join(ended)} (cross). {NO_CURVES}.",
+        f"Largest absolute values, in the units of the panels: {found}. In print: {stated}. {NO_CURVES}. "
+        f"{CORRECTED_LAW.capitalize()}, with the torque limit of {TORQUE_LIMIT:g} N m: {len(ended)} of {len(PLANTS)} "
+        f"runs loses contact with the floor, at {' and '.join(ended)} (cross).",
     )
     return figure
 
 
-def _largest(quantity: Quantity) -> list[float]:
-    """The largest absolute value of a quantity on any plant, under each form of the law."""
-    return [max(float(np.abs(quantity(run)).max()) for run in runs) for runs in adaptive_runs().values()]
-
-
 def draw_adaptive_tracking() -> Any:
     """Fig. 6: rate and angle under the adaptive law (39)."""
-    stated = published.ADAPTIVE_PEAK_VELOCITY.value
+    rate = published.ADAPTIVE_PEAK_VELOCITY.value
     quantities: dict[str, Quantity] = {
         "rate θ' (rad/s)": lambda run: run.theta_dot,
         "angle θ (deg)": lambda run: np.degrees(run.theta),
     }
-    peaks = [run.theta_dot.max() for run in adaptive_runs()[REGULARISED_LAW]]
-    note = f"Largest rate: found {min(peaks):.2f} to {max(peaks):.2f} rad/s, published {stated:g}. Grey: the reference."
-    figure = _draw_law("Figure 6: adaptive law (39)", quantities, note)
+    figure = _draw_law("Figure 6: adaptive law (39)", quantities, f"{rate:g} rad/s. Grey: the reference")
     run = adaptive_runs()[REGULARISED_LAW][0]
     for n, axes in enumerate(figure.axes):
         axes.plot(run.t, run.reference[:, 1] if n < 2 else np.degrees(run.reference[:, 0]), **REFERENCE)
         if n < 2:
             axes.set_ylim(-1.2, 9.5)
-            mark_published(axes, stated, f"published largest: {stated:g} rad/s", Pen(INK))
+            mark_published(axes, rate, f"published largest: {rate:g} rad/s", Pen(INK))
     return figure
 
 
@@ -270,41 +267,24 @@ def draw_adaptive_error() -> Any:
         r"angle error $\theta - \theta_d$ (mrad)": lambda run: 1e3 * run.error,
         r"rate error $\dot\theta - \dot\theta_d$ (mrad/s)": lambda run: 1e3 * run.rate_error,
     }
-    (angle, wide_angle), (rate, wide_rate) = map(_largest, quantities.values())
-    note = (
-        f"Largest errors of the whole run: {REGULARISED_LAW} {angle:.2f} mrad and {rate:.1f} mrad/s, {CORRECTED_LAW} "
-        f"{wide_angle:.1f} mrad and {wide_rate:.0f} mrad/s. In print: no number, 'tracks the planned trajectory "
-        "accurately', 'the angular velocity will eventually converge to zero'."
-    )
-    return _draw_law("Figure 7: tracking errors", quantities, note)
+    stated = "'tracks the planned trajectory accurately', 'the angular velocity will eventually converge to zero'"
+    return _draw_law("Figure 7: tracking errors", quantities, stated)
 
 
 def draw_adaptive_torque() -> Any:
     """Fig. 8: motor torque under the adaptive law."""
-    stated = published.PROPOSED["peak_torque"].value
-    quantities: dict[str, Quantity] = {"torque u (N m)": lambda run: run.torque}
-    note = (
-        f"Largest torque: {REGULARISED_LAW} {_largest(quantities['torque u (N m)'])[0]:.3f} N m. In print: no number "
-        f"here; {stated:g} N m for the law (35) on the same profile."
-    )
-    figure = _draw_law("Figure 8: torque of the law (39)", quantities, note)
-    mark_published(figure.axes[0], stated, f"{stated:g} N m", Pen(MUTED), x=0.58)
+    torque = published.PROPOSED["peak_torque"].value
+    stated = f"no number here; {torque:g} N m for the law (35) on the same profile"
+    figure = _draw_law("Figure 8: torque of the law (39)", {"torque u (N m)": lambda run: run.torque}, stated)
+    mark_published(figure.axes[0], torque, f"{torque:g} N m", Pen(MUTED), x=0.58)
     return figure
 
 
 def draw_sliding_variable() -> Any:
     """Fig. 9: the collocated sliding variable delta_theta of (37b)."""
-
-    def quantity(run: Trajectory) -> np.ndarray:
-        return 1e3 * sliding(run).delta_theta
-
-    note = (
-        rf"Largest $|\delta_\theta|$: {REGULARISED_LAW} {_largest(quantity)[0]:.1f} mrad/s. In print: no number, "
-        "'convergence towards zero'. It returns towards zero after every progressive stage, and the next cycle excites "
-        "it anew."
-    )
-    title = r"Figure 9: sliding variable $\delta_\theta$ of (37b)"
-    return _draw_law(title, {r"$\delta_\theta$ (mrad/s)": quantity}, note)
+    title, label = r"Figure 9: sliding variable $\delta_\theta$ of (37b)", r"$\delta_\theta$ (mrad/s)"
+    stated = "'convergence towards zero'; the progressive stage of every cycle excites it anew"
+    return _draw_law(title, {label: lambda run: 1e3 * sliding(run).delta_theta}, stated)
 
 
 def draw_phase_plane() -> Any:

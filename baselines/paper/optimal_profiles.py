@@ -47,13 +47,7 @@ V1_RANGE, P2_SHARE = (0.5, 25.0), (0.003, 0.99)
 
 @dataclass(frozen=True)
 class Problem:
-    """One optimisation.
-
-    Attributes:
-        torque_limit: N m.
-        plants: "nominal", or "ranges" for the worst plant of the paper's ranges.
-        dropped: number of the principle that is left out, 0 for none.
-    """
+    """One optimisation: a torque limit (N m), "nominal" or the worst of the "ranges", and a principle left out or 0."""
 
     torque_limit: float
     plants: str = "nominal"
@@ -81,17 +75,13 @@ def problems() -> list[Problem]:
 
 @dataclass(frozen=True)
 class Solution:
-    """A profile (9) under exact tracking on the plants of a problem; the worst value over the plants of each number.
+    """A profile (9) under exact tracking on the plants of a problem, in SI units; the worst value over the plants.
 
     Attributes:
-        problem: the problem.
-        times: t1 to t7, s.
-        V1: rad/s.
-        P2: rad/s.
+        times: t1 to t7.
         feasible: whether it meets every demand.
-        mean_speed: m/s, from rest, over the cycle, or over five cycles where the platform still moves after the first.
+        mean_speed: from rest, over the cycle, or over five cycles where the platform still moves after the first.
         cost_of_transport: integral of |u theta'| over (M + m) g and distance; None without progress.
-        peak_torque: N m.
         backward_ratio: distance backwards over forwards; None where the platform only moves backwards.
         shares: load over limit of each demand; above 1 it is violated.
         found_by: the problem and the seed of the search that found it.
@@ -141,8 +131,8 @@ def assess(
     speeds, costs, peaks, backward, loads = zip(*rows, strict=True)
     shares = {name: max(row[name] for row in loads) for name in loads[0]}
     cost, back = (max(values) if math.isfinite(max(values)) else None for values in (costs, backward))
-    found = Solution(problem, tuple(times), V1, P2, False, min(speeds), cost, max(peaks), back, shares)
-    return replace(found, feasible=found.excess == 0.0)
+    feasible = all(share <= 1.0 + ROUNDING for share in shares.values())
+    return Solution(problem, tuple(times), V1, P2, feasible, min(speeds), cost, max(peaks), back, shares)
 
 
 def _assess_plant(
@@ -158,12 +148,10 @@ def _assess_plant(
     inertia = ml * (p.l * theta_ddot - np.cos(theta) * x_ddot)
     u = inertia - ml * p.g * np.sin(theta) + p.k * theta + p.c * theta_dot  # Eq. (1), first row
     distance, backward = float(x[-1]), float(np.maximum(0.0, -np.diff(x)).sum())
-    energy = h * np.abs(u * theta_dot).sum()
-    forward = distance + backward
+    energy, peak, forward = h * float(np.abs(u * theta_dot).sum()), float(np.abs(u).max()), distance + backward
     back = backward / forward if forward > 0.0 else math.inf if backward > 0.0 else 0.0
-    cost = float(energy) / ((p.M + p.m) * p.g * distance) if distance > 0.0 else math.inf
+    cost = energy / ((p.M + p.m) * p.g * distance) if distance > 0.0 else math.inf
 
-    peak = float(np.abs(u).max())
     theta_0, v_theta, a_theta = published_bounds()
     shares = {"torque": peak / (problem.torque_limit * (1.0 - TORQUE_RESERVE * reserve))}
     shares["principle_1"] = float(np.abs(cycle.theta).max()) / theta_0
@@ -241,10 +229,7 @@ def load(path: Path = OPTIMA) -> list[Solution]:
 
 
 def solve(path: Path, seed: int, generations: int) -> None:
-    """Solves all problems and writes the solutions with their command.
-
-    An interrupted search does not replace a complete file: its solutions are written next to it, as `-partial.json`.
-    """
+    """Solves all problems and writes the solutions; those of an interrupted search as `-partial.json` next to it."""
     solutions: list[Solution] = []
     target = path.with_name(f"{path.stem}-partial.json")
     try:

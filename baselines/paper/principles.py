@@ -32,15 +32,7 @@ FAST, SLOW = (20.0, 400.0), (1.3, 20.0)
 
 @dataclass(frozen=True)
 class Cycle:
-    """The samples of a motion; those of a profile are ordered by phase.
-
-    Attributes:
-        t: s; the end of a phase and the start of the next are two samples at one time.
-        phase: number of the phase from 0.
-        theta: rad.
-        theta_dot: rad/s.
-        theta_ddot: rad/s^2.
-    """
+    """The samples of a motion, in SI units, with the number of their phase from 0; both phases at its ends count."""
 
     t: np.ndarray
     phase: np.ndarray
@@ -51,13 +43,7 @@ class Cycle:
 
 @dataclass(frozen=True)
 class Demand:
-    """A principle or lemma over a motion.
-
-    Attributes:
-        cycle: the samples.
-        load: the bounded quantity.
-        limit: the bound at the same samples.
-    """
+    """A principle or lemma over a motion: the bounded quantity and its bound at every sample."""
 
     cycle: Cycle
     load: np.ndarray
@@ -86,16 +72,6 @@ def sample(profile: Profile, samples: int = SAMPLES_PER_PHASE) -> Cycle:
     return Cycle(*(np.concatenate(columns) for columns in zip(*phases, strict=True)))
 
 
-def principle_1(cycle: Cycle, theta_0: float) -> Demand:
-    """Eq. (5): the angle stays within theta_0 (rad)."""
-    return Demand(cycle, np.abs(cycle.theta), theta_0)
-
-
-def principle_2(cycle: Cycle, v_theta: float, a_theta: float) -> tuple[Demand, Demand]:
-    """Eq. (6): velocity and acceleration of the pendulum stay within v_theta (rad/s) and a_theta (rad/s^2)."""
-    return Demand(cycle, np.abs(cycle.theta_dot), v_theta), Demand(cycle, np.abs(cycle.theta_ddot), a_theta)
-
-
 def principle_3(cycle: Cycle, p: Plant, form: NormalForce = "newton") -> Demand:
     """Eq. (7): the platform keeps contact with the floor. Load: the pendulum's lift, N; limit: the weight, N."""
     tangential, centripetal = _forces(cycle, p, form)
@@ -116,15 +92,11 @@ def principle_4(cycle: Cycle, p: Plant, form: NormalForce = "newton") -> Demand:
 
 
 def lemma_1(cycle: Cycle, p: Plant, form: NormalForce = "newton", *, sufficient: bool = False) -> Demand:
-    """Lemma 1, Eq. (10), which the paper presents as sufficient for Principle 3. It is not.
+    """Lemma 1, Eq. (10), which the paper presents as sufficient for Principle 3; `sufficient` gives its premise (12).
 
-    With a = m l theta'' + k theta + c theta' and b = m l theta'^2, (12) requires sqrt(a^2 + b^2) < (M + m) g. That is
-    sufficient for (7), by Cauchy and Schwarz. The step to (13), sqrt(2 a b) < (M + m) g, uses a^2 + b^2 >= 2 a b, so
-    (12) implies (13) and never the other way round: (10), which is (13) squared, is necessary for (12) and sufficient
-    for nothing. At theta = 0 with a = 0 it holds at every speed, and the capsule takes off beyond b = (M + m) g. Nor is
-    it necessary for (7) itself: at theta = 0, where a drops out of (7), a large a violates (10) alone.
-
-    In the form "paper" a includes the torque of spring and damper, as printed; `sufficient` gives (12) instead of (10).
+    With a = m l theta'' + k theta + c theta' and b = m l theta'^2, (12), sqrt(a^2 + b^2) < (M + m) g, is sufficient by
+    Cauchy and Schwarz. (10) follows from (12) and is sufficient for nothing: at theta = 0 with a = 0 it holds at every
+    speed. Nor is it necessary for (7), in which a drops out at theta = 0.
     """
     a, b = _forces(cycle, p, form)
     weight = (p.M + p.m) * p.g
@@ -134,13 +106,11 @@ def lemma_1(cycle: Cycle, p: Plant, form: NormalForce = "newton", *, sufficient:
 
 
 def lemma_2(cycle: Cycle, p: Plant, form: NormalForce = "newton", *, sufficient: bool = False) -> Demand:
-    """Lemma 2, Eq. (15), which the paper presents as sufficient for Principle 4.
+    """Lemma 2, Eq. (15), which the paper presents as sufficient for Principle 4; `sufficient` gives the corrected form.
 
-    As printed it bounds a sum without absolute values, so a strong deceleration meets it while the platform is pushed
-    backwards, and the step to (18) drops 1 / (m l) from the terms of spring and damper, which adds a torque to an
-    acceleration. Corrected, |theta'' + (k theta + c theta') / (m l)| + theta'^2 <= (M + m) g / (m l) mu / sqrt(mu^2 +
-    1) is sufficient for (8), by Cauchy and Schwarz, on either side; `sufficient` gives this one. The static friction is
-    taken as isotropic, at the smaller of the two coefficients.
+    As printed a strong deceleration meets it, and the terms of spring and damper lack 1 / (m l). Corrected,
+    |theta'' + (k theta + c theta') / (m l)| + theta'^2 <= (M + m) g / (m l) mu / sqrt(mu^2 + 1) is sufficient for (8)
+    by Cauchy and Schwarz. The static friction is taken as isotropic, at the smaller of the two coefficients.
     """
     mu = p.mu * p.static_ratio * min(1.0, p.backward_ratio)
     limit = friction_bound(p._replace(mu=mu))
@@ -161,8 +131,7 @@ def _pivot_torque(cycle: Cycle, p: Plant, form: NormalForce) -> np.ndarray:
 
 def _forces(cycle: Cycle, p: Plant, form: NormalForce) -> tuple[np.ndarray, np.ndarray]:
     """The two forces in (7), (8) and (10), N: m l theta'' (with the pivot's torque as printed) and m l theta'^2."""
-    ml = p.m * p.l
-    return ml * cycle.theta_ddot + _pivot_torque(cycle, p, form), ml * cycle.theta_dot**2
+    return p.m * p.l * cycle.theta_ddot + _pivot_torque(cycle, p, form), p.m * p.l * cycle.theta_dot**2
 
 
 def evaluate_demands() -> list[dict[str, Any]]:
@@ -183,11 +152,10 @@ def evaluate_demands() -> list[dict[str, Any]]:
     bounds = "bounds: the proposed profile's"
     for profile in (PROPOSED, EPC):
         cycle = sample(profile)
-        velocity, acceleration = principle_2(cycle, v_theta, a_theta)
         table = [
-            ("Principle 1 (5)", "theta_0 = 60 deg", principle_1(cycle, THETA_0)),
-            ("Principle 2 (6), theta'", bounds, velocity),
-            ("Principle 2 (6), theta''", bounds, acceleration),
+            ("Principle 1 (5)", "theta_0 = 60 deg", Demand(cycle, np.abs(cycle.theta), THETA_0)),
+            ("Principle 2 (6), theta'", bounds, Demand(cycle, np.abs(cycle.theta_dot), v_theta)),
+            ("Principle 2 (6), theta''", bounds, Demand(cycle, np.abs(cycle.theta_ddot), a_theta)),
             ("Principle 3 (7)", NEWTON, principle_3(cycle, p)),
             ("Principle 3 (7)", AS_PRINTED, principle_3(cycle, p, "paper")),
             ("Lemma 1 (10)", AS_PRINTED, lemma_1(cycle, p, "paper")),
@@ -199,11 +167,11 @@ def evaluate_demands() -> list[dict[str, Any]]:
         ]
         for name, form, demand in table:
             factors = demand.by_phase.tolist()
-            progressive, restoring = max(factors[:-RESTORING_PHASES]), tuple(factors[-RESTORING_PHASES:])
-            whole = not name.startswith(("Principle 4", "Lemma 2"))
-            row = {"profile": profile.name, "demand": name, "form": form, "progressive": progressive}
-            met = max(*restoring, progressive if whole else 0.0) <= 1.0
-            rows.append({**row, "restoring": restoring, "whole_cycle": whole, "met": met})
+            row: dict[str, Any] = {"profile": profile.name, "demand": name, "form": form}
+            row["progressive"], row["restoring"] = max(factors[:-RESTORING_PHASES]), tuple(factors[-RESTORING_PHASES:])
+            row["whole_cycle"] = not name.startswith(("Principle 4", "Lemma 2"))
+            met = max(factors if row["whole_cycle"] else row["restoring"]) <= 1.0
+            rows.append({**row, "met": met})
     return rows
 
 
@@ -216,8 +184,11 @@ def check_lemmas(states: int = 200_000, seed: int = 0) -> list[dict[str, Any]]:
         largest load over limit of the principle among them (`worst`).
     """
     rng, p, rows = np.random.default_rng(seed), NOMINAL.plant(), []
-    forms: list[tuple[bool, str, NormalForce]] = [(False, AS_PRINTED, "paper"), (True, "forces as printed", "paper")]
-    forms.append((True, NEWTON, "newton"))
+    forms: list[tuple[bool, str, NormalForce]] = [
+        (False, AS_PRINTED, "paper"),
+        (True, "forces as printed", "paper"),
+        (True, NEWTON, "newton"),
+    ]
     for lemma, principle, equation, names, limits in (
         (lemma_1, principle_3, "Principle 3 (7)", ("(10), as printed", "(12), its own premise"), FAST),
         (lemma_2, principle_4, "Principle 4 (8)", ("(15), as printed", "(15), corrected"), SLOW),

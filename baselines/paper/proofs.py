@@ -63,7 +63,7 @@ def _slope_of_torque(largest_theta: float, theta_dot: float, p: Plant) -> float:
 def torque_at_peak(
     velocity: float, low: float, high: float, slips: tuple[float, ...] = (0.0, 1.0, -1.0)
 ) -> tuple[float, float, str]:
-    """Proof 1: a lower bound on the largest torque of every motion whose theta' peaks at a given value.
+    """Proof 1: a lower bound in N m on the largest torque of every motion whose theta' peaks at a given value (rad/s).
 
     Theorem. Let theta' > 0 attain its maximum V at an angle in [low, high]. Then the torque is, at or just before the
     peak, at least min over [low, high] and over the contact modes of the torque of Eq. (1) at theta'' = 0, theta' = V.
@@ -72,18 +72,11 @@ def torque_at_peak(
     m l^2 (1 - m cos (cos +- mu sin) / (M + m)) in slip, positive where the contact is regular. Where u is continuous,
     theta'' = 0 at the peak and u = u_0. Where u or the mode jumps there, theta' still grew towards its maximum, so
     theta'' >= 0 at times arbitrarily close before it, and there u >= u_0, which is continuous within a mode. The
-    torque's friction enters by N at theta'' = 0, so both options for the normal force are searched.
-
-    The minimum over a grid is lowered by the largest slope times half the spacing, which makes it a bound.
-
-    Args:
-        velocity: V, rad/s.
-        low: smallest angle of the swing, rad.
-        high: largest, rad.
-        slips: the contact modes to search.
+    torque's friction enters by N at theta'' = 0, so both options for the normal force are searched. The minimum over a
+    grid is lowered by the largest slope times half the spacing, which makes it a bound.
 
     Returns:
-        The bound in N m, the angle in rad where it is attained, and the mode in words.
+        The bound, the angle in rad where it is attained, and the mode in words.
     """
     theta = np.linspace(low, high, SAMPLES)
     margin = 0.5 * (theta[1] - theta[0])
@@ -99,11 +92,9 @@ def torque_at_peak(
 
 
 class Envelope(NamedTuple):
-    """The largest rate of the pendulum at every angle, for rates > 0; the mirror image holds for rates < 0.
+    """The largest rate (rad/s) of the pendulum at evenly spaced angles (rad), for rates > 0; mirrored for rates < 0.
 
-    Attributes:
-        theta: evenly spaced angles, rad.
-        theta_dot: the largest rate there, rad/s; it never falls, and no rate between two angles exceeds the latter's.
+    It never falls, and no rate between two angles exceeds the latter's.
     """
 
     theta: np.ndarray
@@ -127,27 +118,14 @@ def largest_acceleration(theta: np.ndarray, theta_dot: np.ndarray, u: float, pla
 
 
 def integrate_envelope(
-    low: float,
-    high: float,
-    steps: int,
-    u: float,
-    along_theta: float,
-    along_square: float,
-    plants: Sequence[Plant],
+    low: float, high: float, steps: int, u: float, along_theta: float, along_square: float, plants: Sequence[Plant]
 ) -> np.ndarray:
     """theta'^2 of the envelope on steps + 1 angles from low to high: Euler steps that never fall.
 
     All steps of a window are computed from the squares of the previous iteration, until no square changes: these are
-    the squares of one step after the other.
-
-    Args:
-        low: first angle, rad; the pendulum rests there.
-        high: last angle, rad.
-        steps: number of steps.
-        u: the torque limit, N m.
-        along_theta: bound on |d theta'' / d theta|, 1/s^2 per rad; 0 for an estimate.
-        along_square: bound on the increase of theta'' per theta'^2, 1/rad.
-        plants: plants with the largest friction coefficient in both directions.
+    the squares of one step after the other. `u` is the torque limit in N m; `along_theta` and `along_square` bound
+    |d theta'' / d theta| (1/s^2 per rad, 0 for an estimate) and the increase of theta'' per theta'^2 (1/rad). The
+    plants have the largest friction coefficient in both directions.
     """
     h = (high - low) / steps
     theta, squares = low + np.arange(steps) * h, np.zeros(steps + 1)
@@ -167,7 +145,7 @@ def integrate_envelope(
 
 
 def upper_envelope(limit: float, low: float, high: float, *plants: Plant) -> Envelope:
-    """The largest rate that any torque within +-limit can give the pendulum at each angle.
+    """The largest rate that any torque within +-limit (N m) can give the pendulum at each angle of a swing, in rad.
 
     Theorem. Let |u| <= limit, let the motion start at rest in [low, high] and stay there. Then theta' <= E(theta),
     where E solves E dE/dtheta = max over the contact modes of theta''(theta, E, u = limit), E(low) = 0, E never
@@ -182,16 +160,10 @@ def upper_envelope(limit: float, low: float, high: float, *plants: Plant) -> Env
     The modes are stick, slip in either direction, and a platform that has lost contact and moves without friction. In
     slip theta'' is a ratio of two linear functions of the friction coefficient, so that its largest value over all
     coefficients from 0 to the largest one lies at an end, and both ends are searched. The envelope therefore holds for
-    friction that differs by direction, and for its mirror image (theta, u -> -theta, -u) where theta' < 0.
+    friction that differs by direction, and for its mirror image (theta, u -> -theta, -u) where theta' < 0. Each Euler
+    step is widened by bounds on the derivatives of F over the whole step: the polygon lies above every solution.
 
-    Each Euler step is widened by bounds on the derivatives of F over the whole step, so that the polygon lies above
-    every solution: it is a proof up to rounding, not an approximation.
-
-    Args:
-        limit: > 0, N m.
-        low: smallest angle of the swing, rad.
-        high: largest, rad.
-        plants: one plant, or several that differ in the option for the normal force alone: the envelope covers all.
+    Several plants, which differ in the option for the normal force alone, share one envelope.
 
     Raises:
         ValueError: if the damper could accelerate the pendulum through the paper's normal force, or the steps are too
@@ -247,10 +219,7 @@ def _both_contacts(capsule: Capsule) -> list[Plant]:
 
 
 def torque_needed(velocity: float, low: float, high: float) -> float:
-    """A torque limit in N m within which no motion from rest at `low` reaches a velocity (rad/s) before `high`.
-
-    It is the largest limit that bisection finds whose certified envelope stays below the velocity.
-    """
+    """The largest torque limit in N m whose envelope from rest at `low` stays below a velocity (rad/s) up to `high`."""
     return bisect(lambda torque: swing_envelope(torque, low, high).fastest < velocity, 0.0, STRONGEST, BISECTIONS)[0]
 
 
@@ -271,7 +240,7 @@ def torque_enough(velocity: float, low: float, high: float) -> float:
 
 
 def check_proof_1() -> list[dict[str, Any]]:
-    """Proof 1 for the proposed profile and for EPC.
+    """Proof 1 for both profiles.
 
     Returns:
         By profile: its `name`; the published peak `velocity` (rad/s) and largest torque (`published`, N m); the
@@ -284,9 +253,9 @@ def check_proof_1() -> list[dict[str, Any]]:
         velocity, torque = numbers["peak_velocity"].value, numbers["peak_torque"].value
         swing = (START_THETA, math.radians(numbers["swing"].value))
         bound, angle, mode = torque_at_peak(velocity, *swing)
+        sticking, _, _ = torque_at_peak(velocity, *swing, slips=(0.0,))
         row = {"name": name, "velocity": velocity, "published": torque, "bound": bound, "angle": angle, "mode": mode}
-        row["sticking"], _, _ = torque_at_peak(velocity, *swing, slips=(0.0,))
-        found.append({**row, "holds": torque < bound})
+        found.append({**row, "sticking": sticking, "holds": torque < bound})
     return found
 
 

@@ -15,15 +15,7 @@ from capsule_gym.parameters import RANDOMIZATIONS
 
 @dataclass(frozen=True)
 class Number:
-    """A published number.
-
-    Attributes:
-        quantity: the measured quantity.
-        unit: SI or as printed; empty for a ratio.
-        value: as printed.
-        digits: decimals as printed.
-        where: its place in the paper.
-    """
+    """A published number with its unit (empty for a ratio), its decimals as printed, and its place in the paper."""
 
     quantity: str
     unit: str
@@ -35,22 +27,21 @@ class Number:
 _COMPARISON = "Sect. 5, second paragraph"
 _ADAPTIVE = "Sect. 5, third paragraph"
 
-# Numbers of a run, by their names in the reproduction.
-PROPOSED = {
-    "peak_velocity": Number("largest theta'", "rad/s", V1, 1, f"{_COMPARISON}, Fig. 3"),
-    "swing": Number("largest swing", "deg", 68.75, 2, f"{_COMPARISON}, Fig. 3"),
-    "mean_speed": Number("mean speed, five cycles", "cm/s", 0.642, 3, f"{_COMPARISON}, Fig. 4"),
-    "peak_torque": Number("largest torque", "N m", 0.5367, 4, f"{_COMPARISON}, Fig. 5"),
-}
+
+def _run(rate: float, swing: float, speed: float, torque: float) -> dict[str, Number]:
+    """The numbers of a run, by their names in the reproduction."""
+    return {
+        "peak_velocity": Number("largest theta'", "rad/s", rate, 1, f"{_COMPARISON}, Fig. 3"),
+        "swing": Number("largest swing", "deg", swing, 2, f"{_COMPARISON}, Fig. 3"),
+        "mean_speed": Number("mean speed, five cycles", "cm/s", speed, 3, f"{_COMPARISON}, Fig. 4"),
+        "peak_torque": Number("largest torque", "N m", torque, 4, f"{_COMPARISON}, Fig. 5"),
+    }
+
+
 SWING_DIFFERENCE = Number("swing, EPC minus proposed", "deg", 17.1, 1, _COMPARISON)
+PROPOSED = _run(V1, 68.75, 0.642, 0.5367)
 # EPC's own swing is not printed.
-_EPC_SWING = round(PROPOSED["swing"].value + SWING_DIFFERENCE.value, 2)
-EPC = {
-    "peak_velocity": Number("largest theta'", "rad/s", V1_EPC, 1, f"{_COMPARISON}, Fig. 3"),
-    "swing": Number("largest swing", "deg", _EPC_SWING, 2, f"{_COMPARISON}, Fig. 3"),
-    "mean_speed": Number("mean speed, five cycles", "cm/s", 0.629, 3, f"{_COMPARISON}, Fig. 4"),
-    "peak_torque": Number("largest torque", "N m", 0.6246, 4, f"{_COMPARISON}, Fig. 5"),
-}
+EPC = _run(V1_EPC, round(68.75 + SWING_DIFFERENCE.value, 2), 0.629, 0.6246)
 RUNS = {"proposed": PROPOSED, "EPC": EPC}
 ADAPTIVE_PEAK_VELOCITY = Number("largest theta'", "rad/s", 7.9, 1, f"{_ADAPTIVE}, Fig. 6")
 NATURAL_FREQUENCY = Number("omega_n", "rad/s", 5.7184, 4, "Sect. 5, first paragraph")

@@ -20,7 +20,6 @@ from baselines.paper.published import NATURAL_FREQUENCY
 from capsule_gym.parameters import NOMINAL
 
 PLANT = NOMINAL.plant()
-OMEGA_N = NATURAL_FREQUENCY.value
 # Half a unit of the last digit of each time in Table 1, s.
 ROUNDING = (0.0005, 0.0005, 0.005, 0.05, 0.05, 0.05, 0.05)
 # (30) and (31) together are (23) and t6 - t4 = t7 - t5; with P3 from (23), only the latter is tested.
@@ -39,117 +38,92 @@ def printed_profile() -> list[dict[str, Any]]:
         By phase: its `name` and `formula`; velocity at its start and end (rad/s) and angle (rad), `printed` and
         `built`; and whether the velocities differ by more than a thousandth of the peak (`deviates`).
     """
-    _, t2, t3, t4, t5, t6, _ = TABLE_1
-    omega, P3 = _quarter(TABLE_1), PROPOSED.restoring_speed
-    formulas: list[tuple[str, Callable[[np.ndarray], np.ndarray]]] = [
-        ("P1 omega sin(omega t)", lambda t: V1 * np.sin(omega * t)),
-        ("P1 omega", lambda t: np.full_like(t, V1)),
-        ("P1 omega sin(omega t - t2)", lambda t: V1 * np.sin(omega * t - t2)),
-        ("(t3 - t) / (t3 - t2) P2", lambda t: (t3 - t) / (t3 - t2) * P2),
-        ("(t3 - t) / (t4 - t3) P3", lambda t: (t3 - t) / (t4 - t3) * P3),
-        ("-P3", lambda t: np.full_like(t, -P3)),
-        ("(t6 - t) / (t5 - t6) P3", lambda t: (t6 - t) / (t5 - t6) * P3),
-    ]
+    t1, t2, t3, t4, t5, t6, _ = TABLE_1
+    omega, P3 = math.pi / (2.0 * t1), PROPOSED.restoring_speed
+    formulas: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+        "P1 omega sin(omega t)": lambda t: V1 * np.sin(omega * t),
+        "P1 omega": lambda t: np.full_like(t, V1),
+        "P1 omega sin(omega t - t2)": lambda t: V1 * np.sin(omega * t - t2),
+        "(t3 - t) / (t3 - t2) P2": lambda t: (t3 - t) / (t3 - t2) * P2,
+        "(t3 - t) / (t4 - t3) P3": lambda t: (t3 - t) / (t4 - t3) * P3,
+        "-P3": lambda t: np.full_like(t, -P3),
+        "(t6 - t) / (t5 - t6) P3": lambda t: (t6 - t) / (t5 - t6) * P3,
+    }
     phases, edges = [], (0.0, *TABLE_1)
-    for n, (text, formula) in enumerate(formulas):
+    for n, (text, formula) in enumerate(formulas.items()):
         t, segment = np.linspace(edges[n], edges[n + 1], 10_001), PROPOSED.segments[n]
         velocity, (begin, end) = formula(t), segment.velocity(np.array([0.0, segment.duration])).tolist()
         printed = (float(velocity[0]), float(velocity[-1]), _integral(velocity, t))
         built = (begin, end, float(segment.turned(np.float64(segment.duration))))
         deviates = max(abs(printed[0] - begin), abs(printed[1] - end)) > 1e-3 * V1
-        phase = {"name": ROMAN[n], "formula": text, "printed": printed, "built": built, "deviates": deviates}
-        phases.append(phase)
+        phases.append({"name": ROMAN[n], "formula": text, "printed": printed, "built": built, "deviates": deviates})
     return phases
 
 
-def eq_21_p2(t: Times) -> float:
-    """Eq. (21): P2 in rad/s, its integrals taken along the profile (9) from -theta_0 with V1 and P2.
-
-    It is the momentum balance (20) between two instants at rest. In print (20) multiplies x' by g, and its integrals
-    of k and c appear once over the angle and once over the velocity; (21) keeps the former.
-    The bracket of c is the antiderivative between 0 and t3. Derived without its slip, int theta' sin(theta) dt =
-    cos(theta(0)) - cos(theta(t3)), it would vanish under the boundary conditions, where theta(t3) = +theta_0.
-    """
-    s = np.linspace(0.0, t[2], 3001)
-    theta, _, _ = seven_phases(t, V1, P2).evaluate(s)
-    p, ml = PLANT, PLANT.m * PLANT.l
-    int_sin, int_cos = _integral(theta * np.sin(theta), s), _integral(theta * np.cos(theta), s)
-    edge = float(theta[-1] * math.sin(theta[-1]) - theta[0] * math.sin(theta[0]))
-    pushed = p.mu * (p.M + p.m) * p.g * t[2] - p.mu * p.k * int_sin + p.mu * p.c * (edge - int_cos)
-    return pushed / (ml * math.cos(THETA_0) + p.mu * ml * math.sin(THETA_0))
-
-
-def eq_22_swing(omega: float, t: Times) -> float:
-    """Eq. (22), left side: the angle in rad swept until t3 at omega (rad/s); the paper equates it with 2 theta_0.
-
-    The third integral keeps the printed argument omega t - t2, and the last term is not needed: the three integrals
-    are the whole angle.
-    """
-    t1, t2, t3 = t[:3]
-    rise = V1 / omega * (1.0 - math.cos(omega * t1))
-    fall = V1 / omega * (math.cos(omega * t2 - t2) - math.cos(omega * t3 - t2))
-    return rise + V1 * (t2 - t1) + fall - 0.5 * P2 * (math.pi / omega + t2 - t3)
-
-
 def eq_23_p3(P2: float, t: Times = TABLE_1) -> float:
-    """Eq. (23): the P3, rad/s, whose return covers phase IV and 2 theta_0.
-
-    It needs theta(t3) = +theta_0, as the boundary conditions say. The sign before P3 belongs to the direction.
-    """
-    _, _, t3, t4, t5, t6, t7 = t
-    return (0.5 * P2 * (t4 - t3) + 2.0 * THETA_0) / (0.5 * ((t7 - t4) + (t6 - t5)))
-
-
-def eq_24_t1() -> float:
-    """Eq. (24): t1 in s, from Lemma 1 at t1 with theta(t1) = V1 t1, which leaves out the start at -theta_0."""
-    bound = ((PLANT.M + PLANT.m) * PLANT.g) ** 2 / (2.0 * PLANT.m * PLANT.l)  # the right side of (10)
-    return (bound / V1**3 - PLANT.c) / PLANT.k
-
-
-def eq_25_t2(omega: float, t: Times, *, falling: bool = False) -> float:
-    """Eq. (25): t2, a number of radians that the paper reads as seconds.
-
-    With `falling` the arcsin takes the branch on which the sine falls from V1 to P2, as phase III does; printed is the
-    rising one.
-    """
-    angle = math.asin(P2 / V1)
-    return omega * t[2] - (math.pi - angle if falling else angle)
-
-
-def eq_26_omega(t: Times) -> float:
-    """Eq. (26) solved for omega, rad/s: the excitation has gone through N = 1 half period at t3."""
-    return math.pi / t[2]
-
-
-def eq_27_t4(t: Times) -> float:
-    """Eq. (27): t4 in s, from the printed Lemma 2 at t3 with theta(t3) = P2 t3."""
-    return -P2 / (friction_bound(PLANT) - P2 * P2 - PLANT.k * P2 * t[2] - PLANT.c * P2) + t[2]
+    """Eq. (23): the P3, rad/s, whose return covers phase IV and 2 theta_0; it needs theta(t3) = +theta_0."""
+    return (0.5 * P2 * (t[3] - t[2]) + 2.0 * THETA_0) / (0.5 * ((t[6] - t[3]) + (t[5] - t[4])))
 
 
 def eq_27_p2(t: Times = TABLE_1) -> float:
-    """Eq. (27) solved for P2, rad/s: the positive root of a quadratic."""
+    """Eq. (27), the printed Lemma 2 at t3 with theta(t3) = P2 t3, solved for P2, rad/s."""
     half = 0.5 * (PLANT.k * t[2] + PLANT.c - 1.0 / (t[3] - t[2]))
     return math.sqrt(half * half + friction_bound(PLANT)) - half
 
 
-def eq_28_t5(P3: float) -> float:
-    """Eq. (28): t5 in s, from the printed Lemma 2 at t5 with theta(t5) = P3 t5 and theta'(t5) = +P3; it is -P3."""
-    return (friction_bound(PLANT) - P3 * P3 - PLANT.c * P3) / (PLANT.k * P3)
+def _equations(t: Times) -> list[tuple[str, str, str, float, float, str]]:
+    """Equation, quantity, unit, the value that it gives, the one that Table 1 states or implies, and a remark."""
+    t1, t2, t3, t4, t5, t6, t7 = t
+    p, ml, bound = PLANT, PLANT.m * PLANT.l, friction_bound(PLANT)
+    omega, omega_26, omega_n = math.pi / (2.0 * t1), math.pi / t3, NATURAL_FREQUENCY.value
+    own_p2 = eq_27_p2(t)
+    own_p3 = eq_23_p3(own_p2, t)
 
+    # (21) is the momentum balance (20) between two instants at rest, its integrals taken along (9) with V1 and P2. The
+    # bracket of c is the antiderivative between 0 and t3. Derived without its slip, int theta' sin(theta) dt =
+    # cos(theta(0)) - cos(theta(t3)), it would vanish under the boundary conditions, where theta(t3) = +theta_0.
+    s = np.linspace(0.0, t3, 3001)
+    theta, _, _ = seven_phases(t, V1, P2).evaluate(s)
+    int_sin, int_cos = _integral(theta * np.sin(theta), s), _integral(theta * np.cos(theta), s)
+    edge = float(theta[-1] * math.sin(theta[-1]) - theta[0] * math.sin(theta[0]))
+    pushed = p.mu * (p.M + p.m) * p.g * t3 - p.mu * p.k * int_sin + p.mu * p.c * (edge - int_cos)
+    p2_21 = pushed / (ml * math.cos(THETA_0) + p.mu * ml * math.sin(THETA_0))
 
-def eq_29_p3(P2: float, t: Times) -> float:
-    """Eq. (29) solved for P3, rad/s. Equal areas of phases IV and V would read P2 (t4 - t3) = P3 (t5 - t4)."""
-    return P2 * (t[4] - t[3]) / (t[3] - t[2])
+    def swing(omega: float) -> float:
+        # (22), the angle until t3, which the paper equates with 2 theta_0. The third integral keeps the printed omega t
+        # - t2, and the last term is not needed: the three integrals are the whole angle.
+        rise = V1 / omega * (1.0 - math.cos(omega * t1))
+        fall = V1 / omega * (math.cos(omega * t2 - t2) - math.cos(omega * t3 - t2))
+        return rise + V1 * (t2 - t1) + fall - 0.5 * P2 * (math.pi / omega + t2 - t3)
 
-
-def eq_30_t6(P2: float, P3: float, t: Times) -> float:
-    """Eq. (30): t6 in s."""
-    return (4.0 * THETA_0 + t[3] * (P2 + 2.0 * P3) - P2 * t[2]) / (2.0 * P3)
-
-
-def eq_31_t7(P2: float, P3: float, t: Times) -> float:
-    """Eq. (31): t7 in s."""
-    return (4.0 * THETA_0 - P2 * t[2] + P2 * t[3] + 2.0 * P3 * t[4]) / (2.0 * P3)
+    # (24) is Lemma 1 at t1 with theta(t1) = V1 t1, which leaves out the start at -theta_0.
+    t1_24 = (((p.M + p.m) * p.g) ** 2 / (2.0 * p.m * p.l) / V1**3 - p.c) / p.k
+    # (25) gives radians, which the paper reads as seconds; III falls from V1 to P2 on the other branch of the arcsin.
+    arcsin = math.asin(P2 / V1)
+    t4_27 = -P2 / (bound - P2 * P2 - p.k * P2 * t3 - p.c * P2) + t3
+    # (28) is the printed Lemma 2 at t5 with theta(t5) = P3 t5 and theta'(t5) = +P3; it is -P3.
+    t5_28 = (bound - own_p3 * own_p3 - p.c * own_p3) / (p.k * own_p3)
+    # (29): equal areas of phases IV and V would read P2 (t4 - t3) = P3 (t5 - t4).
+    p3_29 = own_p2 * (t5 - t4) / (t4 - t3)
+    t6_30 = (4.0 * THETA_0 + t4 * (own_p2 + 2.0 * own_p3) - own_p2 * t3) / (2.0 * own_p3)
+    t7_31 = (4.0 * THETA_0 - own_p2 * t3 + own_p2 * t4 + 2.0 * own_p3 * t5) / (2.0 * own_p3)
+    return [
+        ("(21)", "P2", "rad/s", p2_21, own_p2, "implied by (27) and t4"),
+        ("(22)", "swing", "rad", swing(omega_n), 2.0 * THETA_0, "omega = omega_n"),
+        ("(22)", "swing", "rad", swing(omega_26), 2.0 * THETA_0, "omega of (26)"),
+        ("(22)", "swing", "rad", swing(omega), 2.0 * THETA_0, "omega = pi / (2 t1)"),
+        ("(24)", "t1", "s", t1_24, t1, f"at V1 = {V1} rad/s"),
+        ("(25)", "t2", "s", omega * t3 - arcsin, t2, "radians as seconds, as printed"),
+        ("(25)", "t2", "s", omega * t3 - (math.pi - arcsin), t2, "on the falling branch"),
+        ("(26)", "omega", "rad/s", omega_26, omega, "against pi / (2 t1) of phase I"),
+        ("(26)", "omega", "rad/s", omega_26, omega_n, "against the natural frequency"),
+        ("(27)", "t4", "s", t4_27, t4, f"at P2 = {P2} rad/s"),
+        ("(27)", "P2", "rad/s", own_p2, P2, "solved for P2, against the published swing"),
+        ("(28)", "t5", "s", t5_28, t5, "P3 of (23)"),
+        ("(29)", "P3", "rad/s", p3_29, own_p3, "against (23)"),
+        ("(30)", "t6", "s", t6_30, t6, CIRCULAR),
+        ("(31)", "t7", "s", t7_31, t7, CIRCULAR),
+    ]
 
 
 def evaluate_selection() -> list[dict[str, Any]]:
@@ -157,34 +131,18 @@ def evaluate_selection() -> list[dict[str, Any]]:
 
     Returns:
         By row: the `equation`, the `quantity` that it determines and its `unit`; the value that it `gives` and the one
-        that Table 1 states or implies (`implied`); the most by which the rounding of Table 1 can change their
-        difference (`rounding`); a `remark`; and whether they agree within the digits of Table 1 (`follows`).
+        that Table 1 states or implies (`implied`); a `remark`; the most by which the rounding of Table 1 can change
+        their difference (`rounding`); and whether they agree within the digits of Table 1 (`follows`).
     """
-    rows: list[tuple[str, str, str, Callable[[Times], tuple[float, float]], str]] = [
-        ("(21)", "P2", "rad/s", lambda t: (eq_21_p2(t), eq_27_p2(t)), "implied by (27) and t4"),
-        ("(22)", "swing", "rad", lambda t: (eq_22_swing(OMEGA_N, t), 2 * THETA_0), "omega = omega_n"),
-        ("(22)", "swing", "rad", lambda t: (eq_22_swing(eq_26_omega(t), t), 2 * THETA_0), "omega of (26)"),
-        ("(22)", "swing", "rad", lambda t: (eq_22_swing(_quarter(t), t), 2 * THETA_0), "omega = pi / (2 t1)"),
-        ("(24)", "t1", "s", lambda t: (eq_24_t1(), t[0]), f"at V1 = {V1} rad/s"),
-        ("(25)", "t2", "s", lambda t: (eq_25_t2(_quarter(t), t), t[1]), "radians as seconds, as printed"),
-        ("(25)", "t2", "s", lambda t: (eq_25_t2(_quarter(t), t, falling=True), t[1]), "on the falling branch"),
-        ("(26)", "omega", "rad/s", lambda t: (eq_26_omega(t), _quarter(t)), "against pi / (2 t1) of phase I"),
-        ("(26)", "omega", "rad/s", lambda t: (eq_26_omega(t), OMEGA_N), "against the natural frequency"),
-        ("(27)", "t4", "s", lambda t: (eq_27_t4(t), t[3]), f"at P2 = {P2} rad/s"),
-        ("(27)", "P2", "rad/s", lambda t: (eq_27_p2(t), P2), "solved for P2, against the published swing"),
-        ("(28)", "t5", "s", lambda t: (eq_28_t5(_implied_p3(t)), t[4]), "P3 of (23)"),
-        ("(29)", "P3", "rad/s", lambda t: (eq_29_p3(eq_27_p2(t), t), _implied_p3(t)), "against (23)"),
-        ("(30)", "t6", "s", lambda t: (eq_30_t6(eq_27_p2(t), _implied_p3(t), t), t[5]), CIRCULAR),
-        ("(31)", "t7", "s", lambda t: (eq_31_t7(eq_27_p2(t), _implied_p3(t), t), t[6]), CIRCULAR),
-    ]
-    names, selected = ("equation", "quantity", "unit", "gives", "implied", "rounding", "remark"), []
-    for equation, quantity, unit, pair, remark in rows:
-        gives, implied = pair(TABLE_1)
-        # At the corners of the times within the digits of Table 1.
-        corners = itertools.product(*((t - half, t + half) for t, half in zip(TABLE_1, ROUNDING, strict=True)))
-        rounding = max(abs((a - b) - (gives - implied)) for a, b in map(pair, corners))
-        row = (equation, quantity, unit, gives, implied, rounding, remark)
-        selected.append({**dict(zip(names, row, strict=True)), "follows": abs(gives - implied) <= rounding})
+    # At the corners of the times within the digits of Table 1.
+    corners = itertools.product(*((t - half, t + half) for t, half in zip(TABLE_1, ROUNDING, strict=True)))
+    differences = np.array([[row[3] - row[4] for row in _equations(t)] for t in (TABLE_1, *corners)])
+    names, selected = ("equation", "quantity", "unit", "gives", "implied", "remark"), []
+    for row, own, rounding in zip(
+        _equations(TABLE_1), differences[0], np.abs(differences - differences[0]).max(axis=0).tolist(), strict=True
+    ):
+        follows = bool(abs(own) <= rounding)
+        selected.append({**dict(zip(names, row, strict=True)), "rounding": rounding, "follows": follows})
     return selected
 
 
@@ -204,7 +162,7 @@ def boundary_condition() -> dict[str, float]:
     # Phase IV; the angle peaks at its end.
     rest = 0.5 * P2 * (TABLE_1[3] - TABLE_1[2])
     forth = reached(V1) + THETA_0 + rest
-    drift = forth * _implied_p3(TABLE_1) / PROPOSED.restoring_speed - forth
+    drift = forth * eq_23_p3(eq_27_p2()) / PROPOSED.restoring_speed - forth
     return {"V1": needed, "largest_angle": THETA_0 + rest, "reached": reached(V1), "drift": drift}
 
 
@@ -214,16 +172,6 @@ def bisect(below: Callable[[float], bool], low: float, high: float, steps: int =
         middle = 0.5 * (low + high)
         low, high = (middle, high) if below(middle) else (low, middle)
     return low, high
-
-
-def _quarter(t: Times) -> float:
-    """The frequency in rad/s whose quarter period is phase I."""
-    return math.pi / (2.0 * t[0])
-
-
-def _implied_p3(t: Times) -> float:
-    """P3 in rad/s as Table 1 implies it: (23) with the P2 of (27)."""
-    return eq_23_p3(eq_27_p2(t), t)
 
 
 def _integral(values: np.ndarray, t: np.ndarray) -> float:

@@ -7,7 +7,7 @@ plants. `simulate`, `track` and `step_study` run the environment's own simulatio
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, get_args
 
@@ -37,17 +37,12 @@ AT_REST = 0.01
 
 @dataclass(frozen=True)
 class Trajectory:
-    """One run, a sample per millisecond; the first is the start.
+    """One run in SI units, a sample per millisecond from the start, each array of shape (n,) or (n, columns).
 
     Attributes:
-        t: s, shape (n,).
-        theta: rad.
-        theta_dot: rad/s.
-        x: m.
-        x_dot: m/s; exactly 0.0 in stick.
-        torque: torque of the motor in the millisecond that ends at t, N m.
-        reference: rows of the reference table, shape (n, columns).
-        memory: the law's memory after its call at t, shape (n, cells).
+        torque: torque of the motor in the millisecond that ends at t.
+        reference: rows of the reference table.
+        memory: the law's memory after its call at t.
         metrics: metrics of the episode, by name; see `Simulation.metrics`.
     """
 
@@ -90,14 +85,9 @@ def simulate(
     torque_limit: float = UNLIMITED,
     **options: Any,
 ) -> list[Trajectory]:
-    """Runs a controller from rest at -pi/3 on several plants and records every millisecond.
+    """Runs a law at 1 kHz from rest at -pi/3 over cycles of its reference on plants, M (kg) and mu.
 
-    Args:
-        controller: the law with its reference, at 1 kHz.
-        plants: M (kg) and mu of each plant.
-        cycles: number of cycles of the reference.
-        torque_limit: N m.
-        options: further options of the environment.
+    `torque_limit` is in N m; `options` are further options of the environment.
     """
     simulation = make_simulation(controller, plants, LAW_DT, torque_limit=torque_limit, **options)
     steps, rows = cycles * len(simulation.reference), ROWS + len(simulation.memory)
@@ -115,15 +105,13 @@ def simulate(
     trajectories = []
     for i, end in enumerate(last):
         own = states[: end + 1, :, i]
-        trajectories.append(
-            Trajectory(
-                t=np.arange(end + 1) * LAW_DT,
-                **{name: own[:, getattr(Row, name)] for name in ("theta", "theta_dot", "x", "x_dot", "torque")},
-                reference=simulation.reference[own[:, Row.clock].astype(np.int64)],
-                memory=own[:, ROWS:],
-                metrics={name: float(values[i]) for name, values in metrics.items()},
-            )
+        columns = {name: own[:, getattr(Row, name)] for name in ("theta", "theta_dot", "x", "x_dot", "torque")}
+        reference = simulation.reference[own[:, Row.clock].astype(np.int64)]
+        found = {name: float(values[i]) for name, values in metrics.items()}
+        run = Trajectory(
+            np.arange(end + 1) * LAW_DT, **columns, reference=reference, memory=own[:, ROWS:], metrics=found
         )
+        trajectories.append(run)
     return trajectories
 
 
@@ -167,15 +155,14 @@ def step_study(profile: Profile, steps: Sequence[float] = STEPS) -> tuple[np.nda
     Returns:
         Mean speeds (cm/s) and largest torques (N m).
     """
-    law, found = feedback_linearising().law, []
+    law, found, nominal = feedback_linearising().law, [], [(NOMINAL.M, NOMINAL.mu)]
     for step in steps:
         times = np.arange(round(profile.period / step)) * step
         # The law does not read the platform's columns.
         table = np.zeros((len(times), len(COLUMNS)))
         table[:, :3] = np.stack(profile.evaluate(times), axis=1)
         controller = Controller("feedback-linearising", law, table, dt=step)
-        options = {"torque_limit": UNLIMITED, "physics_dt": step}
-        simulation = make_simulation(controller, [(NOMINAL.M, NOMINAL.mu)], 0.02, **options)
+        simulation = make_simulation(controller, nominal, 0.02, torque_limit=UNLIMITED, physics_dt=step)
         for _ in range(round(CYCLES * profile.period / 0.02)):
             simulation.step(np.zeros(1), np.ones(1, np.bool_))
         metrics = simulation.metrics(np.zeros(1, np.int64))
@@ -187,22 +174,17 @@ def step_study(profile: Profile, steps: Sequence[float] = STEPS) -> tuple[np.nda
 def displacement(motion: Sequence[np.ndarray], p: Plant, h: float) -> float:
     """The position in m of the platform after `CYCLES` cycles from rest.
 
-    Args:
-        motion: theta (rad), theta' and theta'' in the middle of every step of one cycle.
-        p: the plant.
-        h: length of the steps, s.
+    `motion` is theta (rad), theta' and theta'' in the middle of every step of h seconds of one cycle.
     """
-    x, x_dot, _ = _slide(motion, 1, p, h)
-    if x_dot[-1] != 0.0:
-        return float(_slide(motion, CYCLES, p, h)[0, -1])
+
+    def slide(cycles: int) -> np.ndarray:
+        # With the first step of the next cycle, whose start is the end.
+        theta, theta_dot, theta_ddot = (np.append(np.tile(each, cycles), each[0]) for each in motion)
+        return platform_motion(theta, theta_dot, theta_ddot, h, p)[:2, -1]
+
+    x, x_dot = slide(1)
     # A platform that rests at the end of the cycle moves in the same way in the next one.
-    return float(CYCLES * x[-1])
-
-
-def _slide(motion: Sequence[np.ndarray], cycles: int, p: Plant, h: float) -> np.ndarray:
-    """The platform's motion over some cycles from rest, with the first step of the next one, whose start is the end."""
-    angle, velocity, acceleration = (np.append(np.tile(each, cycles), each[0]) for each in motion)
-    return platform_motion(angle, velocity, acceleration, h, p)
+    return float(CYCLES * x if x_dot == 0.0 else slide(CYCLES)[0])
 
 
 @dataclass(frozen=True)
@@ -210,11 +192,8 @@ class SpeedMap:
     """Mean speed along one profile over a grid of plants, exact tracking.
 
     Attributes:
-        profile: name of the profile.
-        M: kg, shape (rows,).
-        mu: friction coefficients, shape (columns,).
-        speed: mean speed over five cycles from rest, cm/s, shape (rows, columns).
-        smallest_normal_ratio: smallest N / ((M + m) g), shape (rows,); at 0.0 or less contact is lost, and the speed
+        speed: mean speed over five cycles from rest, cm/s, shape (M, mu).
+        smallest_normal_ratio: smallest N / ((M + m) g), shape (M,); at 0.0 or less contact is lost, and the speed
             belongs to a floor without friction for that time.
     """
 
@@ -237,27 +216,22 @@ class SpeedMap:
         return float(np.interp(0.0, self.smallest_normal_ratio, self.M))
 
 
-def grid(rows: int = 29, columns: int = 61) -> tuple[np.ndarray, np.ndarray]:
+def grid(rows: int = 29, columns: int = 61) -> tuple[list[float], list[float]]:
     """Evenly spaced M in kg over M_RANGE, and mu over MU_RANGE in equal ratios."""
-    return np.linspace(*M_RANGE, rows), np.geomspace(*MU_RANGE, columns)
+    return np.linspace(*M_RANGE, rows).tolist(), np.geomspace(*MU_RANGE, columns).tolist()
 
 
 def speed_map(
-    profile: Profile, M: Iterable[float] = (NOMINAL.M,), mu: Iterable[float] = (NOMINAL.mu,), h: float = MAP_STEP
+    profile: Profile, M: Sequence[float] = (NOMINAL.M,), mu: Sequence[float] = (NOMINAL.mu,), h: float = MAP_STEP
 ) -> SpeedMap:
     """Mean speed along a profile under exact tracking, for every M with every mu, in steps of h seconds."""
-    steps = round(profile.period / h)
-    masses, friction = np.array([*M]), np.array([*mu])
     # In the middle of the steps, where theta_d'' does not jump.
-    motion = profile.evaluate((np.arange(steps) + 0.5) * h)
-    speed, smallest = np.empty((len(masses), len(friction))), np.empty(len(masses))
-    for row, mass in enumerate(masses):
-        plants = [NOMINAL.plant(M=mass, mu=mu) for mu in friction.tolist()]
-        travelled = np.array([displacement(motion, plant, h) for plant in plants])
-        speed[row] = 100.0 * travelled / (CYCLES * profile.period)
-        plant = plants[0]
-        smallest[row] = dynamics.normal_force(*motion, plant).min() / ((plant.M + plant.m) * plant.g)
-    return SpeedMap(profile.name, masses, friction, speed, smallest)
+    motion = profile.evaluate((np.arange(round(profile.period / h)) + 0.5) * h)
+    plants = [[NOMINAL.plant(M=mass, mu=friction) for friction in mu] for mass in M]
+    travelled = np.array([[displacement(motion, plant, h) for plant in row] for row in plants])
+    smallest = [dynamics.normal_force(*motion, p).min() / ((p.M + p.m) * p.g) for p, *_ in plants]
+    speed = 100.0 * travelled / (CYCLES * profile.period)
+    return SpeedMap(profile.name, np.array(M), np.array(mu), speed, np.array(smallest))
 
 
 def speed_ratio(proposed: SpeedMap, epc: SpeedMap) -> np.ndarray:
@@ -274,7 +248,7 @@ def reproduce() -> dict[str, Any]:
         profile. `ratio`: smallest and largest speed of the proposed profile over EPC's at the nominal mass, over mu.
         `maps`: speed of both profiles over M and mu. `steps`: see `step_study`, by profile.
     """
-    fine = [speed_map(profile, mu=np.geomspace(*MU_RANGE, 241)) for profile in PROFILES]
+    fine = [speed_map(profile, mu=np.geomspace(*MU_RANGE, 241).tolist()) for profile in PROFILES]
     ratio = speed_ratio(*fine)
     return {
         "tracking": {p.name: {force: track(p, force) for force in get_args(NormalForce)} for p in PROFILES},

@@ -6,7 +6,6 @@
 #include "plant.hpp"
 
 namespace LEVEL {
-
 // Far more events than in any step. The limit only prevents an endless loop after a rounding error.
 constexpr int EVENT_LIMIT = 1000;
 constexpr int ROOT_ITERATIONS = 60, CUBIC_ITERATIONS = 3;
@@ -14,10 +13,8 @@ constexpr int ROOT_ITERATIONS = 60, CUBIC_ITERATIONS = 3;
 constexpr double EVENT_TOLERANCE = 1e-15;
 // Share of a step that the state may be moved along its tangent: at 2 ms and 50 rad/s^2 an error of 1e-16 rad.
 constexpr double LAST_CORRECTION = 1e-6;
-// Share of a bracket below which its halves are the same number.
-constexpr double SMALLEST_BRACKET = 1e-14;
-// Share of a step below which a slip that starts and ends at rest counts as none.
-constexpr double VOID_PHASE = 1e-9;
+constexpr double SMALLEST_BRACKET = 1e-14;  // share of a bracket below which its halves are the same number
+constexpr double VOID_PHASE = 1e-9;  // share of a step below which a slip that starts and ends at rest counts as none
 
 // The result of a step: the new state and the integrals over the step.
 template <class T> struct Motion {
@@ -29,58 +26,14 @@ template <class T> struct Motion {
   T events;             // number of changes of phase located inside the step
 };
 
-// The start of a phase of contact; `first` is `pressed_accelerations` there.
-template <class P> struct Phase {
-  State<Number<P>> s;
-  Number<P> slip, u;
-  P p;
-  Accelerations<Number<P>> first;
-};
-
-// A part of a step that stays in one phase: its length tau in s, the state and the accelerations at its end, and x'' and N
-// at its start. The phase lasts while the boundary is positive.
+// A part of a step that stays in one phase: its length tau in s, the state and the accelerations at its end, and x''
+// and N at its start. The phase lasts while the boundary is positive.
 template <class T> struct Piece {
   T tau;
   State<T> end;
   Boundary<T> boundary;
   T theta_ddot, x_ddot, first_x_ddot, normal_force;
 };
-
-// The phase that starts in this state.
-template <class P> INLINE Phase<P> begin_phase(const State<Number<P>>& s, Number<P> slip, Number<P> u, const P& p) {
-  auto first = pressed_accelerations(s.theta, s.theta_dot, s.x_dot, slip, kinetic_friction(slip, p), u, p);
-  return {s, slip, u, p, first};
-}
-
-// The piece of tau seconds that has led from a start to this state; x_ddot and normal are those at its start.
-template <class P>
-NOINLINE inline Piece<Number<P>> finish(const Phase<P>& start, Number<P> tau, const State<Number<P>>& end, Number<P> x_ddot,
-                                        Number<P> normal) {
-  auto a = accelerations(end.theta, end.theta_dot, end.x_dot, start.slip, start.u, start.p);
-  return {tau, end, boundary(end, a.x_ddot, start.slip, start.u, start.p), a.theta_ddot, a.x_ddot, x_ddot,
-          max(Number<P>(0.0), normal)};
-}
-
-// A step of tau seconds in one phase, even if the phase would end earlier. It is always a full Runge-Kutta step from the
-// phase's start, so that an event is as accurate as the integrator itself. A step in which the contact is lost is taken
-// without friction.
-template <class P> NOINLINE inline Piece<Number<P>> piece(const Phase<P>& start, Number<P> tau) {
-  const auto& [s, slip, u, p, pressed] = start;
-  auto first = pressed;
-  auto r = runge_kutta(s, slip, kinetic_friction(slip, p), u, p, tau, first);
-  if (!(r.smallest >= 0.0)) {
-    first = pressed_accelerations(s.theta, s.theta_dot, s.x_dot, slip, 0.0, u, p);
-    r = runge_kutta(s, slip, 0.0, u, p, tau, first);
-  }
-  return finish(start, tau, r.end, first.x_ddot, first.normal);
-}
-
-// The location in (0, h) of the minimum of the parabola with this start, rate and end; h if there is none.
-template <class T> INLINE T dip_of(T before, T rate, T after, T h) {
-  T curvature = after - before - rate * h;
-  if (curvature <= 0.0) return h;
-  return min(h, -0.5 * rate * h * h / curvature);
-}
 
 // Root in (0, width) of the cubic with those values and rates at its ends, the first positive, the last not.
 template <class T> INLINE T first_guess(T g_low, T rate_low, T g_high, T rate_high, T width) {
@@ -97,106 +50,134 @@ template <class T> INLINE T first_guess(T g_low, T rate_low, T g_high, T rate_hi
   return s * width;
 }
 
-// The piece, extended to the boundary by a time so small that its end follows the tangent.
-template <class T> INLINE Piece<T> shifted(const Piece<T>& a, T correction) {
-  const auto& e = a.end;
-  State<T> end = {e.theta + correction * e.theta_dot, e.theta_dot + correction * a.theta_ddot, e.x + correction * e.x_dot,
-                  e.x_dot + correction * a.x_ddot};
-  return {a.tau + correction, end, {0.0, a.boundary.rate}, a.theta_ddot, a.x_ddot, a.first_x_ddot, a.normal_force};
-}
+// The start of a phase of contact; `first` is `pressed_accelerations` there.
+template <class P> struct Phase {
+  using T = Number<P>;
+  State<T> s;
+  T slip, u;
+  P p;
+  Accelerations<T> first;
 
-// The piece that ends on the boundary: Newton's method on re-taken steps, kept inside a bracket. The first guess is the
-// root of the cubic through the bracket's ends. The last correction is so small that the state is extrapolated linearly.
-// The bracket begins at `low`, with the boundary `before` > 0 and its rate there.
-template <class P, class T = Number<P>>
-NOINLINE inline Piece<T> root(const Phase<P>& start, T low, T before, T rate, const Piece<T>& beyond) {
-  T width = beyond.tau - low, end = beyond.tau;
-  T tau = low + first_guess(before, rate, beyond.boundary.value, beyond.boundary.rate, width);
-  T correction = INFINITE;
-  Piece<T> trial = beyond;
-  for (int i = 0; i < ROOT_ITERATIONS; i++) {
-    trial = piece(start, tau);
-    const auto& [value, slope] = trial.boundary;
-    correction = slope < 0.0 ? -value / slope : T(INFINITE);
-    bool small = abs(correction) <= LAST_CORRECTION * width;
-    if (small || abs(value) <= EVENT_TOLERANCE || end - low <= SMALLEST_BRACKET * width) break;
-    (value < 0.0 ? end : low) = tau;
-    tau = tau + correction;
-    if (!(low < tau && tau < end)) tau = 0.5 * (low + end);
+  // The piece of tau seconds that has led to this state; x_ddot and normal are those at its start.
+  NOINLINE Piece<T> finish(T tau, const State<T>& end, T x_ddot, T normal) const {
+    auto a = p.accelerations(end.theta, end.theta_dot, end.x_dot, slip, u);
+    return {tau, end, p.boundary(end, a.x_ddot, slip, u), a.theta_ddot, a.x_ddot, x_ddot, max(T(0.0), normal)};
   }
-  return abs(correction) > LAST_CORRECTION * width ? trial : shifted(trial, correction);
-}
 
-// The piece up to the first event of a step that may have crossed the boundary, or `whole` without an event.
-template <class P, class T = Number<P>>
-NOINLINE inline Piece<T> until_event(const Phase<P>& start, T before, T rate, const Piece<T>& whole) {
-  Piece<T> beyond = whole;
-  if (whole.boundary.value >= 0.0) {
-    T dip = dip_of(before, rate, whole.boundary.value, whole.tau);
-    if (dip >= whole.tau) return whole;
-    beyond = piece(start, dip);
-    if (beyond.boundary.value >= 0.0) return whole;
+  // A step of tau seconds in one phase, even if the phase would end earlier. It is always a full Runge-Kutta step from
+  // the phase's start, so that an event is as accurate as the integrator itself. A step in which the contact is lost is
+  // taken without friction.
+  NOINLINE Piece<T> piece(T tau) const {
+    auto start = first;
+    auto r = p.runge_kutta(s, slip, p.kinetic_friction(slip), u, tau, start);
+    if (!(r.smallest >= 0.0)) {
+      start = p.pressed_accelerations(s.theta, s.theta_dot, s.x_dot, slip, 0.0, u);
+      r = p.runge_kutta(s, slip, 0.0, u, tau, start);
+    }
+    return finish(tau, r.end, start.x_ddot, start.normal);
   }
-  if (before > EVENT_TOLERANCE) return root(start, T(0.0), before, rate, beyond);
-  // The phase starts on its own boundary: a bracket must begin after the state has left the boundary.
-  for (int i = 0; i < ROOT_ITERATIONS; i++) {
-    Piece<T> left = piece(start, 0.5 * beyond.tau);
-    if (left.boundary.value > 0.0) return root(start, left.tau, left.boundary.value, left.boundary.rate, beyond);
-    beyond = left;
+
+  // The piece that ends on the boundary: Newton's method on re-taken steps, kept inside a bracket. The first guess is
+  // the root of the cubic through the bracket's ends. The last correction is so small that the state is extrapolated
+  // along its tangent. The bracket begins at `low`, with the boundary `before` > 0 and its rate there.
+  NOINLINE Piece<T> root(T low, T before, T rate, const Piece<T>& beyond) const {
+    T width = beyond.tau - low, end = beyond.tau;
+    T tau = low + first_guess(before, rate, beyond.boundary.value, beyond.boundary.rate, width);
+    T correction = INFINITE;
+    Piece<T> trial = beyond;
+    for (int i = 0; i < ROOT_ITERATIONS; i++) {
+      trial = piece(tau);
+      const auto& [value, slope] = trial.boundary;
+      correction = slope < 0.0 ? -value / slope : T(INFINITE);
+      bool small = abs(correction) <= LAST_CORRECTION * width;
+      if (small || abs(value) <= EVENT_TOLERANCE || end - low <= SMALLEST_BRACKET * width) break;
+      (value < 0.0 ? end : low) = tau;
+      tau = tau + correction;
+      if (!(low < tau && tau < end)) tau = 0.5 * (low + end);
+    }
+    if (abs(correction) > LAST_CORRECTION * width) return trial;
+    auto& [theta, theta_dot, x, x_dot] = trial.end;
+    theta = theta + correction * theta_dot, theta_dot = theta_dot + correction * trial.theta_ddot;
+    x = x + correction * x_dot, x_dot = x_dot + correction * trial.x_ddot;
+    trial.tau = trial.tau + correction, trial.boundary.value = 0.0;
+    return trial;
   }
-  return beyond;
+
+  // The piece up to the first event of a step that may have crossed the boundary, or `whole` without an event.
+  NOINLINE Piece<T> until_event(T before, T rate, const Piece<T>& whole) const {
+    Piece<T> beyond = whole;
+    if (whole.boundary.value >= 0.0) {
+      // The minimum of the parabola with this start, rate and end.
+      T h = whole.tau, curvature = whole.boundary.value - before - rate * h;
+      T dip = curvature > 0.0 ? -0.5 * rate * h * h / curvature : h;
+      if (!(dip < h)) return whole;
+      beyond = piece(dip);
+      if (beyond.boundary.value >= 0.0) return whole;
+    }
+    if (before > EVENT_TOLERANCE) return root(0.0, before, rate, beyond);
+    // The phase starts on its own boundary: a bracket must begin after the state has left the boundary.
+    for (int i = 0; i < ROOT_ITERATIONS; i++) {
+      Piece<T> left = piece(0.5 * beyond.tau);
+      if (left.boundary.value > 0.0) return root(left.tau, left.boundary.value, left.boundary.rate, beyond);
+      beyond = left;
+    }
+    return beyond;
+  }
+};
+
+// The phase that starts in this state.
+template <class P, class T = Number<P>> INLINE Phase<P> begin_phase(const State<T>& s, T slip, T u, const P& p) {
+  return {s, slip, u, p, p.pressed_accelerations(s.theta, s.theta_dot, s.x_dot, slip, p.kinetic_friction(slip), u)};
 }
 
 // A step from a phase and from the whole step under the assumption that this phase lasts.
 template <class P, class T = Number<P>>
 NOINLINE inline Motion<T> event_step(const Phase<P>& start, const Piece<T>& whole) {
-  State<T> s = start.s;
-  T slip = start.slip, u = start.u;
   const P& p = start.p;
-  T forward = 0.0, backward = 0.0, stuck = 0.0, turned = 0.0, smallest_normal = INFINITE;
-  T events = 0.0;
-  T h = whole.tau, remaining = h;
+  Motion<T> m = {start.s, 0.0, 0.0, 0.0, 0.0, INFINITE, 0.0};
+  T slip = start.slip, h = whole.tau, remaining = h;
   Phase<P> phase = start;
   Piece<T> done = whole;
   for (int count = 0; count < EVENT_LIMIT; count++) {
+    const State<T> s = m.end;
     if (count > 0) {
-      phase = begin_phase(s, slip, u, p);
-      done = piece(phase, remaining);
+      phase = begin_phase(s, slip, start.u, p);
+      done = phase.piece(remaining);
     }
-    auto [before, rate] = boundary(s, done.first_x_ddot, slip, u, p);
+    auto [before, rate] = p.boundary(s, done.first_x_ddot, slip, start.u);
     // The last piece takes the rest of the step, so that no time is lost.
     bool crossed = crosses(before, rate, done.boundary.value, remaining) && count < EVENT_LIMIT - 1;
     bool beyond = crossed && done.boundary.value < 0.0;
-    if (crossed) done = until_event(phase, before, rate, done);
+    if (crossed) done = phase.until_event(before, rate, done);
     T tau = done.tau;
     bool ended = tau < remaining || beyond;
-    smallest_normal = min(smallest_normal, done.normal_force);
-    turned = turned + swept(s.theta_dot, done.end.theta_dot, done.end.theta - s.theta, tau);
-    forward = forward + max(T(0.0), done.end.x - s.x);
-    backward = backward + max(T(0.0), s.x - done.end.x);
-    if (slip == 0.0) stuck = stuck + tau;
-    s = done.end;
+    m.end = done.end;
+    m.normal_force = min(m.normal_force, done.normal_force);
+    m.swept = m.swept + swept(s.theta_dot, m.end.theta_dot, m.end.theta - s.theta, tau);
+    m.forward = m.forward + max(T(0.0), m.end.x - s.x);
+    m.backward = m.backward + max(T(0.0), s.x - m.end.x);
+    if (slip == 0.0) m.stuck = m.stuck + tau;
     remaining = remaining - tau;
     if (!ended) break;
-    events = events + 1.0;
+    m.events = m.events + 1.0;
     if (slip == 0.0) {
       // At the boundary rounding could give either phase, so the direction of the load decides.
-      slip = stick_margin(s.theta, s.theta_dot, u, p).force > 0.0 ? 1.0 : -1.0;
+      slip = p.stick_margin(m.end.theta, m.end.theta_dot, start.u).force > 0.0 ? 1.0 : -1.0;
     } else {
-      s.x_dot = 0.0;
+      m.end.x_dot = 0.0;
       // If load and limit are equal up to rounding, a slip that stops where it started would start again forever.
       bool none = before <= 0.0 && tau <= VOID_PHASE * h;
-      slip = none ? T(0.0) : contact_phase(s, u, p);
+      slip = none ? T(0.0) : p.contact_phase(m.end, start.u);
     }
     if (remaining <= 0.0) break;
   }
-  return {s, forward, backward, stuck, turned, smallest_normal, events};
+  return m;
 }
 
 // Advances the plant by h seconds at constant torque, through every change of contact phase.
-template <class P> inline Motion<Number<P>> plant_step(const State<Number<P>>& s, Number<P> u, const P& p, Number<P> h) {
-  auto start = begin_phase(s, contact_phase(s, u, p), u, p);
-  return event_step(start, piece(start, h));
+template <class P, class T = Number<P>> inline Motion<T> plant_step(const State<T>& s, T u, const P& p, T h) {
+  auto start = begin_phase(s, p.contact_phase(s, u), u, p);
+  return event_step(start, start.piece(h));
 }
 
 template <class T, class M> struct Passed {
@@ -211,22 +192,22 @@ template <class T, class M> struct Passed {
 template <class P, class T = Number<P>>
 INLINE auto pass_rest(const Phase<P>& start, T theta_1, T theta_dot_1, T x_dot_1, T h) {
   const auto& [s, slip, u, p, first] = start;
-  T mu = kinetic_friction(slip, p);
+  T mu = p.kinetic_friction(slip);
   T before = slip * s.x_dot, after = slip * x_dot_1;
-  auto at_end = pressed_accelerations(theta_1, theta_dot_1, x_dot_1, slip, mu, u, p);
+  auto at_end = p.pressed_accelerations(theta_1, theta_dot_1, x_dot_1, slip, mu, u);
   auto holds = (slip != 0.0) & (before > EVENT_TOLERANCE) & (after < 0.0) & (at_end.normal >= 0.0);
   T tau = first_guess(before, slip * first.x_ddot, after, slip * at_end.x_ddot, h);
-  auto [m, smallest] = runge_kutta(s, slip, mu, u, p, tau, first);
-  auto a = pressed_accelerations(m.theta, m.theta_dot, m.x_dot, slip, mu, u, p);
+  auto [m, smallest] = p.runge_kutta(s, slip, mu, u, tau, first);
+  auto a = p.pressed_accelerations(m.theta, m.theta_dot, m.x_dot, slip, mu, u);
   T correction = -(slip * m.x_dot) / (slip * a.x_ddot);
   holds = holds & (smallest >= 0.0) & (a.normal >= 0.0) & (slip * a.x_ddot < 0.0) &
           (abs(correction) <= LAST_CORRECTION * h);
   tau = tau + correction;
   State<T> rest = {m.theta + correction * m.theta_dot, m.theta_dot + correction * a.theta_ddot,
                    m.x + correction * m.x_dot, 0.0};
-  T next_slip = phase_at_rest(rest.theta, rest.theta_dot, u, p);
+  T next_slip = p.phase_at_rest(rest.theta, rest.theta_dot, u);
   T remaining = h - tau;
-  auto last = smooth_step<true>(rest, next_slip, u, p, remaining);
+  auto last = p.template smooth_step<true>(rest, next_slip, u, remaining);
   const State<T>& e = last.end;
   T turned = swept(s.theta_dot, rest.theta_dot, rest.theta - s.theta, tau) +
              swept(rest.theta_dot, e.theta_dot, e.theta - rest.theta, remaining);
@@ -237,5 +218,4 @@ INLINE auto pass_rest(const Phase<P>& start, T theta_1, T theta_dot_1, T x_dot_1
   return Passed<T, decltype(holds)>{
       {e, forward, backward, stuck, turned, min(first.normal, last.first.normal), 1.0}, next_slip, holds};
 }
-
 }  // namespace LEVEL

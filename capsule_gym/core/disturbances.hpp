@@ -1,11 +1,10 @@
-// Disturbances of sensors, motor and platform; `Disturbances` in parameters.py documents them. Random numbers are hashes
-// of the episode's key and a counter, so that a reading is the same alone and in a batch.
+// Disturbances of sensors, motor and platform; `Disturbances` in parameters.py documents them. Random numbers are
+// hashes of the episode's key and a counter, so that a reading is the same alone and in a batch.
 #pragma once
 #include "layout.hpp"
 #include "random.hpp"
 
 namespace LEVEL {
-
 // Added to a whole number: the lowest 52 bits of the sum are those of the number.
 constexpr double WHOLE = 4503599627370496.0;
 // Duration of the push in every second, and tolerance of the episode's time, s.
@@ -24,17 +23,13 @@ template <class T> INLINE T rounded(T value, T resolution) {
   return select(rounds, ((value / unit + ROUNDING) - ROUNDING) * unit, value);
 }
 
-// Disturbances of a block of N environments, with the number type T; `history` holds the last states, HISTORY_ROWS each.
+// Disturbances of a block of N environments, with the number type T; `history` holds the last states, HISTORY_ROWS
+// each.
 template <class T, int N> struct Disturbed {
-  static constexpr int W = WIDTH<T>;
   const Settings& q;
   Block<N>& b;
   double* history;
   const int n;
-
-  // Reads and writes of a row at the lanes from j on.
-#define GET(row) load<T>(b.row + j)
-#define PUT(row, value) store<T>(b.row + j, value)
 
   // The period of the law, s, and the time between readings: this period, or without a law the agent's step.
   double period() const { return q.physics_steps * q.physics_dt; }
@@ -47,8 +42,8 @@ template <class T, int N> struct Disturbed {
       if (b.active[j] == 0.0) continue;
       auto [sin, cos] = sincos(b.drawn_slope[j]);
       double g = b.drawn_g[j], speed = b.drawn_stribeck_speed[j], lag = b.lag[j], key = b.key[j];
-      b.plant_m[j] = b.drawn_m[j], b.plant_l[j] = b.drawn_l[j], b.plant_k[j] = b.drawn_k[j], b.plant_c[j] = b.drawn_c[j];
-      b.plant_g[j] = g * cos, b.plant_downhill[j] = g * sin, b.plant_viscous[j] = b.drawn_viscous[j];
+      b.plant_m[j] = b.drawn_m[j], b.plant_l[j] = b.drawn_l[j], b.plant_g[j] = g * cos, b.plant_k[j] = b.drawn_k[j];
+      b.plant_c[j] = b.drawn_c[j], b.plant_downhill[j] = g * sin, b.plant_viscous[j] = b.drawn_viscous[j];
       b.plant_static_ratio[j] = b.drawn_static_ratio[j], b.plant_backward_ratio[j] = b.drawn_backward_ratio[j];
       b.plant_stribeck_excess[j] = speed > 0.0 ? b.drawn_static_ratio[j] - 1.0 : 0.0;
       b.plant_stribeck_rate[j] = speed > 0.0 ? 1.0 / speed : 0.0;
@@ -73,10 +68,11 @@ template <class T, int N> struct Disturbed {
 
   // Whether every floor is level with Coulomb friction alone, and nothing pushes.
   NOINLINE bool is_level() const {
+    bool level = true;
     for (int j = 0; j < n; j++)
-      if (!(b.plant_downhill[j] == 0.0 && b.plant_viscous[j] == 0.0 && b.plant_stribeck_excess[j] == 0.0 && b.push[j] == 0.0))
-        return false;
-    return true;
+      level &= b.plant_downhill[j] == 0.0 && b.plant_viscous[j] == 0.0 && b.plant_stribeck_excess[j] == 0.0 &&
+               b.push[j] == 0.0;
+    return level;
   }
 
   // The motor's torque in N m for a command, and the push on the platform, from now on.
@@ -95,26 +91,23 @@ template <class T, int N> struct Disturbed {
     return motor;
   }
 
-  // Writes the present states into the history.
-  void remember() {
-    int cursor = (int)b.cursor[0] + 1;
-    cursor = cursor < (int)q.history ? cursor : 0;
-    b.cursor[0] = cursor;
-    double* here = entry(cursor);
-    for (int j = 0; j < n; j += W) {
-      store(here + j, GET(theta)), store(here + N + j, GET(theta_dot)), store(here + 2 * N + j, GET(x_dot));
+  // Takes a reading of every sensor of the environments that take part, where law or agent need it. `begins`: whether
+  // episodes begin, whose history `begin` has filled; `last`: whether the agent's step ends.
+  NOINLINE void measure(bool begins, bool last) {
+    if (!begins) {
+      int next = (int)b.cursor[0] + 1;
+      b.cursor[0] = next < (int)q.history ? next : 0;
+      double* here = entry((int)b.cursor[0]);
+      EACH store(here + j, GET(theta)), store(here + N + j, GET(theta_dot)), store(here + 2 * N + j, GET(x_dot));
     }
-  }
-
-  // Takes a reading of every sensor of the environments that take part.
-  NOINLINE void read_sensors() {
+    if (!begins && !last && q.with_reference == 0.0) return;
     for (int j = 0; j < n; j++) {
       int place = (int)b.cursor[0] - (int)b.delay[j];
       const double* state = entry(place < 0 ? place + (int)q.history : place) + j;
       b.late_theta[j] = state[0], b.late_theta_dot[j] = state[N], b.late_x_dot[j] = state[2 * N];
     }
     double pause = time_between_readings();
-    for (int j = 0; j < n; j += W) {
+    EACH {
       auto active = GET(active) != 0.0;
       // The law is not called any more where the step has ended early.
       if (q.with_reference != 0.0) active = active & (GET(halt) != HALTED);
@@ -123,48 +116,19 @@ template <class T, int N> struct Disturbed {
       auto [white_2, slow_2] = normals(word_of(key, count, 1));
       auto [slow_0, slow_1] = normals(word_of(key, count, 2));
       T kept = GET(drift_share), fresh = sqrt(1.0 - kept * kept);
-      T drift_0 = kept * GET(drift_of_theta) + fresh * slow_0 * GET(theta_drift);
-      T drift_1 = kept * GET(drift_of_theta_dot) + fresh * slow_1 * GET(theta_dot_drift);
-      T drift_2 = kept * GET(drift_of_x_dot) + fresh * slow_2 * GET(x_dot_drift);
-      T error_0 = GET(theta_bias) + drift_0 + white_0 * GET(theta_noise);
-      T error_1 = GET(theta_dot_bias) + drift_1 + white_1 * GET(theta_dot_noise);
-      T error_2 = GET(x_dot_bias) + drift_2 + white_2 * GET(x_dot_noise);
-      T theta = q.with_theta != 0.0 ? rounded(GET(late_theta) + error_0, GET(theta_resolution)) : T(0.0);
-      T theta_dot = q.with_theta_dot != 0.0 ? rounded(GET(late_theta_dot) + error_1, GET(theta_dot_resolution)) : T(0.0);
-      T x_dot = q.with_x_dot != 0.0 ? rounded(GET(late_x_dot) + error_2, GET(x_dot_resolution)) : T(0.0);
-      T x = GET(read_x) + min(count, T(1.0)) * pause * x_dot;
-      PUT(drift_of_theta, select(active, drift_0, GET(drift_of_theta)));
-      PUT(drift_of_theta_dot, select(active, drift_1, GET(drift_of_theta_dot)));
-      PUT(drift_of_x_dot, select(active, drift_2, GET(drift_of_x_dot)));
-      PUT(read_theta, select(active, theta, GET(read_theta)));
-      PUT(read_theta_dot, select(active, theta_dot, GET(read_theta_dot)));
-      PUT(read_x, select(active, x, GET(read_x)));
-      PUT(read_x_dot, select(active, x_dot, GET(read_x_dot)));
+#define SENSOR(name, white, slow)                                                                  \
+  {                                                                                                \
+    T drift = kept * GET(drift_of_##name) + fresh * slow * GET(name##_drift);                      \
+    T error = GET(name##_bias) + drift + white * GET(name##_noise);                                \
+    T reading = rounded(GET(late_##name) + error, GET(name##_resolution));                         \
+    PUT(drift_of_##name, select(active, drift, GET(drift_of_##name)));                             \
+    PUT(read_##name, select(active, q.with_##name != 0.0 ? reading : T(0.0), GET(read_##name)));   \
+  }
+      SENSOR(theta, white_0, slow_0) SENSOR(theta_dot, white_1, slow_1) SENSOR(x_dot, white_2, slow_2)
+#undef SENSOR
+      PUT(read_x, select(active, GET(read_x) + min(count, T(1.0)) * pause * GET(read_x_dot), GET(read_x)));
       PUT(readings, select(active, count + 1.0, count));
     }
   }
-
-  // Reads the sensors where law or agent need it, and replaces the state by the reading for the law. `begins`: whether
-  // episodes begin, whose history `begin` has filled; `last`: whether the agent's step ends.
-  void measure(bool begins, bool last) {
-    if (!begins) remember();
-    if (begins || last || q.with_reference != 0.0) read_sensors();
-    if (q.law_reads == 0.0) return;
-    for (int j = 0; j < n; j += W) {
-      PUT(true_theta, GET(theta)), PUT(true_theta_dot, GET(theta_dot)), PUT(true_x, GET(x)), PUT(true_x_dot, GET(x_dot));
-      PUT(theta, GET(read_theta)), PUT(theta_dot, GET(read_theta_dot)), PUT(x, GET(read_x)), PUT(x_dot, GET(read_x_dot));
-    }
-  }
-
-  // Restores the state after a call of the law.
-  void restore_state() {
-    if (q.law_reads == 0.0) return;
-    for (int j = 0; j < n; j += W) {
-      PUT(theta, GET(true_theta)), PUT(theta_dot, GET(true_theta_dot)), PUT(x, GET(true_x)), PUT(x_dot, GET(true_x_dot));
-    }
-  }
-#undef GET
-#undef PUT
 };
-
 }  // namespace LEVEL

@@ -1,14 +1,13 @@
 // Sine, cosine, exponential, logarithm and hyperbolic tangent with the same bits on every machine.
 //
-// The results of the standard libraries differ in the last digit between versions and instruction sets, and no loop that
-// calls them is vectorised. The functions here are straight-line arithmetic, and one environment gives the bits of a
-// batch. The multiplications and additions of the polynomials are fused explicitly: a compiler that may fuse freely
+// The results of the standard libraries differ in the last digit between versions and instruction sets, and no loop
+// that calls them is vectorised. The functions here are straight-line arithmetic, and one environment gives the bits of
+// a batch. The multiplications and additions of the polynomials are fused explicitly: a compiler that may fuse freely
 // decides differently in different loops. tests/capsule_gym/test_elementary.py derives the coefficients.
 #pragma once
 #include "number.hpp"
 
 namespace LEVEL {
-
 // 2 pi to twice the precision of a double.
 constexpr double TURN = 2.0 * PI, TURN_REST = 2.4492935982947064e-16, TURNS_PER_RADIAN = 1.0 / TURN;
 // Adding and subtracting it rounds a number below 2^51 to a whole number, half to even.
@@ -23,14 +22,12 @@ constexpr double C_0 = 0.041666666666666664, C_1 = -0.001388888888888888, C_2 = 
                  C_3 = -2.7557319221567154e-07, C_4 = 2.0876756602568905e-09, C_5 = -1.1470712252875163e-11,
                  C_6 = 4.777877290768691e-14, C_7 = -1.521855926409455e-16;
 
-template <class T> struct SinCos {
-  T sin, cos;
-};
+template <class T> struct SinCos { T sin, cos; };
 
 // Sine and cosine of an angle in rad: within 3.4e-16 of the exact values up to +-pi / 2, within 1.2e-15 beyond.
 //
-// The angle is brought to +-pi by whole turns and halved; in sin(2 y) = 2 sin(y) cos(y) and cos(2 y) = 1 - 2 sin(y)^2 the
-// remaining half turns cancel, so that no quadrant has to be determined.
+// The angle is brought to +-pi by whole turns and halved; in sin(2 y) = 2 sin(y) cos(y) and cos(2 y) = 1 - 2 sin(y)^2
+// the remaining half turns cancel, so that no quadrant has to be determined.
 template <class T> INLINE SinCos<T> sincos(T angle) {
   T turns = fma(angle, TURNS_PER_RADIAN, ROUNDING) - ROUNDING;
   T y = fma(-turns, 0.5 * TURN_REST, fma(-turns, 0.5 * TURN, 0.5 * angle));
@@ -52,9 +49,7 @@ constexpr double E_0 = 0.5000000000000001, E_1 = 0.16666666666666669, E_2 = 0.04
                  E_6 = 2.4801521295954376e-05, E_7 = 2.7557268459997064e-06, E_8 = 2.7620088445409746e-07,
                  E_9 = 2.510038549551032e-08;
 
-template <class T> struct Exponential {
-  T scale, rest;
-};
+template <class T> struct Exponential { T scale, rest; };
 
 // 2^n and exp(r) - 1 with x = n ln(2) + r and |r| <= ln(2) / 2; |n| must not exceed 1022.
 template <class T> INLINE Exponential<T> exponential(T x) {
@@ -100,5 +95,4 @@ inline double log(double x) {
   }
   return y;
 }
-
 }  // namespace LEVEL

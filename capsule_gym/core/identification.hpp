@@ -1,20 +1,18 @@
 // Online estimates of the platform's mass M and of the friction coefficient mu.
 //
 // While the platform slips in one direction, the balance of momentum between two observations is exact for any torque.
-// With q = m l / (M + m) and s the sign of x',
+// With their differences d, q = m l / (M + m) and s the sign of x',
 //
-//     d x' = q d(cos(theta) theta') - mu s (g dt - q d(sin(theta) theta'))
+//     d x' = q d(cos(theta) theta') - mu s (g dt - q d(sin(theta) theta')).
 //
-// where d is the difference of the two observations. An iterated extended Kalman filter estimates M and log(mu) with
-// their covariance from such pairs of observations. It ignores pairs in which the platform sticks or changes its
-// direction. The covariance grows a little with every pair and is reset where a pair contradicts the estimate, since M
-// and mu can change during an episode. For a capsule with another friction coefficient backwards, or with the paper's
-// normal force, the balance is approximate. The filter is part of a policy or a law, not of the environment.
+// An iterated extended Kalman filter estimates M and log(mu) with their covariance from such pairs of observations. The
+// covariance grows a little with every pair and is reset where a pair contradicts the estimate, since M and mu can
+// change during an episode. For a capsule with another friction coefficient backwards, or with the paper's normal
+// force, the balance is approximate. The filter is part of a policy or a law, not of the environment.
 #pragma once
 #include "elementary.hpp"
 
 namespace LEVEL {
-
 // The memory, 0.0 at the start of an episode: 1.0 once begun; M in kg, log(mu) and their covariance; cos(theta) theta',
 // sin(theta) theta' and x' of the last observation.
 struct Identification {
@@ -22,21 +20,18 @@ struct Identification {
 
   // Prior of M in kg and log(mu): a little wider than `randomization="wide"`.
   static constexpr double PRIOR_M = 0.55, PRIOR_LOG_MU = -3.25, DEVIATION_M = 0.2, DEVIATION_LOG_MU = 1.5;
-  // The estimates' range.
-  static constexpr double LOW_M = 0.15, HIGH_M = 2.0, LOW_LOG_MU = -7.0, HIGH_LOG_MU = 0.0;
+  static constexpr double LOW_M = 0.15, HIGH_M = 2.0, LOW_LOG_MU = -7.0, HIGH_LOG_MU = 0.0;  // the estimates' range
   // Standard deviation of a velocity's difference, m/s: far above float32's rounding, so that the first pairs do not
   // overshoot.
   static constexpr double NOISE = 1e-3;
   // Gauss-Newton steps for a pair, share of the information that remains after it, and deviations that contradict.
   static constexpr int ITERATIONS = 3;
   static constexpr double RETAINED = 0.95, DOUBT = 5.0;
-  // m/s: below this speed the platform may have stuck in between.
-  static constexpr double SLOWEST = 0.02;
+  static constexpr double SLOWEST = 0.02;  // m/s: below this speed the platform may have stuck in between
 };
 
-// Updates the estimates with an observation, dt seconds after the last, on a pendulum of mass m and length l.
-inline void identify(Identification& f, double theta, double theta_dot, double x_dot, double m, double l, double g,
-                     double dt) {
+// Updates the estimates with an observation, c.dt seconds after the last, on a pendulum of mass c.m and length c.l.
+template <class C> inline void identify(Identification& f, double theta, double theta_dot, double x_dot, const C& c) {
   using I = Identification;
   constexpr double VARIANCE_M = I::DEVIATION_M * I::DEVIATION_M;
   constexpr double VARIANCE_LOG_MU = I::DEVIATION_LOG_MU * I::DEVIATION_LOG_MU;
@@ -53,9 +48,9 @@ inline void identify(Identification& f, double theta, double theta_dot, double x
     double gain_M = 0.0, gain_f = 0.0, to_M = 0.0, to_f = 0.0;
     for (int i = 0; i < I::ITERATIONS; i++) {
       // The change of x' by the balance of momentum, and its slopes over M and log(mu).
-      double q = m * l / (f.M + m), mu = exp(f.log_mu);
-      double friction = mu * s * (g * dt - q * d_along);
-      double slope_M = -q / (f.M + m) * (d_across + mu * s * d_along), slope_f = -friction;
+      double q = c.m * c.l / (f.M + c.m), mu = exp(f.log_mu);
+      double friction = mu * s * (c.g * c.dt - q * d_along);
+      double slope_M = -q / (f.M + c.m) * (d_across + mu * s * d_along), slope_f = -friction;
       double predicted = q * d_across - friction;
       double surprise = change - predicted - slope_M * (before_M - f.M) - slope_f * (before_log_mu - f.log_mu);
       to_M = f.P_MM * slope_M + f.P_Mf * slope_f, to_f = f.P_Mf * slope_M + f.P_ff * slope_f;
@@ -77,13 +72,6 @@ inline void identify(Identification& f, double theta, double theta_dot, double x
   f.across = across, f.along = along, f.x_dot = x_dot;
 }
 
-// M in kg, log(mu), and the standard deviations of both.
-struct Estimates {
-  double M, log_mu, M_deviation, log_mu_deviation;
-};
-
-INLINE Estimates estimates(const Identification& f) {
-  return {f.M, f.log_mu, sqrt(max(0.0, f.P_MM)), sqrt(max(0.0, f.P_ff))};
-}
-
+// The standard deviation of an estimate from its variance, which rounding may have made negative.
+INLINE double deviation(double variance) { return sqrt(max(0.0, variance)); }
 }  // namespace LEVEL

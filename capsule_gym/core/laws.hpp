@@ -11,7 +11,6 @@
 #include "laws/pulses.hpp"
 
 namespace LEVEL {
-
 // The direct-torque task: none, so that the residual torque is the whole torque.
 struct NoLaw {
   static constexpr const char *NAME = "none", *CONSTANTS = "";
@@ -20,7 +19,6 @@ struct NoLaw {
   explicit NoLaw(const double*) {}
   template <class T> INLINE T operator()(const State<T>&, T*, const T*) const { return 0.0; }
 };
-
 }  // namespace LEVEL
 
 #define CAPSULE_LAWS(LAW)                                                                                              \

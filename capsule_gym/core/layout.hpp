@@ -45,15 +45,14 @@
   ROW(motor) ROW(drift_of_theta) ROW(drift_of_theta_dot) ROW(drift_of_x_dot)                                           \
   /* The last reading, with the integral of its x_dot. */                                                              \
   ROW(read_theta) ROW(read_theta_dot) ROW(read_x) ROW(read_x_dot)                                                      \
-  /* The state that the next reading shows; the true state, while the reading replaces it for the law. */              \
-  ROW(late_theta) ROW(late_theta_dot) ROW(late_x_dot) ROW(true_theta) ROW(true_theta_dot) ROW(true_x) ROW(true_x_dot)
+  /* The state that the next reading shows. */                                                                         \
+  ROW(late_theta) ROW(late_theta_dot) ROW(late_x_dot)
 #define PLANT_ROW(name) ROW(plant_##name)
 #define DRAWN(name) ROW(drawn_##name)
 
 // Environments of a block in a batch. One environment alone is a block of one lane, so that its rows lie side by side.
 constexpr int LANES = 64;
-// Largest number of cells in the memory of a law.
-constexpr int MOST_CELLS = 256;
+constexpr int MOST_CELLS = 256;  // largest number of cells in the memory of a law
 
 template <int N> struct Block {
 #define ROW(name) double name[N];
@@ -61,10 +60,14 @@ template <int N> struct Block {
 #undef ROW
 };
 
+// For blocks: a loop over their lanes, a register at a time, and reads and writes of a row at the lanes from j on.
+#define EACH for (int j = 0; j < n; j += WIDTH<T>)
+#define GET(row) load<T>(b.row + j)
+#define PUT(row, value) store<T>(b.row + j, value)
+
 // Values of the row `halt`: under way; stopped in the present substep, with one call of the law left; and halted.
 constexpr double UNDER_WAY = 0.0, ENDING = 1.0, HALTED = 2.0;
-// Rows of a state in the history: theta, theta_dot, x_dot.
-constexpr int HISTORY_ROWS = 3;
+constexpr int HISTORY_ROWS = 3;  // rows of a state in the history: theta, theta_dot, x_dot
 
 // The settings of a step, SI units; conditions are 0.0 or 1.0.
 #define CAPSULE_SETTINGS(FIELD)                                                                                        \
@@ -78,14 +81,11 @@ constexpr int HISTORY_ROWS = 3;
   /* The plant: whether it is extended, and differs in more than M and mu; and its constants. */                       \
   FIELD(extended) FIELD(varied) FIELD(pivot_torque_on_contact) CAPSULE_PLANT(FIELD)
 
-struct Settings {
-#define FIELD(name) double name;
-  CAPSULE_SETTINGS(FIELD)
-#undef FIELD
-};
+struct Settings { CAPSULE_SETTINGS(CAPSULE_DOUBLE) };
 
 // Calls a law that is not part of the core for n environments of a block whose rows begin at `block`: replaces their
-// memory and writes their torques, NaN where the law raises an exception.
+// memory and writes their torques, NaN where the law raises an exception. Where the law observes the sensors, its state
+// is the rows from read_theta on.
 typedef void (*UserLaw)(void* data, double* block, double* torques, long long n);
 
 // Everything that belongs to the environments of a simulation: arrays, by their addresses, and their sizes.
@@ -113,3 +113,11 @@ struct Batch {
   CAPSULE_BATCH(FIELD)
 #undef FIELD
 };
+
+// Doubles of a block of N environments.
+template <int N> constexpr long long block_size(const Batch& batch) {
+  long long rows = batch.memory_size + batch.reference_size + batch.task_size;
+  return sizeof(Block<N>) / 8 + (rows + HISTORY_ROWS * (long long)batch.settings->history) * N;
+}
+// What functions return where memory is short; else the index of an environment whose law has failed, or -1.
+constexpr long long NO_MEMORY = -2;

@@ -2,28 +2,20 @@
 #pragma once
 #include "layout.hpp"
 
-constexpr long long NO_MEMORY = -2;
+// An argument of `Level::call`: a whole or real number, or an address.
+struct Argument {
+  long long bits;
+  operator long long() const { return bits; }
+  operator double() const { return __builtin_bit_cast(double, bits); }
+  template <class T> operator T*() const { return (T*)bits; }
+};
+constexpr int MOST_ARGUMENTS = 9;
+// What `Level::call` returns where there is no function of this name.
+constexpr long long UNKNOWN = -3;
 
 struct Level {
   const char* name;
   long long (*advance)(const Batch&, long long first, long long last, bool begin);
-  void (*draw_episodes)(const Batch&, long long count);
-  void (*begin_episodes)(const Batch&, long long count);
-  void (*evaluate)(int function, const double* in, double* out, long long n, const Settings*);
-  // Torques of a law of the core, from arrays of shape (n, numbers): the state, the memory, which is replaced, and the row
-  // of the reference with the task's memory.
-  void (*law_torques)(long long law, const double* constants, const double* states, double* memory, const double* rows,
-                      double* torques, long long n);
-  // See laws/reference.hpp; `plant` holds M, mu, m / (M + m), the constants of `CAPSULE_PLANT` and
-  // pivot_torque_on_contact.
-  void (*platform_motion)(const double* angle, const double* velocity, const double* acceleration, const double* plant,
-                          double* motion, long long n, double h);
-  // The functions of network.hpp; `act_batch` allocates its working memory and returns whether there was enough.
-  bool (*act_batch)(const double* network, const float* observations, long long entries, long long n, double* memory,
-                    float* actions);
-  void (*write_inputs)(const double* header, const float* observations, long long entries, long long n, double* memory,
-                       float* inputs);
-  // Episodes of a policy; see rollout.hpp. NO_MEMORY where there was not enough.
-  long long (*run_episodes)(const Batch&, long long first, long long last, long long steps, double control_dt,
-                            const double* network, double* memory, const double* changes, long long num_changes);
+  // Calls a function by its name, see level.cpp.
+  long long (*call)(const char* function, const Argument* arguments);
 };

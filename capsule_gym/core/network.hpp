@@ -22,15 +22,9 @@
   FIELD(m) FIELD(l) FIELD(g) FIELD(dt)
 
 namespace LEVEL {
+struct Header { CAPSULE_NETWORK(CAPSULE_DOUBLE) };
 
-struct Header {
-#define FIELD(name) double name;
-  CAPSULE_NETWORK(FIELD)
-#undef FIELD
-};
-
-// Units and environments are padded to multiples of it: the numbers of the widest register.
-constexpr int PADDING = 8;
+constexpr int PADDING = 8;  // units and environments are padded to multiples of it: the numbers of the widest register
 constexpr int padded(int width) { return (width + PADDING - 1) / PADDING * PADDING; }
 // Total torque, in torque limits, above which the action is the whole residual: the law's torque may change before the
 // next action, and the torque limit then keeps the sum at the limit.
@@ -60,54 +54,47 @@ struct Layer {
   const double *bias, *weights;
 };
 
-// Adds the products of ROWS scalars and PACKS registers to the sums, for each input. The scalars of the next input lie
-// `scalar_step` further, its registers `vector_step`.
+// Adds to ROWS rows of PACKS registers of sums, for each input, the products of ROWS scalars and PACKS registers. The
+// scalars of the next input lie `scalar_step` further, its registers, and the next row of sums, `vector_step`.
 template <class T, int ROWS, int PACKS>
 INLINE void add_products(int inputs, const double* scalars, int scalar_step, const double* vectors, int vector_step,
-                         T (&sums)[ROWS][PACKS]) {
+                         double* sums) {
+  T s[ROWS][PACKS];
+  for (int r = 0; r < ROWS; r++)
+    for (int p = 0; p < PACKS; p++) s[r][p] = load<T>(sums + r * vector_step + p * WIDTH<T>);
   for (int i = 0; i < inputs; i++, scalars += scalar_step, vectors += vector_step) {
     T v[PACKS];
     for (int p = 0; p < PACKS; p++) v[p] = load<T>(vectors + p * WIDTH<T>);
     for (int r = 0; r < ROWS; r++)
-      for (int p = 0; p < PACKS; p++) sums[r][p] = fma(T(scalars[r]), v[p], sums[r][p]);
+      for (int p = 0; p < PACKS; p++) s[r][p] = fma(T(scalars[r]), v[p], s[r][p]);
   }
-}
-
-// The sums of PACKS registers of units, from k on, of one environment.
-template <class T, int PACKS>
-INLINE void add_units(const Layer& layer, int k, const double* values, double* sums) {
-  T s[1][PACKS];
-  for (int p = 0; p < PACKS; p++) s[0][p] = load<T>(layer.bias + k + p * WIDTH<T>);
-  add_products<T>(layer.inputs, values, 1, layer.weights + k, layer.units, s);
-  for (int p = 0; p < PACKS; p++) store(sums + k + p * WIDTH<T>, s[0][p]);
-}
-
-// The sums of ROWS units, from k on, of PACKS registers of environments.
-template <class T, int ROWS, int PACKS>
-INLINE void add_lanes(const Layer& layer, int k, const double* values, int rows, double* sums) {
-  T s[ROWS][PACKS];
   for (int r = 0; r < ROWS; r++)
-    for (int p = 0; p < PACKS; p++) s[r][p] = layer.bias[k + r];
-  add_products<T>(layer.inputs, layer.weights + k, layer.units, values, rows, s);
-  for (int r = 0; r < ROWS; r++)
-    for (int p = 0; p < PACKS; p++) store(sums + (k + r) * rows + p * WIDTH<T>, s[r][p]);
+    for (int p = 0; p < PACKS; p++) store(sums + r * vector_step + p * WIDTH<T>, s[r][p]);
 }
 
 // The sums of all units of a layer for 1 environment or a multiple of PADDING, `rows`; the values of an input, and the
 // sums of a unit, lie side by side.
 template <class T> NOINLINE void affine(const Layer& layer, const double* values, int rows, double* sums) {
+  const int inputs = layer.inputs, outputs = layer.outputs, units = layer.units;
+  const double *bias = layer.bias, *weights = layer.weights;
   // Registers of PADDING numbers, and as many as can be added to at once.
   constexpr int NARROW = PADDING / WIDTH<T>, WIDE = NARROW == 1 ? 4 : NARROW;
   if (rows == 1) {
+    __builtin_memcpy(sums, bias, units * sizeof(double));
     int k = 0;
-    for (; k + 8 * WIDTH<T> <= layer.units; k += 8 * WIDTH<T>) add_units<T, 8>(layer, k, values, sums);
-    for (; k < layer.units; k += PADDING) add_units<T, NARROW>(layer, k, values, sums);
+    for (; k + 8 * WIDTH<T> <= units; k += 8 * WIDTH<T>)
+      add_products<T, 1, 8>(inputs, values, 1, weights + k, units, sums + k);
+    for (; k < units; k += PADDING) add_products<T, 1, NARROW>(inputs, values, 1, weights + k, units, sums + k);
     return;
   }
+  for (int k = 0; k < outputs; k++)
+    for (int j = 0; j < rows; j++) sums[k * rows + j] = bias[k];
   auto add = [&]<int PACKS>(int j) {
     int k = 0;
-    for (; k + 4 <= layer.outputs; k += 4) add_lanes<T, 4, PACKS>(layer, k, values + j, rows, sums + j);
-    for (; k < layer.outputs; k++) add_lanes<T, 1, PACKS>(layer, k, values + j, rows, sums + j);
+    for (; k + 4 <= outputs; k += 4)
+      add_products<T, 4, PACKS>(inputs, weights + k, units, values + j, rows, sums + k * rows + j);
+    for (; k < outputs; k++)
+      add_products<T, 1, PACKS>(inputs, weights + k, units, values + j, rows, sums + k * rows + j);
   };
   int j = 0;
   for (; j + WIDE * WIDTH<T> <= rows; j += WIDE * WIDTH<T>) add.template operator()<WIDE>(j);
@@ -122,16 +109,15 @@ template <class T> NOINLINE void activate(double* sums, int count, bool relu) {
   }
 }
 
-// The outputs for inputs of shape (n, stride), of one environment or of at least PADDING.
+// The outputs for inputs of shape (n, inputs), of one environment or of at least PADDING.
 template <class T>
-inline const double* forward(const Network& network, const float* inputs, long long stride, int n, double* values,
-                             double* sums) {
+inline const double* forward(const Network& network, const float* inputs, int n, double* values, double* sums) {
   const Header& header = network.header;
   int rows = n == 1 ? 1 : padded(n);
   double size = header.clip;
   for (int i = 0; i < header.inputs; i++) {
     double *row = values + i * rows, mean = network.mean[i], scale = network.scale[i];
-    for (int j = 0; j < rows; j++) row[j] = j < n ? inputs[j * stride + i] : 0.0;
+    for (int j = 0; j < rows; j++) row[j] = j < n ? inputs[j * (int)header.inputs + i] : 0.0;
     for (int j = 0; j < rows; j++) row[j] = clip((row[j] - mean) * scale, size);
   }
   const double* next = network.layers;
@@ -156,22 +142,12 @@ inline void write_inputs(const Header& header, const float* observations, long l
     const float* observed = observations + i * entries;
     for (int k = 0; k < header.observed; k++) *inputs++ = observed[k];
     if (header.identifies != 0.0) {
-      identify(memory[i], observed[0], observed[1], observed[2], header.m, header.l, header.g, header.dt);
-      auto [M, log_mu, M_deviation, log_mu_deviation] = estimates(memory[i]);
-      *inputs++ = (float)M, *inputs++ = (float)log_mu;
-      *inputs++ = (float)M_deviation, *inputs++ = (float)log_mu_deviation;
+      identify(memory[i], observed[0], observed[1], observed[2], header);
+      *inputs++ = (float)memory[i].M, *inputs++ = (float)memory[i].log_mu;
+      *inputs++ = (float)deviation(memory[i].P_MM), *inputs++ = (float)deviation(memory[i].P_ff);
     }
     if (header.observes_energy_weight != 0.0) *inputs++ = (float)header.log_energy_weight;
   }
-}
-
-// The action in [-1, 1] for an output of the network, which is the action or the total torque in torque limits, and the
-// torque of the law at this instant, N m.
-inline double to_action(const Header& header, double output, double law_torque) {
-  double wanted = clip(output, 1.0);
-  if (header.outputs_torque == 0.0) return wanted;
-  if (abs(wanted) > SATURATION) return wanted > 0.0 ? 1.0 : -1.0;
-  return clip((header.torque_limit * wanted - law_torque) / header.residual_limit, 1.0);
 }
 
 // Bytes of the working memory of `act` for n environments.
@@ -188,34 +164,37 @@ inline void act(const Network& network, const float* observations, long long ent
   // A wide load that crosses a cache line takes twice as long.
   double* values = (double*)(((Word)workspace + 63) & ~63ULL);
   double* sums = values + network.widest * padded(n);
-  const float* inputs = observations += first * entries;
-  long long stride = entries;
-  if (header.inputs > header.observed) {
-    float* written = (float*)(sums + network.widest * padded(n));
-    write_inputs(header, observations, entries, n, memory + first, written);
-    inputs = written, stride = (long long)header.inputs;
-  }
+  float* inputs = (float*)(sums + network.widest * padded(n));
+  write_inputs(header, observations + first * entries, entries, n, memory + first, inputs);
   // A few environments one after the other, in registers of units.
   int together = n < PADDING ? 1 : n;
   for (int j = 0; j < n; j += together) {
-    const double* outputs = forward<T>(network, inputs + j * stride, stride, together, values, sums);
+    const double* outputs = forward<T>(network, inputs + j * (int)header.inputs, together, values, sums);
     for (int i = j; i < j + together; i++) {
-      double law_torque = header.law_torque < 0.0 ? 0.0 : observations[i * entries + (int)header.law_torque];
-      actions[i] = to_action(header, outputs[i - j], law_torque);
+      double& action = actions[i];
+      action = clip(outputs[i - j], 1.0);
+      if (header.outputs_torque == 0.0) continue;
+      // It is the total torque in torque limits.
+      double law_torque = header.law_torque < 0.0 ? 0.0 : observations[(first + i) * entries + (int)header.law_torque];
+      double residual = header.torque_limit * action - law_torque;
+      action = abs(action) > SATURATION ? copysign(1.0, action) : clip(residual / header.residual_limit, 1.0);
     }
   }
 }
 
-// The actions of any number of environments, with working memory for min(n, LANES).
-template <class T = Pack>
-inline void act_batch(const Network& network, const float* observations, long long entries, long long n,
-                      Identification* memory, void* workspace, float* actions) {
-  double found[LANES];
+// The actions of any number of environments, as `act`; -1, or NO_MEMORY.
+inline long long act_batch(const double* packed, const float* observations, long long entries, long long n,
+                           Identification* memory, float* actions) {
+  Network network(packed);
+  void* workspace = __builtin_malloc(workspace_size(network, n < LANES ? (int)n : LANES));
+  if (!workspace) return NO_MEMORY;
   for (long long first = 0; first < n; first += LANES) {
+    double found[LANES];
     int count = n - first < LANES ? (int)(n - first) : LANES;
-    act<T>(network, observations, entries, first, count, memory, workspace, found);
+    act(network, observations, entries, first, count, memory, workspace, found);
     for (int j = 0; j < count; j++) actions[first + j] = (float)found[j];
   }
+  __builtin_free(workspace);
+  return -1;
 }
-
 }  // namespace LEVEL

@@ -15,8 +15,8 @@
 #endif
 
 #if defined(CAPSULE_INSTRUMENTED) || (defined(__x86_64__) && !defined(__FMA__))
-// Checks of addresses, or on processors before 2013 calls of the library's fma, take most of the time: inlined everywhere,
-// they would take most of the compiler's.
+// Checks of addresses, or on processors before 2013 calls of the library's fma, take most of the time: inlined
+// everywhere, they would take most of the compiler's.
 #define INLINE inline
 #else
 #define INLINE inline __attribute__((always_inline))
@@ -24,21 +24,17 @@
 // For what is rare: inlined, it would take registers from the loops over environments.
 #define NOINLINE __attribute__((noinline))
 
-#if defined(__AVX512F__)
-#define LANES_IN_PACK 8
-#elif defined(__AVX__)
-#define LANES_IN_PACK 4
-#else
-#define LANES_IN_PACK 2
-#endif
-
 // Each level of instructions is a namespace, so that the linker cannot mix their functions.
 #ifndef LEVEL
 #define LEVEL portable
 #endif
 
-namespace LEVEL {
+// For lists of names: the fields of a struct, and their names in a text.
+#define CAPSULE_DOUBLE(name) double name;
+#define CAPSULE_NUMBER(name) T name;
+#define CAPSULE_NAME(name) #name " "
 
+namespace LEVEL {
 constexpr double INFINITE = __builtin_inf();
 constexpr double PI = 3.141592653589793;
 
@@ -91,7 +87,13 @@ INLINE unsigned lanes(bool condition) { return condition; }
 
 // --- as many environments as a register holds ---
 
-constexpr int PACK = LANES_IN_PACK;
+#if defined(__AVX512F__)
+constexpr int PACK = 8;
+#elif defined(__FMA__)
+constexpr int PACK = 4;
+#else
+constexpr int PACK = 2;
+#endif
 typedef double Doubles __attribute__((vector_size(8 * PACK)));
 typedef long long Integers __attribute__((vector_size(8 * PACK)));
 typedef Word Words __attribute__((vector_size(8 * PACK)));
@@ -131,69 +133,36 @@ INLINE Pack copysign(Pack size, Pack sign) {
   return from_bits((bits_of(size) & ~SIGN) | (bits_of(sign) & SIGN));
 }
 
-INLINE Pack fma(Pack a, Pack b, Pack c) {
-#if defined(__clang__)
-  return __builtin_elementwise_fma(a.v, b.v, c.v);
-#elif defined(__AVX512F__)
-  return (Doubles)_mm512_fmadd_pd((__m512d)a.v, (__m512d)b.v, (__m512d)c.v);
+#if defined(__AVX512F__)
+INLINE Pack fma(Pack a, Pack b, Pack c) { return (Doubles)_mm512_fmadd_pd((__m512d)a.v, (__m512d)b.v, (__m512d)c.v); }
+INLINE Pack sqrt(Pack x) { return (Doubles)_mm512_maskz_sqrt_pd(0xff, (__m512d)x.v); }
+INLINE Pack floor(Pack x) { return (Doubles)_mm512_maskz_roundscale_pd(0xff, (__m512d)x.v, _MM_FROUND_TO_NEG_INF); }
+INLINE unsigned lanes(Mask condition) { return _mm512_movepi64_mask((__m512i)condition.m); }
 #elif defined(__FMA__)
-  return (Doubles)_mm256_fmadd_pd((__m256d)a.v, (__m256d)b.v, (__m256d)c.v);
+INLINE Pack fma(Pack a, Pack b, Pack c) { return (Doubles)_mm256_fmadd_pd((__m256d)a.v, (__m256d)b.v, (__m256d)c.v); }
+INLINE Pack sqrt(Pack x) { return (Doubles)_mm256_sqrt_pd((__m256d)x.v); }
+INLINE Pack floor(Pack x) { return (Doubles)_mm256_floor_pd((__m256d)x.v); }
+INLINE unsigned lanes(Mask condition) { return (unsigned)_mm256_movemask_pd((__m256d)condition.m); }
+#else
+#if defined(__clang__)
+INLINE Pack fma(Pack a, Pack b, Pack c) { return __builtin_elementwise_fma(a.v, b.v, c.v); }
 #elif defined(__aarch64__)
+INLINE Pack fma(Pack a, Pack b, Pack c) {
   return (Doubles)vfmaq_f64((float64x2_t)c.v, (float64x2_t)a.v, (float64x2_t)b.v);
-#else
-  Doubles r;
-  for (int i = 0; i < PACK; i++) r[i] = __builtin_fma(a.v[i], b.v[i], c.v[i]);
-  return r;
-#endif
 }
-
-INLINE Pack sqrt(Pack x) {
-#if defined(__AVX512F__)
-  return (Doubles)_mm512_maskz_sqrt_pd(0xff, (__m512d)x.v);
-#elif defined(__AVX__)
-  return (Doubles)_mm256_sqrt_pd((__m256d)x.v);
 #else
-  Doubles r;
-  for (int i = 0; i < PACK; i++) r[i] = __builtin_sqrt(x.v[i]);
-  return r;
+INLINE Pack fma(Pack a, Pack b, Pack c) { return Doubles{fma(a.v[0], b.v[0], c.v[0]), fma(a.v[1], b.v[1], c.v[1])}; }
 #endif
-}
-
-INLINE Pack floor(Pack x) {
-#if defined(__AVX512F__)
-  return (Doubles)_mm512_maskz_roundscale_pd(0xff, (__m512d)x.v, _MM_FROUND_TO_NEG_INF);
-#elif defined(__AVX__)
-  return (Doubles)_mm256_floor_pd((__m256d)x.v);
-#else
-  Doubles r;
-  for (int i = 0; i < PACK; i++) r[i] = __builtin_floor(x.v[i]);
-  return r;
+INLINE Pack sqrt(Pack x) { return Doubles{sqrt(x.v[0]), sqrt(x.v[1])}; }
+INLINE Pack floor(Pack x) { return Doubles{floor(x.v[0]), floor(x.v[1])}; }
+INLINE unsigned lanes(Mask condition) { return (condition.m[0] != 0) | (condition.m[1] != 0) << 1; }
 #endif
-}
 
-// The numbers at these places, without a detour over memory, which would stall the load of the whole register.
+// The numbers at these places.
 INLINE Pack gather(const double* at, const int (&i)[PACK]) {
-#if LANES_IN_PACK == 8
-  return Doubles{at[i[0]], at[i[1]], at[i[2]], at[i[3]], at[i[4]], at[i[5]], at[i[6]], at[i[7]]};
-#elif LANES_IN_PACK == 4
-  return Doubles{at[i[0]], at[i[1]], at[i[2]], at[i[3]]};
-#else
-  return Doubles{at[i[0]], at[i[1]]};
-#endif
-}
-
-INLINE unsigned lanes(Mask condition) {
-#if defined(__AVX512DQ__)
-  return _mm512_movepi64_mask((__m512i)condition.m);
-#elif defined(__AVX__)
-  return (unsigned)_mm256_movemask_pd((__m256d)condition.m);
-#elif defined(__SSE2__)
-  return (unsigned)_mm_movemask_pd((__m128d)condition.m);
-#else
-  unsigned r = 0;
-  for (int i = 0; i < PACK; i++) r |= (unsigned)(condition.m[i] != 0) << i;
-  return r;
-#endif
+  Doubles values = {};
+  for (int k = 0; k < PACK; k++) values[k] = at[i[k]];
+  return values;
 }
 
 // --- both ---
@@ -204,7 +173,11 @@ template <class T> INLINE T load(const double* at) {
   __builtin_memcpy(&values, at, sizeof values);
   return values;
 }
-template <class T> INLINE void store(double* at, T values) { __builtin_memcpy(at, &values, sizeof values); }
+template <class T> INLINE void store(double* at, T values);
+template <> INLINE void store(double* at, double value) { *at = value; }
+// Not by a copy of bytes, which the compiler would take for a write to anything, also to pointers.
+typedef double Unaligned __attribute__((vector_size(8 * PACK), aligned(8)));
+template <> INLINE void store(double* at, Pack values) { *(Unaligned*)at = values.v; }
 template <class M> INLINE bool any(M condition) { return lanes(condition) != 0; }
 
 // `min` and `max` of a NaN and of zeros of both signs give the first argument, as Python's.
@@ -216,5 +189,4 @@ template <class M> INLINE bool any(M condition) { return lanes(condition) != 0; 
   INLINE T sign_of(T x) { return select(x > 0.0, T(1.0), select(x < 0.0, T(-1.0), T(0.0))); }
 CAPSULE_FUNCTIONS(double)
 CAPSULE_FUNCTIONS(Pack)
-
 }  // namespace LEVEL

@@ -3,19 +3,14 @@
 #include "elementary.hpp"
 
 namespace LEVEL {
-
 // Each purpose has its own stream, so that draws for one do not shift another.
 enum Stream : Word { PARAMETERS = 0, INITIAL_STATE = 1 };
 
 // The upper 64 bits of a product of two words.
-inline Word high_word(Word a, Word b) {
-  Word a_0 = a & 0xffffffff, a_1 = a >> 32, b_0 = b & 0xffffffff, b_1 = b >> 32;
-  Word middle = a_1 * b_0 + (a_0 * b_0 >> 32);
-  return a_1 * b_1 + (middle >> 32) + ((a_0 * b_1 + (middle & 0xffffffff)) >> 32);
-}
+inline Word high_word(Word a, Word b) { return (Word)((unsigned __int128)a * b >> 64); }
 
-// Number `place` of those in [0, 1) that NumPy's Philox generator gives for this key and the counter [0, stream, episode,
-// 0]: Philox4x64-10 (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", 2011).
+// Number `place` of those in [0, 1) that NumPy's Philox generator gives for this key and the counter [0, stream,
+// episode, 0]: Philox4x64-10 (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", 2011).
 inline double draw(const Word* key, Word stream, Word episode, int place) {
   constexpr Word FACTOR_0 = 0xD2E7470EE14C6C93, FACTOR_1 = 0xCA5A826395121157;
   constexpr double UNIT = 1.0 / 9007199254740992.0;  // of the upper 53 bits
@@ -38,9 +33,7 @@ template <class W> INLINE W scramble(W word) {
   return word ^ (word >> 31);
 }
 
-template <class T> struct Two {
-  T first, second;
-};
+template <class T> struct Two { T first, second; };
 
 constexpr Word ONE_BITS = 1023ULL << 52, FRACTION = (1ULL << 52) - 1;
 
@@ -62,11 +55,11 @@ template <class W> INLINE auto normals(W word) {
   fraction = select(large, 0.5 * fraction, fraction), exponent = select(large, exponent + 1.0, exponent);
   T s = (fraction - 1.0) / (fraction + 1.0);
   T z = s * s;
-  T series = fma(z, fma(z, fma(z, fma(z, fma(z, fma(z, T(1.0 / 13.0), 1.0 / 11.0), 1.0 / 9.0), 1.0 / 7.0), 1.0 / 5.0), 1.0 / 3.0), 1.0);
+  T series = 1.0 / 13.0;
+  for (int n = 11; n > 0; n -= 2) series = fma(z, series, 1.0 / n);
   T logarithm = fma(exponent, LN_2, 2.0 * s * series);
   T radius = sqrt(max(T(0.0), -2.0 * logarithm));
   auto [sine, cosine] = sincos<T>(TURN * (second - 1.5));
   return Two<T>{radius * cosine, radius * sine};
 }
-
 }  // namespace LEVEL

@@ -4,7 +4,6 @@
 #include "random.hpp"
 
 namespace LEVEL {
-
 // M in kg and mu at these shares, in [0, 1), of their ranges, or of the range of log(mu) where that is drawn. `ranges`:
 // lowest M, width of its range, lowest mu, width of its range, and width of the range of log(mu), or 0.
 inline Two<double> plant_at(const double* ranges, double share_M, double share_mu) {
@@ -14,10 +13,11 @@ inline Two<double> plant_at(const double* ranges, double share_M, double share_m
 }
 
 // Draws the initial states and the plants of the next episodes of the first `count` environments in `rows`, and the
-// other values by the lines of the draw table.
-inline void draw_episodes(const Batch& b, long long count) {
+// other values by the lines of the draw table. Returns the place of a row that names no environment, or -1.
+inline long long draw_episodes(const Batch& b, long long count) {
   for (long long n = 0; n < count; n++) {
     long long i = b.rows[n];
+    if (i < 0 || i >= b.num_envs) return n;
     const Word *key = b.keys + 2 * i, episode = (Word)b.episodes[i];
     double theta = b.start[0], theta_dot = 0.0;
     if (b.start[1] > 0.0 || b.start[2] > 0.0) {
@@ -35,6 +35,7 @@ inline void draw_episodes(const Batch& b, long long count) {
       b.drawn[k * b.num_envs + n] = line[5] != 0.0 ? copysign(size, twice) : size;
     }
   }
+  return -1;
 }
 
 // Writes the initial values of the next episodes of these environments, and deactivates the others for one step.
@@ -62,4 +63,8 @@ template <int N> void begin_blocks(const Batch& b, long long count, long long si
   }
 }
 
+inline void begin_episodes(const Batch& b, long long count) {
+  if (b.lanes == 1) begin_blocks<1>(b, count, block_size<1>(b));
+  else begin_blocks<LANES>(b, count, block_size<LANES>(b));
+}
 }  // namespace LEVEL

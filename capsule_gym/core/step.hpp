@@ -7,25 +7,19 @@
 #include "disturbances.hpp"
 #include "laws.hpp"
 #include "layout.hpp"
-#include "observation.hpp"
 #include "tasks.hpp"
 
 namespace LEVEL {
-
-// Stands for the phase of a platform at rest until `smooth_substep` has found it.
-constexpr double AT_REST = 2.0;
-// |theta_dot| + |x_dot| (rad/s, m/s) at an event, such as the end of an episode, beyond which the motion counts as lost.
+constexpr double AT_REST = 2.0;  // stands for the phase of a platform at rest until `smooth_substep` has found it
+// |theta_dot| + |x_dot| (rad/s, m/s) at an event, such as the end of an episode, beyond which the motion counts as
+// lost.
 constexpr double RATE_LIMIT = 1e4;
 
 // Reasons for the termination of an episode: the ball meets the platform, the platform leaves the floor, the integrator
 // cannot resolve the motion.
-enum Termination { NONE = 0, PENDULUM = 1, CONTACT = 2, DIVERGED = 3 };
+enum Termination { PENDULUM = 1, CONTACT = 2, DIVERGED = 3 };
 
-INLINE Termination termination(double theta, double normal_force) {
-  return abs(theta) >= THETA_LIMIT ? PENDULUM : normal_force <= 0.0 ? CONTACT : NONE;
-}
-
-// Whether `termination` is NONE and both are numbers. This check finds every step that overflows: within the limits of
+// Whether the episode goes on and both are numbers. This check finds every step that overflows: within the limits of
 // plant and torque, accelerations that overflow grow so fast from stage to stage that none cancels another in theta.
 template <class T> INLINE auto continues(T theta, T normal_force) {
   return (abs(theta) < THETA_LIMIT) & (normal_force > 0.0);
@@ -36,27 +30,23 @@ template <class T> INLINE auto bounded(T theta_dot, T x_dot) { return abs(theta_
 
 // A block of N environments, of which n take part in loops, stepped with the number type T.
 template <class T, int N> struct Step {
-  static constexpr int W = WIDTH<T>;
   const Batch& batch;
   const Settings& q;
   Block<N>& b;
   const int n;
   float* const observations;
-  // Behind the rows: memory of the law, its line of the reference, and the task's memory.
+  // The state that the law observes; behind the rows its memory, its line of the reference, and the task's memory.
+  const double* const seen;
   double *const memory, *const line, *const task;
   Disturbed<T, N> disturbed;
   // Lanes with an event in the present substep.
   int events[N], count = 0;
 
   Step(const Batch& batch, Block<N>& block, int n, float* observations)
-      : batch(batch), q(*batch.settings), b(block), n(n), observations(observations), memory((double*)(&block + 1)),
+      : batch(batch), q(*batch.settings), b(block), n(n), observations(observations),
+        seen(q.law_reads != 0.0 ? b.read_theta : b.theta), memory((double*)(&block + 1)),
         line(memory + batch.memory_size * N), task(line + batch.reference_size * N),
         disturbed{q, block, task + batch.task_size * N, n} {}
-
-#define EACH for (int j = 0; j < n; j += W)
-  // Reads and writes of a row at the lanes from j on.
-#define GET(row) load<T>(b.row + j)
-#define PUT(row, value) store<T>(b.row + j, value)
 
   // One agent step, or with `begin` the first call of the law in an episode.
   void run(bool begin) {
@@ -71,13 +61,12 @@ template <class T, int N> struct Step {
       // Law and agent observe a past state with sensor errors.
       if (varied) disturbed.measure(begin, tick + 1 == ticks);
       call_law(begin ? 0.0 : 1.0);
-      if (varied) disturbed.restore_state();
     }
-    if (!begin) finish_step();
-    observe(begin);
+    with_task([&](auto task) {
+      if (!begin) finish_step<decltype(task)>();
+      observe<decltype(task)>(begin);
+    });
   }
-
-  // --- the start of a step ---
 
   // Clips the action; returns how many environments take part.
   NOINLINE int begin_step(bool begin) {
@@ -97,27 +86,29 @@ template <class T, int N> struct Step {
     return taking_part;
   }
 
-  // --- the torque, constant until the law is called again ---
-
   void hold_torque(bool level) {
     if (q.varied != 0.0) return level ? hold_on<Kind::level>() : hold_on<Kind::varied>();
     if (q.extended != 0.0) return hold_on<Kind::extended>();
     return q.pivot_torque_on_contact != 0.0 ? hold_on<Kind::paper>() : hold_on<Kind::coulomb>();
   }
 
+  // The torque is constant until the law is called again.
   template <Kind kind> NOINLINE void hold_on() {
+    // A copy, which no write to the block can change: its quotients are computed once.
+    const Settings settings = q;
     double h = q.physics_dt;
-    int substeps = (int)q.physics_steps;
-    for (int substep = 0; substep < substeps; substep++) {
+    for (int substep = 0; substep < (int)q.physics_steps; substep++) {
       count = 0;
       EACH {
         if (substep == 0) apply_torque<kind>(j);
         T slip = GET(slip);
         // Where nothing sticks a third of the work is left out.
-        if (any((slip == 0.0) | (slip == AT_REST))) smooth_substep<kind, true>(j, slip, h);
-        else smooth_substep<kind, false>(j, slip, h);
+        if (any((slip == 0.0) | (slip == AT_REST))) smooth_substep<kind, true>(j, slip, h, settings);
+        else smooth_substep<kind, false>(j, slip, h, settings);
       }
-      if (count) handle_events<kind>(h, (substep + 1) * h);
+      int left = count;
+      if constexpr (N > 1) left = count > 1 ? pass_events<kind>(h) : count;
+      for (int e = 0; e < left; e++) step_with_events<kind>(events[e], h, (substep + 1) * h);
     }
   }
 
@@ -136,13 +127,13 @@ template <class T, int N> struct Step {
     PUT(slip, select(going & (x_dot == 0.0), T(AT_REST), select(x_dot < 0.0, T(-1.0), T(1.0))));
   }
 
-  // The plants of the lanes from j on, with the number type S.
-  template <Kind kind, class S = T> INLINE Plant<S, kind> plant_at(int j) const {
-    Plant<S, kind> p;
-    p.M = load<S>(b.M + j), p.mu = load<S>(b.mu + j), p.mass_ratio = load<S>(b.mass_ratio + j);
+  // The plants of the lanes of which `read` gives the numbers of a row.
+  template <class P, class Read> INLINE P read_plant(const Settings& q, Read read) const {
+    P p;
+    p.M = read(b.M), p.mu = read(b.mu), p.mass_ratio = read(b.mass_ratio);
     p.pivot_torque_on_contact = q.pivot_torque_on_contact;
-#define FIELD(name)                                                            \
-  if constexpr (Plant<S, kind>::varied) p.name = load<S>(b.plant_##name + j); \
+#define FIELD(name)                                         \
+  if constexpr (P::varied) p.name = read(b.plant_##name); \
   else p.name = q.name;
     CAPSULE_PLANT(FIELD)
 #undef FIELD
@@ -150,15 +141,15 @@ template <class T, int N> struct Step {
   }
 
   // Takes the lanes from j on through one substep, unless it has an event: then they are listed.
-  template <Kind kind, bool may_stick> INLINE void smooth_substep(int j, T slip, T h) {
-    auto p = plant_at<kind>(j);
+  template <Kind kind, bool may_stick> INLINE void smooth_substep(int j, T slip, T h, const Settings& q) {
+    auto p = read_plant<Plant<T, kind>>(q, [j](const double* row) { return load<T>(row + j); });
     State<T> s = {GET(theta), GET(theta_dot), GET(x), GET(x_dot)};
     T torque = GET(torque);
     if constexpr (may_stick) {
-      slip = select(slip == AT_REST, phase_at_rest(s.theta, s.theta_dot, torque, p), slip);
+      slip = select(slip == AT_REST, p.phase_at_rest(s.theta, s.theta_dot, torque), slip);
       PUT(slip, slip);
     }
-    auto r = smooth_step<may_stick>(s, slip, torque, p, h);
+    auto r = p.template smooth_step<may_stick>(s, slip, torque, h);
     auto going = GET(halt) == UNDER_WAY;
     auto smooth = r.lasts & continues(r.end.theta, r.first.normal);
     auto commit = going & smooth;
@@ -169,100 +160,76 @@ template <class T, int N> struct Step {
       PUT(theta_ddot, r.first.theta_ddot), PUT(x_ddot, r.first.x_ddot);
       PUT(first_normal_force, r.first.normal), PUT(least_normal_force, r.smallest);
     }
-    PUT(theta, select(commit, r.end.theta, s.theta));
-    PUT(theta_dot, select(commit, r.end.theta_dot, s.theta_dot));
-    PUT(x, select(commit, r.end.x, s.x));
-    PUT(x_dot, select(commit, r.end.x_dot, s.x_dot));
     T moved = select(commit, r.end.x - s.x, T(0.0));
     T turned = select(commit, swept(s.theta_dot, r.end.theta_dot, r.end.theta - s.theta, h), T(0.0));
-    PUT(energy, GET(energy) + abs(torque) * turned);
-    PUT(forward, GET(forward) + max(T(0.0), moved));
-    PUT(backward, GET(backward) + max(T(0.0), -moved));
-    if constexpr (may_stick) PUT(stuck, GET(stuck) + select(commit & (slip == 0.0), h, T(0.0)));
-    PUT(normal_force, min(GET(normal_force), select(commit, r.first.normal, T(INFINITE))));
-    PUT(largest_theta, max(GET(largest_theta), select(commit, abs(r.end.theta), T(0.0))));
-    PUT(largest_theta_dot, max(GET(largest_theta_dot), select(commit, abs(r.end.theta_dot), T(0.0))));
+    State<T> end = {select(commit, r.end.theta, s.theta), select(commit, r.end.theta_dot, s.theta_dot),
+                    select(commit, r.end.x, s.x), select(commit, r.end.x_dot, s.x_dot)};
+    T stuck = may_stick ? select(commit & (slip == 0.0), h, T(0.0)) : T(0.0);
+    add_motion<T, may_stick>(j, {end, max(T(0.0), moved), max(T(0.0), -moved), stuck, turned,
+                                 select(commit, r.first.normal, T(INFINITE)), 0.0});
   }
 
-  // --- events ---
-
-  template <Kind kind> NOINLINE void handle_events(double h, double elapsed) {
-    int left = count;
-    if constexpr (N > 1) {
-      if (count > 1) left = pass_events<kind>(h);
-    }
-    for (int e = 0; e < left; e++) step_with_events<kind>(events[e], h, elapsed);
+  // Writes the state at the end of a substep, and adds its contributions to the step and to the episode.
+  template <class S, bool may_stick = true> INLINE void add_motion(int j, const Motion<S>& m) {
+    store(b.theta + j, m.end.theta), store(b.theta_dot + j, m.end.theta_dot);
+    store(b.x + j, m.end.x), store(b.x_dot + j, m.end.x_dot);
+    auto add = [j](double* row, S amount) { store(row + j, load<S>(row + j) + amount); };
+    add(b.energy, abs(load<S>(b.torque + j)) * m.swept), add(b.forward, m.forward), add(b.backward, m.backward);
+    if constexpr (may_stick) add(b.stuck, m.stuck);
+    store(b.normal_force + j, min(load<S>(b.normal_force + j), m.normal_force));
+    store(b.largest_theta + j, max(load<S>(b.largest_theta + j), abs(m.end.theta)));
+    store(b.largest_theta_dot + j, max(load<S>(b.largest_theta_dot + j), abs(m.end.theta_dot)));
   }
 
   // Steps the environments that come to rest once in the substep, several at a time; returns how many others are left.
   template <Kind kind> NOINLINE int pass_events(double h) {
     int left = 0;
-    for (int first = 0; first < count; first += W) {
+    for (int first = 0; first < count; first += WIDTH<T>) {
       // Lanes behind the last environment repeat it, and are ignored.
-      int many = count - first < W ? count - first : W, lane[W];
-      for (int i = 0; i < W; i++) lane[i] = events[first + (i < many ? i : many - 1)];
-      Plant<T, kind> p;
-      p.M = gather(b.M, lane), p.mu = gather(b.mu, lane), p.mass_ratio = gather(b.mass_ratio, lane);
-      p.pivot_torque_on_contact = q.pivot_torque_on_contact;
-#define FIELD(name)                                                              \
-  if constexpr (Plant<T, kind>::varied) p.name = gather(b.plant_##name, lane); \
-  else p.name = q.name;
-      CAPSULE_PLANT(FIELD)
-#undef FIELD
-      Phase<Plant<T, kind>> start = {{gather(b.theta, lane), gather(b.theta_dot, lane), gather(b.x, lane), gather(b.x_dot, lane)},
-                                     gather(b.slip, lane), gather(b.torque, lane), p,
-                                     {gather(b.theta_ddot, lane), gather(b.x_ddot, lane), gather(b.first_normal_force, lane)}};
-      auto r = pass_rest(start, gather(b.next_theta, lane), gather(b.next_theta_dot, lane), gather(b.next_x_dot, lane), T(h));
-      const auto& m = r.motion;
-      auto holds = r.holds & continues(m.end.theta, m.normal_force) & bounded(m.end.theta_dot, m.end.x_dot) &
-                   (abs(m.end.x + m.swept) < INFINITE) & (gather(b.least_normal_force, lane) >= 0.0);
+      int many = count - first < WIDTH<T> ? count - first : WIDTH<T>, lane[WIDTH<T>];
+      for (int i = 0; i < WIDTH<T>; i++) lane[i] = events[first + (i < many ? i : many - 1)];
+      auto at = [&lane](const double* row) { return gather(row, lane); };
+      Phase<Plant<T, kind>> start = {{at(b.theta), at(b.theta_dot), at(b.x), at(b.x_dot)}, at(b.slip), at(b.torque),
+                                     read_plant<Plant<T, kind>>(q, at),
+                                     {at(b.theta_ddot), at(b.x_ddot), at(b.first_normal_force)}};
+      auto [m, slip, holds] = pass_rest(start, at(b.next_theta), at(b.next_theta_dot), at(b.next_x_dot), T(h));
+      holds = holds & continues(m.end.theta, m.normal_force) & bounded(m.end.theta_dot, m.end.x_dot) &
+              (abs(m.end.x + m.swept) < INFINITE) & (at(b.least_normal_force) >= 0.0);
       unsigned passed = lanes(holds);
-      T slip = r.slip;
       for (int i = 0; i < many; i++) {
         if (!(passed >> i & 1)) {
           events[left++] = lane[i];
           continue;
         }
-        auto at = [i](const T& values) { return ((const double*)&values)[i]; };
-        b.slip[lane[i]] = at(slip);
-        add_motion(lane[i], {{at(m.end.theta), at(m.end.theta_dot), at(m.end.x), at(m.end.x_dot)}, at(m.forward),
-                             at(m.backward), at(m.stuck), at(m.swept), at(m.normal_force), at(m.events)});
+        Motion<double> own;
+        for (int k = 0; k < WIDTH<Motion<double>>; k++) ((double*)&own)[k] = ((const double*)&m)[k * WIDTH<T> + i];
+        b.slip[lane[i]] = ((const double*)&slip)[i];
+        add_motion(lane[i], own);
       }
     }
     return left;
   }
 
-  // Writes the state at the end of a substep, and adds its contributions to the step and to the episode.
-  INLINE void add_motion(int j, const Motion<double>& m) {
-    b.theta[j] = m.end.theta, b.theta_dot[j] = m.end.theta_dot, b.x[j] = m.end.x, b.x_dot[j] = m.end.x_dot;
-    b.energy[j] += abs(b.torque[j]) * m.swept;
-    b.forward[j] += m.forward;
-    b.backward[j] += m.backward;
-    b.stuck[j] += m.stuck;
-    b.normal_force[j] = min(b.normal_force[j], m.normal_force);
-    b.largest_theta[j] = max(b.largest_theta[j], abs(m.end.theta));
-    b.largest_theta_dot[j] = max(b.largest_theta_dot[j], abs(m.end.theta_dot));
-  }
-
   // Steps one environment through a substep with any event.
   template <Kind kind> NOINLINE void step_with_events(int j, double h, double elapsed) {
-    auto p = plant_at<kind, double>(j);
+    auto p = read_plant<Plant<double, kind>>(q, [j](const double* row) { return row[j]; });
     State<double> s = {b.theta[j], b.theta_dot[j], b.x[j], b.x_dot[j]};
-    Phase<Plant<double, kind>> start = {s, b.slip[j], b.torque[j], p, {b.theta_ddot[j], b.x_ddot[j], b.first_normal_force[j]}};
+    Accelerations<double> first = {b.theta_ddot[j], b.x_ddot[j], b.first_normal_force[j]};
+    Phase<Plant<double, kind>> start = {s, b.slip[j], b.torque[j], p, first};
     State<double> end = {b.next_theta[j], b.next_theta_dot[j], b.next_x[j], b.next_x_dot[j]};
-    auto whole = b.least_normal_force[j] >= 0.0 ? finish(start, h, end, start.first.x_ddot, start.first.normal)
-                                                : piece(start, h);
+    auto whole = b.least_normal_force[j] >= 0.0 ? start.finish(h, end, first.x_ddot, first.normal) : start.piece(h);
     auto m = event_step(start, whole);
     double sum = m.end.theta + m.end.x + m.swept + m.normal_force;
     if (!(bounded(m.end.theta_dot, m.end.x_dot) && abs(sum) < INFINITE)) {
       // The substep is discarded: the environment keeps the state at its start.
-      auto a = accelerations(s.theta, s.theta_dot, s.x_dot, start.slip, start.u, p);
+      auto a = p.accelerations(s.theta, s.theta_dot, s.x_dot, start.slip, start.u);
       b.normal_force[j] = min(b.normal_force[j], a.normal);
       return end_episode(j, DIVERGED, elapsed - h);
     }
     add_motion(j, m);
-    b.slip[j] = contact_phase(m.end, start.u, p);
-    if (auto reason = termination(m.end.theta, m.normal_force)) end_episode(j, reason, elapsed);
+    b.slip[j] = p.contact_phase(m.end, start.u);
+    if (abs(m.end.theta) >= THETA_LIMIT) end_episode(j, PENDULUM, elapsed);
+    else if (m.normal_force <= 0.0) end_episode(j, CONTACT, elapsed);
   }
 
   INLINE void end_episode(int j, Termination reason, double elapsed) {
@@ -271,8 +238,6 @@ template <class T, int N> struct Step {
     b.elapsed[j] = elapsed;
     b.slip[j] = 1.0;
   }
-
-  // --- the law ---
 
   NOINLINE void call_law(double tick) {
     // The only row of a reference stays where the first call has written it.
@@ -313,7 +278,7 @@ template <class T, int N> struct Step {
       S cells[Law::MEMORY], row[Law::COLUMNS];
       for (int r = 0; r < Law::MEMORY; r++) cells[r] = load<S>(memory + r * N + j);
       for (int r = 0; r < Law::COLUMNS; r++) row[r] = load<S>(line + r * N + j);
-      State<S> s = {load<S>(b.theta + j), load<S>(b.theta_dot + j), load<S>(b.x + j), load<S>(b.x_dot + j)};
+      State<S> s = {load<S>(seen + j), load<S>(seen + N + j), load<S>(seen + 2 * N + j), load<S>(seen + 3 * N + j)};
       S torque = law(s, cells, row);
       auto called = load<S>(b.halt + j) != HALTED;
       for (int r = 0; r < Law::MEMORY; r++)
@@ -324,15 +289,16 @@ template <class T, int N> struct Step {
 
   NOINLINE void evaluate_user_law(double tick) {
     long long size = batch.memory_size * N;
-    // It writes the memory of every lane. Those that have halted get theirs back, and those whose law has failed, so that it
-    // can be called again with the same arguments.
+    // It writes the memory of every lane. Lanes that have halted get theirs back, and those whose law has failed, so
+    // that it can be called again with the same arguments.
     double torques[N], kept[MOST_CELLS * N];
     __builtin_memcpy(kept, memory, size * sizeof(double));
     batch.user_law(batch.user_data, (double*)&b, torques, n);
     EACH {
       T torque = load<T>(torques + j);
       auto keeps = (GET(halt) == HALTED) | !(abs(torque) < INFINITE);
-      for (long long at = j; at < size; at += N) store<T>(memory + at, select(keeps, load<T>(kept + at), load<T>(memory + at)));
+      for (long long at = j; at < size; at += N)
+        store<T>(memory + at, select(keeps, load<T>(kept + at), load<T>(memory + at)));
       keep_torque(j, torque, tick);
     }
   }
@@ -348,8 +314,6 @@ template <class T, int N> struct Step {
     store<S>(b.torque_squared + j, load<S>(b.torque_squared + j) + tick * elapsed * acted * acted);
     store<S>(b.halt + j, select((halt == UNDER_WAY) & (clipped == clipped), S(UNDER_WAY), S(HALTED)));
   }
-
-  // --- the task ---
 
   template <class Call> INLINE void with_task(Call call) {
     int number = 0;
@@ -378,11 +342,7 @@ template <class T, int N> struct Step {
   }
 
   // Ends an agent step: rewards, the task's memory, and the sums of the episode.
-  NOINLINE void finish_step() {
-    with_task([&](auto kind) { finish_task<decltype(kind)>(); });
-  }
-
-  template <class Task> INLINE void finish_task() {
+  template <class Task> NOINLINE void finish_step() {
     double dt = q.law_steps * q.physics_steps * q.physics_dt;
     bool varied = q.varied != 0.0;
     EACH {
@@ -415,13 +375,8 @@ template <class T, int N> struct Step {
     }
   }
 
-  // --- the observation ---
-
-  NOINLINE void observe(bool begin) {
-    with_task([&](auto kind) { observe_task<decltype(kind)>(begin); });
-  }
-
-  template <class Task> INLINE void observe_task(bool begin) {
+  // Writes the entries in the order of `observation_names`.
+  template <class Task> NOINLINE void observe(bool begin) {
     int entries = (int)batch.entries / (int)q.stack_size, all = (int)batch.entries;
     bool reads = q.varied != 0.0 && q.agent_reads != 0.0;
     for (int j = 0; j < n; j++) {
@@ -429,27 +384,26 @@ template <class T, int N> struct Step {
       float* out = observations + j * batch.entries;
       // Shifts the stacked observations; at the start of an episode all of them are the first.
       for (int entry = all - 1; entry >= entries; entry--) out[entry] = out[entry - entries];
-      Observed seen = {b.theta[j], b.theta_dot[j], b.x_dot[j], q.stick_threshold, begin ? 0.0 : b.action[j]};
-      if (reads) seen.theta = b.read_theta[j], seen.theta_dot = b.read_theta_dot[j], seen.x_dot = b.read_x_dot[j];
-      float* next = write_state(out, seen);
-      if (q.with_reference != 0.0)
-        next = write_law(next, {line[j], line[N + j], b.clock[j] / (double)batch.reference_rows, b.law_torque[j]});
-      if (q.with_parameters != 0.0) next = write_parameters(next, b.M[j], b.mu[j]);
+      double x_dot = reads ? b.read_x_dot[j] : b.x_dot[j];
+      float* next = out;
+      *next++ = (float)clip(reads ? b.read_theta[j] : b.theta[j], THETA_LIMIT);
+      *next++ = (float)clip(reads ? b.read_theta_dot[j] : b.theta_dot[j], THETA_DOT_BOUND);
+      *next++ = (float)clip(x_dot, X_DOT_BOUND);
+      *next++ = abs(x_dot) <= q.stick_threshold ? 1.0f : 0.0f;
+      *next++ = begin ? 0.0f : (float)b.action[j];
+      if (q.with_reference != 0.0) {
+        auto [sin, cos] = sincos(2.0 * PI * (b.clock[j] / (double)batch.reference_rows));
+        // theta_d and its derivative, the phase of the cycle, and the law's torque.
+        *next++ = (float)clip(line[j], THETA_LIMIT), *next++ = (float)clip(line[N + j], THETA_DOT_BOUND);
+        *next++ = (float)sin, *next++ = (float)cos, *next++ = (float)b.law_torque[j];
+      }
+      if (q.with_parameters != 0.0) *next++ = (float)b.M[j], *next++ = (float)b.mu[j];
       Task::observe(next, read_task<double, Task>(j));
       if (begin)
         for (int entry = entries; entry < all; entry++) out[entry] = out[entry - entries];
     }
   }
-#undef EACH
-#undef GET
-#undef PUT
 };
-
-// Doubles of a block of N environments.
-template <int N> constexpr long long block_size(const Batch& batch) {
-  long long rows = batch.memory_size + batch.reference_size + batch.task_size;
-  return sizeof(Block<N>) / 8 + (rows + HISTORY_ROWS * (long long)batch.settings->history) * N;
-}
 
 // Steps the environments first..last-1, or begins their episodes; `first` is a multiple of N. Returns the index of an
 // environment whose law returned a torque that is not finite, or -1.
@@ -473,5 +427,4 @@ inline long long advance(const Batch& batch, long long first, long long last, bo
 #endif
   return advance_blocks<double, 1>(batch, first, last, begin);
 }
-
 }  // namespace LEVEL

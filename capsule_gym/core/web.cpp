@@ -34,7 +34,7 @@ EXPORT(bind) void bind(const double* fields) {
 }
 
 EXPORT(draw_episode) void draw_episode() { web::draw_episodes(batch, 1); }
-EXPORT(begin_episode) void begin_episode() { web::begin_blocks<1>(batch, 1, web::block_size<1>(batch)); }
+EXPORT(begin_episode) void begin_episode() { web::begin_episodes(batch, 1); }
 
 // One agent step, or with `begin` the first call of the law in an episode; false if the law's torque is not finite.
 EXPORT(advance) bool advance(bool begin) { return web::advance(batch, 0, 1, begin) < 0; }

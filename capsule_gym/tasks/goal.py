@@ -5,9 +5,7 @@
 The capsule of `CapsuleStickSlip-v0` on a floor with more friction. Every episode draws the displacement of a goal. The
 goal is reached when the platform has been at rest, with a velocity of exactly 0, within 2 mm of the goal for 1 s.
 
-## Action Space
-
-As in `CapsuleStickSlip-v0`.
+Actions are those of `CapsuleStickSlip-v0`.
 
 ## Observation Space
 
@@ -48,10 +46,6 @@ length of the episode if it was not).
 Those of `CapsuleStickSlip-v0`, with the defaults `capsule=Capsule(static_ratio=1.3)`, M uniform in [0.45, 0.55] kg, mu
 log-uniform in [0.05, 0.5], `energy_weight=0` and `termination_penalty=3`. `capsule=Capsule(), randomization="paper"`
 gives the paper's floor, where a torque of 1.3 % of the limit moves the platform, so that it is difficult to rest.
-
-## Version History
-
-* v0: initial version
 """
 
 from __future__ import annotations
@@ -70,18 +64,13 @@ NEAREST, FARTHEST = 0.05, 0.5
 
 
 def parse_goal(name: str, value: Any) -> list[float]:
-    """The displacement of the goal from the start, in m.
-
-    Raises:
-        TypeError: if it is not a number.
-        ValueError: if it is not finite or too large.
-    """
+    """The displacement of the goal from the start, in m."""
     farthest = LARGEST_STATE[2]
     return [check_number(name, value, f"a finite number of m within {farthest:g} of 0", -farthest, farthest)]
 
 
 def metrics(memory: Any, whole: np.ndarray) -> dict[str, np.ndarray]:
-    """The metrics of `Task.metrics`."""
+    """See `Task.metrics`."""
     success = memory.reached > 0.0
     return {"success": success.astype(np.float64), "goal_time": np.where(success, memory.reached, whole)}
 

@@ -5,9 +5,7 @@
 The capsule of `CapsuleStickSlip-v0` on a floor with more friction. A target moves with the commanded velocity. It
 starts at the platform at every change of the command and stays within 0.3 m of the platform.
 
-## Action Space
-
-As in `CapsuleStickSlip-v0`.
+Actions are those of `CapsuleStickSlip-v0`.
 
 ## Observation Space
 
@@ -52,10 +50,6 @@ A command counts if it was measured for 1 s. If none was, `velocity_error` is 10
 
 Those of `CapsuleStickSlip-v0`, with the defaults `capsule=Capsule(static_ratio=1.3)`, M uniform in [0.45, 0.55] kg, mu
 log-uniform in [0.05, 0.5], `energy_weight=0` and `termination_penalty=3`.
-
-## Version History
-
-* v0: initial version
 """
 
 from __future__ import annotations
@@ -68,7 +62,7 @@ import numpy as np
 
 from capsule_gym import _core
 from capsule_gym._core import COMMANDS, SPEED_BOUND
-from capsule_gym.checks import check_number, written
+from capsule_gym.checks import check_number, check_timed
 from capsule_gym.task import TASKS, Draw, Option, Task
 from capsule_gym.tasks import DEFAULTS
 
@@ -78,31 +72,18 @@ LASTS = (4.0, 8.0)
 
 
 def parse_commands(name: str, value: Any) -> list[float]:
-    """The velocities of the commands and how long each lasts, from `[{"t": s, "v": m/s}]`.
-
-    Raises:
-        TypeError: if the value or an entry is of the wrong type.
-        ValueError: if an entry is out of range, or there are too many.
-    """
+    """The velocities of the commands and how long each lasts, from `[{"t": s, "v": m/s}]`."""
     accepted = f"a list of 1 to {COMMANDS} dicts {{'t': s, 'v': m/s}}, the first at 0 s, each later than the one before"
-    if not isinstance(value, (list, tuple)):
-        raise TypeError(f"{name} must be {accepted}, got {written(value)}")
-    if not 1 <= len(value) <= COMMANDS:
+    if isinstance(value, (list, tuple)) and not 1 <= len(value) <= COMMANDS:
         raise ValueError(f"{name} must be {accepted}, got {len(value)}")
     times: list[float] = []
     commands: list[float] = []
-    for n, command in enumerate(value):
-        if not isinstance(command, dict):
-            raise TypeError(f"{name}[{n}] must be a dict with the keys 't' and 'v', got {written(command)}")
-        if set(command) != {"t", "v"}:
-            raise ValueError(f"{name}[{n}] must have the keys 't' and 'v' and no others, got {written(command)}")
-        t = check_number(f"{name}[{n}]['t']", command["t"], "a finite number >= 0 (s)", 0.0)
-        if (t != 0.0) if n == 0 else (t <= times[-1]):
-            late = f"later than the one before, {times[-1]:g} s" if n else "0 s for the first command"
-            raise ValueError(f"{name}[{n}]['t'] must be {late}, got {t:g} s")
+    for own, t, command in check_timed(name, value, accepted, ("t", "v")):
+        if not times and t != 0.0:
+            raise ValueError(f"{own}['t'] must be 0 s for the first command, got {t:g} s")
         times.append(t)
         limit = f"a number of m/s within {LARGEST:g} of 0"
-        commands.append(check_number(f"{name}[{n}]['v']", command["v"], limit, -LARGEST, LARGEST))
+        commands.append(check_number(f"{own}['v']", command["v"], limit, -LARGEST, LARGEST))
     more = COMMANDS - len(times)
     lasts = [later - t for t, later in zip(times, [*times[1:], math.inf], strict=True)]
     return [*commands, *[commands[-1]] * more, *lasts, *[math.inf] * more]

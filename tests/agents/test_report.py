@@ -1,121 +1,120 @@
+"""The report of policies, and the comparison at the end of training."""
+
 import html
 import json
 import re
-import shutil
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from agents import report
+from agents.evaluation.episodes import evaluate
 from agents.leaderboard.rows import evaluate_run
-from agents.report import __main__ as report
-from agents.report import page
-from capsule_gym.evaluation_sets import SET_NAMES
-from tests.agents.fakes import write_run
+from capsule_gym.evaluation_sets import SET_NAMES, EvaluationSet, PlantSpec
+from tests.agents.fakes import Sine, write_run
 from tests.agents.training.small import small
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
 NAME = "a$\\bad$b"  # must not be read as a formula
+PLANT = PlantSpec(0.6, 0.05, seed=3)
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    """The folder of a run with the files that a report reads."""
-    folder = tmp_path_factory.mktemp("runs") / NAME
-    write_run(folder, 3)
-    (folder / "evaluations.csv").write_text("steps,mean_speed_cm_s,failed\n100,1.0,0\n200,2.0,0\n")
-    (folder / "animation.gif").write_bytes(b"GIF89a")
-    return folder
+@pytest.fixture(autouse=True)
+def brief(monkeypatch):
+    """Short episodes and small figures."""
+    monkeypatch.setattr(report, "DPI", 50)
+    monkeypatch.setattr(report, "evaluate_run", partial(evaluate_run, horizon=0.2))
 
 
-@pytest.fixture(scope="module")
-def both(run):
-    """A row of the leaderboard, the run after short episodes, and the paper's controller."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(page, "evaluate_run", partial(evaluate_run, horizon=0.6))
-        return page.collect(["direct-ppo", str(run)])
+def make_run(folder, env="CapsuleStickSlip-v0", columns="mean_speed_cm_s", **options):
+    """Writes the files of a finished run that the comparison and a report read."""
+    write_run(folder, 3, **options)
+    (folder / "evaluations.csv").write_text(f"steps,{columns},failed\n100,1.0,0\n200,2.0,0\n")
+    hyperparameters = {**small("direct", "ppo").to_dict(), "env": env}
+    content = {"task": "direct", "algo": "ppo", "hyperparameters": hyperparameters}
+    (folder / "config.json").write_text(json.dumps(content))
 
 
-def test_a_report_shows_the_numbers_of_the_leaderboard(both, monkeypatch):
-    monkeypatch.setattr(page, "DPI", 50)
-    text = page.render(both, "A <title>")
-    # Every picture is inside of the page: the animation, the learning curve and three more figures.
-    assert re.findall(r'src="(data:image/\w+)', text) == ["data:image/gif", *["data:image/png"] * 4]
-    assert not re.search(r'(src|href)="(?!data:)', text)
-    assert "<title>A &lt;title&gt;</title>" in text and "<h1>A &lt;title&gt;</h1>" in text
-    assert "Learning curve on validation plants" in text and f"{NAME} in motion on the nominal plant" in text
+def test_a_report_shows_the_numbers_of_the_leaderboard(tmp_path):
+    make_run(tmp_path / NAME)
+    text = report.render(["direct-ppo", str(tmp_path / NAME)])
+    # Every picture is inside of the page: learning curves, cost of transport and performance profiles.
+    assert re.findall(r"src='(data:image/\w+)", text) == ["data:image/png"] * 3
+    assert not re.search(r"(src|href)=['\"](?!data:)", text)
+    assert f"<h1>direct-ppo, {NAME}</h1>" in html.unescape(text)
     board = json.loads((ROOT / "leaderboard.json").read_text())
-    tables = text.split("<h3>")[1:]
-    # The report omits the sets of 1,000 plants, which would take too long.
-    assert [each.partition("<")[0] for each in tables] == list(SET_NAMES)
     rows = {row["policy"]: row["results"] for row in board["rows"]}
-    for name in ("paper", "wide"):
-        result = rows["direct-ppo"][name]
-        assert f"{result['failures']} of {result['episodes']} on <code>{name}</code>" in text
-    for table, name in zip(tables, SET_NAMES, strict=True):
+    # The report omits the sets of 1,000 plants, which would take too long.
+    tables = dict(re.findall(r"<h2>Set (\w+)</h2>(.*?)</table>", text, re.DOTALL))
+    assert list(tables) == list(SET_NAMES)
+    for name, table in tables.items():
         lines = [re.findall(r"<td[^>]*>(.*?)</td>", line) for line in table.splitlines() if "<td" in line]
-        shown = {cells[0].strip(): [cell.strip() for cell in cells[1:]] for cells in lines}
-        assert list(shown) == [row.name for row in both.results.rows]
+        shown = {html.unescape(policy.strip()): [cell.strip() for cell in cells] for policy, *cells in lines}
+        assert set(shown) == {"direct-ppo", "adaptive", NAME}
         for policy in ("direct-ppo", "adaptive"):
             result = rows[policy][name]
             assert shown[policy][0] == f"{result['failures']}/{result['episodes']}"
             assert shown[policy][1].startswith(f"{result['mean_speed']['iqm']:.2f} [")
-            assert (shown[policy][-1] == "-") == ("share_of_optimum" not in result)
+            assert ("share of optimum" in table) is ("share_of_optimum" in result)
 
 
-def test_a_finished_run_is_compared_and_drawn(run, both, tmp_path, capsys, monkeypatch):
-    rows = tuple(row for row in both.results.rows if row.name != "direct-ppo")
-    mine = both._replace(results=replace(both.results, rows=rows))
-    monkeypatch.setattr(page, "collect", lambda *names, **options: mine)
-    monkeypatch.setattr(page, "_figure", lambda *arguments: "")
+GOAL = {"env_kwargs": {"task": "goal"}, "mean": np.zeros(8), "variance": np.ones(8)}
+GOAL["layers"] = ((np.zeros((1, 8), np.float32), np.zeros(1, np.float32)),)
+
+
+@pytest.mark.parametrize(
+    ("env", "columns", "options", "plant", "shown"),
+    [
+        ("CapsuleStickSlip-v0", "mean_speed_cm_s", {}, {"M": 0.5, "mu": 0.01}, "cost of transport"),
+        ("CapsuleGoal-v0", "goal_time_s,success", GOAL, {"M": 0.5, "mu": 0.2, "goal": 0.1}, "share of goals reached"),
+    ],
+)
+def test_a_finished_run_is_compared_and_drawn(tmp_path, monkeypatch, capsys, env, columns, options, plant, shown):
+    monkeypatch.setattr(report, "SHOWN", 0.08)
     folder, set_file = tmp_path / NAME, tmp_path / "two.json"
-    shutil.copytree(run, folder)
-    content = {"task": "direct", "algo": "ppo", "hyperparameters": small("direct", "ppo").to_dict()}
-    (folder / "config.json").write_text(json.dumps(content))
-    set_file.write_text(json.dumps({"name": "two", "plants": [{"M": 0.5, "mu": 0.01, "seed": n} for n in range(2)]}))
-    monkeypatch.setattr(page, "ANIMATION_SECONDS", 0.08)
-    monkeypatch.setattr(page, "ANIMATION_START", 0.04)
-    page.compare(folder, str(set_file))
+    make_run(folder, env, columns, **options)
+    task = options.get("env_kwargs", {}).get("task", "speed")
+    plants = [{**plant, "seed": n} for n in range(2)]
+    set_file.write_text(json.dumps({"name": "two", "task": task, "plants": plants}))
+    report.compare(folder, str(set_file))
     out = capsys.readouterr().out
-    for word in ("mean speed", "cost of transport", "peak torque", "failures", "difference", "adaptive"):
-        assert word in out
+    assert all(word in out for word in ("mean speed", "peak torque", "failures", "difference", shown))
     for name in ("comparison.png", "animation.gif", "report.html"):
         assert (folder / name).stat().st_size > 1000
     assert not list(folder.glob("*.tmp*"))
-    assert f"<h1>{NAME}</h1>" in html.unescape((folder / "report.html").read_text())
-
-
-def test_a_run_in_another_task_is_reported_by_its_metrics(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(page, "ANIMATION_SECONDS", 0.08)
-    monkeypatch.setattr(page, "DPI", 50)
-    monkeypatch.setattr(page, "evaluate_run", partial(evaluate_run, horizon=0.2))
-    folder, set_file = tmp_path / "mine", tmp_path / "two.json"
-    options = {"env_kwargs": {"task": "goal"}, "mean": np.zeros(8), "variance": np.ones(8)}
-    write_run(folder, 3, **options, layers=((np.zeros((1, 8), np.float32), np.zeros(1, np.float32)),))
-    (folder / "evaluations.csv").write_text("steps,goal_time_s,success,failed\n100,9.0,0.5,0\n200,2.0,0.9,0\n")
-    hyperparameters = {**small("direct", "ppo").to_dict(), "env": "CapsuleGoal-v0"}
-    content = {"task": "direct", "algo": "ppo", "hyperparameters": hyperparameters}
-    (folder / "config.json").write_text(json.dumps(content))
-    plants = [{"M": 0.5, "mu": 0.2, "seed": n, "goal": 0.1} for n in range(2)]
-    set_file.write_text(json.dumps({"name": "two", "task": "goal", "plants": plants}))
-    page.compare(folder, str(set_file))
-    assert "share of goals reached" in capsys.readouterr().out
     text = (folder / "report.html").read_text()
-    assert "time to the goal (s)" in text and "<code>goal-pulses</code> has" in text and "share of optimum" not in text
-    assert re.findall("<h3>(.*)</h3>", text) == ["goal", "goal-paper"]
-    with pytest.raises(ValueError, match=r"must be for the same task, got .+ for goal and direct-ppo"):
-        page.collect([str(folder), "direct-ppo"])
+    assert f"<h1>{NAME}</h1>" in html.unescape(text) and ("time to the goal (s)" in text) is (task == "goal")
+    if task == "goal":
+        with pytest.raises(ValueError, match=r"for the same task, got .+ for goal and direct-ppo"):
+            report.render([str(folder), "direct-ppo"])
 
 
-def test_two_policies_of_one_name_are_refused(run, tmp_path, monkeypatch):
-    monkeypatch.setattr(page, "evaluate_run", partial(evaluate_run, horizon=0.2))
-    write_run(tmp_path / "other" / NAME, 4)
+@pytest.mark.parametrize("limit", [1.5, 1.0])
+def test_a_recording_is_the_motion_of_the_episode(limit):
+    law = {} if limit == 1.5 else {"controller": "baselines:adaptive", "residual_limit": limit}
+    policy, one = Sine(0.5, env_kwargs={"control_dt": 0.01, **law}), EvaluationSet("one", (PLANT,))
+    found, pictures = report.record(policy, PLANT, one, 1.0, frames=True)
+    (episode,) = evaluate(policy, one, horizon=1.0)
+    assert 100.0 * found["x"][-1] == pytest.approx(100.0 * episode["distance"], abs=1e-10)
+    assert found["t"][-1] == pytest.approx(1.0) and found["t"].shape == found["torque"].shape
+    assert np.abs(found["torque"]).max() <= episode["peak_torque"]
+    assert len({picture.tobytes() for picture in pictures}) == len(pictures) > 20
+
+
+def test_a_recording_ends_with_its_episode():
+    policy, one = Sine(1.5, period=10.0, name="wild"), EvaluationSet("one", (PLANT,))
+    found, _ = report.record(policy, PLANT, one, 2.0)
+    (episode,) = evaluate(policy, one, horizon=2.0)
+    assert -1e-9 <= found["t"][-1] - episode["duration"] < 0.02
+
+
+def test_two_policies_of_one_name_are_refused(tmp_path):
+    for folder in (tmp_path / NAME, tmp_path / "other" / NAME):
+        write_run(folder, 4)
     with pytest.raises(ValueError, match=f"different names, got {re.escape(NAME)} more than once"):
-        page.collect([str(run), str(tmp_path / "other" / NAME)])
+        report.render([str(tmp_path / NAME), str(tmp_path / "other" / NAME)])
 
 
 def test_an_existing_file_is_kept(capsys, tmp_path, monkeypatch):

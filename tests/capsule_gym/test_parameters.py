@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
+import json
 import math
 import re
 
 import numpy as np
 import pytest
 
-from capsule_gym import CapsuleVectorEnv, dynamics
+from capsule_gym import CapsuleEnv, CapsuleVectorEnv, dynamics
 from capsule_gym.config import EnvConfig
+from capsule_gym.env import DOCS
 from capsule_gym.parameters import RANDOMIZATIONS, Capsule, Plant, Randomization
 from capsule_gym.simulation import Simulation
 
@@ -151,7 +154,7 @@ def test_ranges_that_are_none_are_refused_by_name(fields, error, message):
 def test_every_corner_of_the_ranges_is_checked():
     light_and_rough = Randomization(M=(0.05, 1.0), mu=(0.0, 2.0))
     with pytest.raises(ValueError, match=r"Randomization\(M=\(0\.05, 1\.0\), mu=\(0\.0, 2\.0\)\).*Painleve"):
-        light_and_rough.check(Capsule())
+        light_and_rough.corners(Capsule())
     for randomization, capsule in (
         (Randomization(M=(0.05, 1.0)), Capsule(mu=2.0)),
         (Randomization(mu=(0.0, 2.0)), Capsule(M=0.05)),
@@ -160,9 +163,9 @@ def test_every_corner_of_the_ranges_is_checked():
         (Randomization(mu=(0.0, 1e300)), Capsule()),
     ):
         with pytest.raises(ValueError, match=r"^Randomization\(.*(Painleve|must be a finite number from)"):
-            randomization.check(capsule)
+            randomization.corners(capsule)
     for randomization in (*RANDOMIZATIONS.values(), Randomization(M=(0.05, 1.0)), Randomization(mu=(0.0, 2.0))):
-        randomization.check(Capsule())
+        randomization.corners(Capsule())
 
 
 def test_named_ranges():
@@ -182,6 +185,18 @@ def test_named_ranges():
 
 FIELDS = {field.name: field for field in dataclasses.fields(EnvConfig)}
 NUMBERS = [name for name, field in FIELDS.items() if field.type in ("float", "float | None")]
+
+
+def test_the_page_of_the_environment_lists_the_options_and_their_defaults():
+    assert list(DOCS) == list(FIELDS)
+    page = inspect.getdoc(CapsuleEnv)
+    for name, field in FIELDS.items():
+        if field.default is not None:
+            default = json.dumps(field.default) if isinstance(field.default, str) else f"{field.default:g}"
+            default = str(field.default) if isinstance(field.default, bool) else default
+            assert f"| `{name}` | `{default}` |" in page, name
+    for name, ranges in RANDOMIZATIONS.items():
+        assert name == "none" or f'"{name}": {ranges};' in DOCS["randomization"]
 
 
 OPTIONS = [*NUMBERS, "initial_range", "observe_parameters", "capsule", "randomization", "threads"]

@@ -31,6 +31,7 @@ PROGRAMS = {
     "skrl": ("skrl", f"{EXAMPLES}/skrl_ppo.py --steps 256", "256/256"),
     "tianshou": ("tianshou", f"{EXAMPLES}/tianshou_ppo.py --steps 64", "train_step=640"),
     "torchrl": ("torchrl", f"{EXAMPLES}/torchrl_envs.py --steps 50", "failures"),
+    "optuna": ("optuna", f"{EXAMPLES}/optuna_ppo.py --trials 2 --steps 8192", "best of 2 trials: "),
     "minari": ("minari", f"{EXAMPLES}/offline_data.py --steps 2000", "mixed: "),
 }
 # SAC and TD3 read more of an episode that reaches its time limit, and begin with unseeded random torques. Episodes of

@@ -27,7 +27,7 @@ from tests.agents.training.small import differences, log
 HANG_SECONDS = 240.0
 # One process imports the modules, and is forked for each child.
 CONTEXT = multiprocessing.get_context("forkserver")
-CONTEXT.set_forkserver_preload(["agents.training.loop", "agents.report.page", "train", "tests.faults.run"])
+CONTEXT.set_forkserver_preload(["agents.training.loop", "agents.report", "train", "tests.faults.run"])
 # Trainings of seconds with many checkpoints. An update is 128 steps (PPO) or 8 (SAC).
 SHARED = ["--task", "direct", "--num-envs", "8", "--hidden", "8", "--evaluation-episodes", "2", "--no-comparison"]
 TINY = {

@@ -87,17 +87,16 @@ def test_the_task_of_the_contributing_page_compiles(tmp_path: Path) -> None:
     compiler = shutil.which("c++") or shutil.which("clang++")
     if compiler is None:
         pytest.skip("needs a C++ compiler")
-    (header,) = (code for *_, language, code in BLOCKS if language == "cpp")
+    (task,) = (code for *_, language, code in BLOCKS if language == "cpp")
     uses = "\n".join(
         f"template {number} LEVEL::Record::reward({number}, {number}, {number}, double, Memory<{number}>&);\n"
         f"template void LEVEL::Record::begin({number}, Memory<{number}>&);\n"
         for number in ("double", "LEVEL::Pack")
     ).replace("Memory<", "LEVEL::Record::Memory<")
-    (tmp_path / "record.hpp").write_text(header, encoding="utf-8")
     source = tmp_path / "record.cpp"
-    source.write_text(f'#include "record.hpp"\n{uses}', encoding="utf-8")
+    source.write_text(f'#include "elementary.hpp"\nnamespace LEVEL {{\n{task}}}\n{uses}', encoding="utf-8")
     flags = "-std=c++20 -ffp-contract=off -DCAPSULE_FP_CONTRACT_OFF -Wall -Wextra -Wno-psabi -Werror -fsyntax-only"
-    command = [compiler, *flags.split(), "-I", str(ROOT / "capsule_gym" / "core" / "tasks"), str(source)]
+    command = [compiler, *flags.split(), "-I", str(ROOT / "capsule_gym" / "core"), str(source)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 

@@ -7,7 +7,6 @@ import hashlib
 import importlib
 import json
 import pickle
-import shutil
 import sys
 import zipfile
 from collections.abc import Callable
@@ -69,8 +68,6 @@ def hostile(tmp_path, monkeypatch) -> Path:
     write_run(tmp_path / "lstm", "recurrent-ppo")
     (tmp_path / "lstm" / "best" / "policy.safetensors").unlink()
     write_run(tmp_path / "study" / "direct-ppo" / "seed-0", "ppo", replace(row_settings("direct-ppo"), seed=0))
-    shutil.copytree("run", tmp_path / "tune" / "direct-ppo" / "0123456789ab")
-    (tmp_path / "tune" / "direct-ppo" / "study.db").write_bytes(PICKLE)
     (tmp_path / "set.json").write_bytes(PICKLE)
     (tmp_path / "archive").mkdir()
     (tmp_path / "archive" / ARCHIVE).write_text("{}")
@@ -87,7 +84,6 @@ READERS = {
     "agents.evaluate": [*([path] for path in PATHS), ["adaptive", "--set", "set.json"], ["zero", "--against", "run"]],
     "agents.report": [[path, "-o", "page.html"] for path in PATHS],
     "agents.study": [["direct-ppo", "--runs", "study", "--seeds", "0"]],
-    "agents.study.tune": [["direct-ppo", "--runs", "tune", "--trials", "1"]],
     "baselines.dynamic_programming": [["--folder", name, "--report"] for name in ("archive", "empty")],
     "baselines.gaits": [["--folder", "archive", "--check"]],
     "capsule_gym.demo": [*([path, "-o", "a.gif"] for path in PATHS), ["zero", "--set", "set.json", "-o", "a.gif"]],

@@ -4,14 +4,10 @@
 // of eta, (39d) is r' = r^2 delta_theta^2 (..) / ((2n + 1) (delta_theta^2 + beta)), which needs no power function.
 #pragma once
 #include "law.hpp"
-#include "reference.hpp"
 
 namespace LEVEL {
-
 // The estimates, the root of eta, and the start of x_d in m.
-template <class T> struct AdaptiveMemory {
-  T h[5], g[4], root, anchor;
-};
+template <class T> struct AdaptiveMemory { T h[5], g[4], root, anchor; };
 
 // The nominal plant, for the normal force in Y_x; the gains; and what the paper leaves open: beta, n, the half width in
 // rad/s of the saturation that replaces sgn (0.0 for sgn itself), bounds of root and estimates, 1.0 if x_d starts from
@@ -37,7 +33,8 @@ INLINE T adaptive_torque(const State<T>& s, AdaptiveMemory<T>& memory, const Ref
   // Y_theta and Y_x of Eq. (38), with the sign that makes N = -Y alpha. The normal force contains theta'', which a law
   // cannot know before its torque acts; theta_d'' replaces it.
   auto [sin, cos] = sincos(s.theta);
-  T normal = max(T(0.0), normal_force(s.theta, s.theta_dot, theta_d_ddot, nominal_plant<T, Kind::extended>(q)));
+  auto p = nominal_plant<T, Kind::extended>(q);
+  T normal = max(T(0.0), p.normal_force(s.theta, s.theta_dot, theta_d_ddot));
   T y[5] = {rho_theta_dot, -cos * rho_x_dot, s.theta, s.theta_dot, -sin};
   T z[4] = {-cos * rho_theta_dot, rho_x_dot, normal * sign_of(s.x_dot), sin * s.theta_dot * rho_theta};
 
@@ -67,5 +64,4 @@ struct Adaptive {
     return adaptive_torque(s, memory, r, q);
   }
 };
-
 }  // namespace LEVEL

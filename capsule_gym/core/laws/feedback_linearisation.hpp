@@ -1,10 +1,8 @@
 // Feedback linearisation (35) of the paper along a profile.
 #pragma once
 #include "law.hpp"
-#include "reference.hpp"
 
 namespace LEVEL {
-
 struct FeedbackLinearising {
   // K_p in 1/s^2, K_v in 1/s.
 #define FEEDBACK_CONSTANTS(ONE, MANY) NOMINAL_CONSTANTS(ONE) ONE(K_p) ONE(K_v)
@@ -15,8 +13,8 @@ struct FeedbackLinearising {
     auto p = nominal_plant<T, Kind::extended>(q);
     T a = r.theta_d_ddot - q.K_v * (s.theta_dot - r.theta_d_dot) - q.K_p * (s.theta - r.theta_d);
     auto [sin, cos] = sincos(s.theta);
-    T force = driving_force(s.theta, s.theta_dot, a, p);
-    T limit = q.mu * max(T(0.0), normal_force(s.theta, s.theta_dot, a, p));
+    T force = p.driving_force(s.theta, s.theta_dot, a);
+    T limit = q.mu * max(T(0.0), p.normal_force(s.theta, s.theta_dot, a));
     T reaction = min(limit, max(-limit, force));
     T f = select(s.x_dot > 0.0, limit, select(s.x_dot < 0.0, -limit, reaction));
     double ml = q.m * q.l, total = q.M + q.m;
@@ -25,5 +23,4 @@ struct FeedbackLinearising {
     return inertia * a + coupling - ml * q.g * sin + q.k * s.theta + q.c * s.theta_dot;  // Eq. (35)
   }
 };
-
 }  // namespace LEVEL

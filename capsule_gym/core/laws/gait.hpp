@@ -4,7 +4,6 @@
 #include "law.hpp"
 
 namespace LEVEL {
-
 // phi_ijk is the coefficient of theta^i theta_dot^j x_dot^k, each divided by its scale; then the step in the direction
 // of slip, the guard's gain in N m s^2, and the theta_dot^2 cos(theta), 1/s^2, from which the guard acts.
 #define GAIT_PARAMETERS(ONE)                                                                                           \
@@ -48,11 +47,7 @@ struct Gait {
 
 // The gait with its parameters in its memory, so that the environments of a batch can have different ones.
 struct GaitCandidate {
-#define FIELD(name) T name;
-  template <class T> struct Parameters {
-    GAIT_PARAMETERS(FIELD)
-  };
-#undef FIELD
+  template <class T> struct Parameters { GAIT_PARAMETERS(CAPSULE_NUMBER) };
 #define CANDIDATE_CONSTANTS(ONE, MANY) ONE(torque_limit)
   CAPSULE_LAW(GaitCandidate, "gait_candidate", false, Parameters, NoReference, CANDIDATE_CONSTANTS)
 
@@ -72,10 +67,9 @@ struct GaitIdentifying {
   static constexpr double CAUTION = 1.3;
 
   double torque(const State<double>& s, Identification& filter, const NoReference<double>&) const {
-    identify(filter, s.theta, s.theta_dot, s.x_dot, q.m, q.l, q.g, q.dt);
+    identify(filter, s.theta, s.theta_dot, s.x_dot, q);
     double share = 1.0 - CAUTION * (q.lightest - min(q.lightest, filter.M)) / (q.lightest + q.m);
     return guarded_torque(s.theta, s.theta_dot, s.x_dot, q, share * q.guard_from, q.torque_limit);
   }
 };
-
 }  // namespace LEVEL

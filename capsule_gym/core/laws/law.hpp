@@ -3,40 +3,37 @@
 #include "../plant.hpp"
 
 namespace LEVEL {
-
 // The members of a law besides its function `torque`. Memory and Row are the structs of its memory, and of the row of
 // its reference with the memory of the task behind it. LIST(ONE, MANY) names the constants `q`, numbers and arrays: C++
 // takes the fields from it, Python their order.
 #define CAPSULE_LAW(Law, name, branches, Memory, Row, LIST)                                                            \
-  static constexpr const char *NAME = name, *CONSTANTS = LIST(LAW_NAME, LAW_NAMES);                                    \
+  static constexpr const char *NAME = name, *CONSTANTS = LIST(CAPSULE_NAME, LAW_NAMES);                                \
   static constexpr int MEMORY = WIDTH<Memory<double>>, COLUMNS = WIDTH<Row<double>>;                                   \
   static constexpr bool BRANCHES = branches;                                                                           \
   struct Constants {                                                                                                   \
-    LIST(LAW_FIELD, LAW_FIELDS)                                                                                        \
+    LIST(CAPSULE_DOUBLE, LAW_FIELDS)                                                                                   \
   } q;                                                                                                                 \
   explicit Law(const double* constants) : q(load<Constants>(constants)) {}                                             \
   template <class T> INLINE T operator()(const State<T>& s, T* cells, const T* row) const {                            \
     return torque(s, *(Memory<T>*)cells, *(const Row<T>*)row);                                                         \
   }
-#define LAW_NAME(name) #name " "
 #define LAW_NAMES(name, count) #name ":" #count " "
-#define LAW_FIELD(name) double name;
 #define LAW_FIELDS(name, count) double name[count];
 
 // For a law without memory, and for one without a reference.
-template <class T> struct NoMemory {
-  T unused;
-};
-template <class T> struct NoReference {
-  T theta_d, theta_d_dot;
+template <class T> struct NoMemory { T unused; };
+template <class T> struct NoReference { T theta_d, theta_d_dot; };
+
+// A row of the reference table: rad and m with their derivatives, and 1.0 where a cycle begins.
+template <class T> struct Reference {
+  T theta_d, theta_d_dot, theta_d_ddot, x_d, x_d_dot, x_d_ddot, cycle_start;
 };
 
 // The constants of a nominal plant.
 #define NOMINAL_CONSTANTS(ONE) ONE(M) ONE(mu) ONE(mass_ratio) ONE(pivot_torque_on_contact) CAPSULE_PLANT(ONE)
 template <class T, Kind kind, class Q> INLINE Plant<T, kind> nominal_plant(const Q& q) {
 #define FIELD(name) q.name,
-  return {q.M, q.mu, q.mass_ratio, CAPSULE_PLANT(FIELD) q.pivot_torque_on_contact};
+  return {NOMINAL_CONSTANTS(FIELD)};
 #undef FIELD
 }
-
 }  // namespace LEVEL

@@ -5,14 +5,11 @@
 // friction coefficient, the mass of the platform and the bias of the measured x_dot are estimated by gradient descent
 // on the squared error of x_dot. The position is not measured.
 #pragma once
-#include "../observation.hpp"
 #include "adaptive.hpp"
 #include "gait.hpp"
 
 namespace LEVEL {
-
 namespace predictor {
-
 // Assumed: calls from a measurement to its torque, the time constant of the motor in s, and its friction in N m.
 constexpr int LATENCY = 10;
 constexpr double LAG = 0.005, MOTOR_FRICTION = 0.05;
@@ -24,15 +21,12 @@ constexpr double GAIN_THETA = 0.005, GAIN_THETA_DOT = 0.05, GAIN_X_DOT = 0.02;
 constexpr double RATE_MU = 0.02, RATE_M = 1e-3, RATE_BIAS = 1e-4;
 // The range of mu, and the largest bias of x_dot, m/s.
 constexpr double LOW_MU = 0.0025, HIGH_MU = 1.0, LARGEST_BIAS = 0.05;
-// Calls per Euler step of the predictor, whose torques are averaged.
-constexpr int STRIDE = 3;
+constexpr int STRIDE = 3;  // calls per Euler step of the predictor, whose torques are averaged
 
 // The estimate of the state LATENCY calls ago, before the measurement of that time: 1.0 after the first measurement,
 // the state, the motor's torque after its lag in N m, M in kg, mu, and the bias of the measured x_dot in m/s; and the
 // torques of the last calls, the oldest first.
-template <class T> struct Estimate {
-  T begun, theta, theta_dot, x_dot, motor, M, mu, bias;
-};
+template <class T> struct Estimate { T begun, theta, theta_dot, x_dot, motor, M, mu, bias; };
 template <class T> struct Memory {
   Estimate<T> estimate;
   T queue[LATENCY];
@@ -45,7 +39,7 @@ template <class T, class Q> INLINE void model_step(Estimate<T>& e, T torque, dou
   auto p = nominal_plant<T, Kind::coulomb>(q);
   p.M = e.M, p.mu = e.mu, p.mass_ratio = q.m / (e.M + q.m);
   T friction = e.mu * clip(e.x_dot / FLOOR_WIDTH, T(1.0));
-  auto a = pressed_accelerations<decltype(p)>(e.theta, e.theta_dot, e.x_dot, 1.0, friction, u, p);
+  auto a = p.pressed_accelerations(e.theta, e.theta_dot, e.x_dot, 1.0, friction, u);
   e.theta = e.theta + h * (e.theta_dot + 0.5 * h * a.theta_ddot);
   e.theta_dot = e.theta_dot + h * a.theta_ddot;
   e.x_dot = e.x_dot + h * a.x_ddot;
@@ -86,7 +80,6 @@ template <class T, class Q> INLINE Estimate<T> predict(Memory<T>& memory, const 
   for (int i = 1; i < LATENCY; i++) queue[i - 1] = queue[i];
   return present;
 }
-
 }  // namespace predictor
 
 // The guarded gait on the predicted state.
@@ -104,8 +97,8 @@ struct GaitPredictive {
   template <class T> INLINE T keep_contact(T torque, T theta, T theta_dot) const {
     auto p = nominal_plant<T, Kind::coulomb>(q);
     p.M = q.lightest, p.mu = 0.0, p.mass_ratio = q.m / (q.lightest + q.m);
-    T free = pressed_accelerations<decltype(p)>(theta, theta_dot, 0.0, 1.0, 0.0, 0.0, p).normal;
-    T per_torque = pressed_accelerations<decltype(p)>(theta, theta_dot, 0.0, 1.0, 0.0, 1.0, p).normal - free;
+    T free = p.pressed_accelerations(theta, theta_dot, 0.0, 1.0, 0.0, 0.0).normal;
+    T per_torque = p.pressed_accelerations(theta, theta_dot, 0.0, 1.0, 0.0, 1.0).normal - free;
     T limit = (CONTACT_MARGIN * (q.lightest + q.m) * q.g - free) / per_torque;
     // Near the upright the torque does not act on the normal force.
     return select(per_torque > 1e-6, max(torque, min(T(0.0), limit)),
@@ -138,5 +131,4 @@ struct AdaptivePredictive {
     return predicted.queue[predictor::LATENCY - 1] = clip(wanted, T(q.torque_limit));
   }
 };
-
 }  // namespace LEVEL

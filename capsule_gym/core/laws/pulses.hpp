@@ -5,7 +5,6 @@
 #include "gait.hpp"
 
 namespace LEVEL {
-
 // The gait's parameters, the nominal pendulum, and the law's period.
 #define PULSES_CONSTANTS(ONE, MANY) GAIT_CONSTANTS(ONE, MANY) ONE(m) ONE(l) ONE(g) ONE(k) ONE(c) ONE(dt)
 
@@ -17,19 +16,16 @@ namespace LEVEL {
 // a STROKE under the centre of mass, as far as the pendulum can swing. The centre of mass may still move on arrival:
 // the platform already rests while the pendulum brakes. The numbers were chosen on 300 goals on the paper's floor.
 namespace strokes {
-
 constexpr double CREEP = 4.0, STROKE = 5.0;
 // Shares of the friction that the pendulum uses in CREEP, and of its largest reach, sin(theta) = 1, to which it swings.
 constexpr double GRIP = 0.85, REACH = 0.82;
-// Duration of a stroke, s, for the distance that the centre of mass moves in it.
-constexpr double STROKE_TIME = 0.22;
+constexpr double STROKE_TIME = 0.22;  // duration of a stroke, s, for the distance that the centre of mass moves in it
 // Accelerations of the platform, m/s^2, its largest velocity relative to the centre of mass, m/s, beyond which light
 // platforms lose contact, and the rate at which it comes to rest where that is slower, 1/s.
 constexpr double SPEEDING_UP = 10.0, SLOWING_DOWN = 7.0, FASTEST = 0.65, ARRIVAL = 30.0;
 // Time constants, s: of the velocity in a stroke, of the platform's stop in CREEP, and of the stop at the end.
 constexpr double VELOCITY_TIME = 0.006, REST_TIME = 0.002, END_TIME = 0.005;
-// Error that is not corrected, m.
-constexpr double NEAR = 0.0018;
+constexpr double NEAR = 0.0018;  // error that is not corrected, m
 // Largest angle of the pendulum, rad; decelerations above GUARD, rad/s^2, give priority to this limit.
 constexpr double OUTERMOST = 1.25, GUARD = 100.0;
 
@@ -79,7 +75,6 @@ double torque(double theta, double theta_dot, double x_dot, double way, double M
   double swing = (force / (q.m * q.l) + sin * theta_dot * theta_dot) / cos;
   return held_back(theta, theta_dot, swing, GUARD, q) - q.m * q.l * cos * acceleration;
 }
-
 }  // namespace strokes
 
 // Far from the goal the torque is the gait's, mirrored if the goal lies behind the platform. Near the goal the law
@@ -89,12 +84,9 @@ double torque(double theta, double theta_dot, double x_dot, double way, double M
 // limit the acceleration in stick, are identified online. The numbers were chosen by hand on 300 plants of the tasks'
 // own distribution.
 namespace pulses {
-
 constexpr double RUN = 0.0, RETURN = 1.0, PULSE = 2.0, BRAKE = 3.0;
-// Distance from the goal beyond which the platform runs, m.
-constexpr double FAR = 0.05;
-// The run ends earlier by this share of the sliding distance, x'^2 / (2 mu g).
-constexpr double SLIDE = 0.15;
+constexpr double FAR = 0.05;  // distance from the goal beyond which the platform runs, m
+constexpr double SLIDE = 0.15;  // the run ends earlier by this share of the sliding distance, x'^2 / (2 mu g)
 // Rate of the pendulum, rad/s, below which a run on the roughest floors has ended in an equilibrium.
 constexpr double STALL = 1e-3;
 // Share of the friction that the pendulum uses while the platform must stick, and its least and largest acceleration;
@@ -131,10 +123,9 @@ template <class Q>
 double torque(const State<double>& s, Memory& memory, double error, double near, double stop, const Q& q) {
   auto& [filter, phase, side, rate, start_x, gain, timer] = memory;
   const auto& [theta, theta_dot, x, x_dot] = s;
-  identify(filter, theta, theta_dot, x_dot, q.m, q.l, q.g, q.dt);
-  Estimates known = estimates(filter);
-  double mu = known.log_mu_deviation > DOUBT ? UNKNOWN_MU : min(LARGEST_MU, max(LEAST_MU, exp(known.log_mu)));
-  double grip = min(LARGEST_GRIP, max(LEAST_GRIP, GRIP * mu * (known.M + q.m) * q.g / (q.m * q.l)));
+  identify(filter, theta, theta_dot, x_dot, q);
+  double mu = deviation(filter.P_ff) > DOUBT ? UNKNOWN_MU : min(LARGEST_MU, max(LEAST_MU, exp(filter.log_mu)));
+  double grip = min(LARGEST_GRIP, max(LEAST_GRIP, GRIP * mu * (filter.M + q.m) * q.g / (q.m * q.l)));
   double size = abs(error), home = 0.0;
   bool rests = x_dot == 0.0, aims = false;
   timer = timer + q.dt;
@@ -172,16 +163,17 @@ double torque(const State<double>& s, Memory& memory, double error, double near,
   double wanted = returns ? approach(theta, theta_dot, home, grip) : clip(-20.0 * theta_dot, grip);
   return strokes::held_back(theta, theta_dot, wanted, grip, q);
 }
-
 }  // namespace pulses
+
+template <class T, class Task> struct TaskRow {
+  NoReference<T> reference;
+  typename Task::template Memory<T> task;
+};
 
 // The law of the task `goal`: the gait and pulses, or strokes on smooth floors.
 struct GoalPulses {
   template <class T> using Memory = pulses::Memory;
-  template <class T> struct Row {
-    NoReference<T> reference;
-    Goal::Memory<T> task;
-  };
+  template <class T> using Row = TaskRow<T, Goal>;
   CAPSULE_LAW(GoalPulses, "goal_pulses", true, Memory, Row, PULSES_CONSTANTS)
   // The platform moves by strokes if mu is below the first number, until mu is above the second.
   static constexpr double SMOOTH = 0.035, LEAVE = 0.06;
@@ -194,7 +186,7 @@ struct GoalPulses {
       if (creeps) phase = pulses::BRAKE, rate = 0.0;
       return pulses::torque(s, memory, error, strokes::NEAR, 0.025, q);
     }
-    identify(filter, s.theta, s.theta_dot, s.x_dot, q.m, q.l, q.g, q.dt);
+    identify(filter, s.theta, s.theta_dot, s.x_dot, q);
     if (!creeps) phase = s.x_dot * side > 0.0 ? strokes::STROKE : strokes::CREEP;
     if (phase == strokes::CREEP && s.x_dot == 0.0 && abs(error) > strokes::NEAR) side = error > 0.0 ? 1.0 : -1.0;
     return side * strokes::torque(side * s.theta, side * s.theta_dot, side * s.x_dot, side * error, M, mu, phase, q);
@@ -204,15 +196,11 @@ struct GoalPulses {
 // The law of the task `velocity`: the gait and pulses towards the position of the target 0.3 s later.
 struct VelocityPulses {
   template <class T> using Memory = pulses::Memory;
-  template <class T> struct Row {
-    NoReference<T> reference;
-    Velocity::Memory<T> task;
-  };
+  template <class T> using Row = TaskRow<T, Velocity>;
   CAPSULE_LAW(VelocityPulses, "velocity_pulses", true, Memory, Row, PULSES_CONSTANTS)
 
   double torque(const State<double>& s, pulses::Memory& memory, const Row<double>& row) const {
     return pulses::torque(s, memory, row.task.target + 0.3 * row.task.command - s.x, 0.004, 0.0, q);
   }
 };
-
 }  // namespace LEVEL

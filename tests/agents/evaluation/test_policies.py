@@ -79,7 +79,7 @@ def test_a_module_is_imported_only_if_trusted(tmp_path, monkeypatch):
         assert evaluate(policy, TINY, horizon=0.1) == evaluate(Sine(0.0), TINY, horizon=0.1)
         for name, message in (
             ("no_such_module:zero", "cannot be imported: No module named 'no_such_module'"),
-            ("my_rules:jump", "has no 'jump'"),
+            ("my_rules:jump", "has no attribute 'jump'"),
             ("my_rules:number", "policy must be an object with predict.* got a int"),
             ("runs/a:b", "policy must be a scripted policy"),
         ):

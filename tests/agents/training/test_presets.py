@@ -19,7 +19,8 @@ from agents.evaluation.policies import CHECKPOINTS, checkpoint_names, find_candi
 from agents.training.algorithms import make_noise
 from agents.training.config import CONFIG, RANGES, Environment, PPOConfig, read_config
 from agents.training.presets import PRESETS, ROWS
-from capsule_gym.config import DOCS, EnvConfig
+from capsule_gym.config import EnvConfig
+from capsule_gym.env import DOCS
 from capsule_gym.parameters import RANDOMIZATIONS
 from capsule_gym.task import CONTROL_DT, ENV_ID, TASKS
 from examples import rl_zoo_sac
@@ -53,7 +54,7 @@ def test_a_configuration_is_read_as_it_was_written(tmp_path, algo):
 
 def test_factors_of_the_observation_are_positive():
     config = dataclasses.replace(PRESETS["direct", "sac"], observation_scale=(2.0, 0.0, 6.0))
-    with pytest.raises(ValueError, match=r"^observation_scale must be three finite numbers > 0, got 0\.0"):
+    with pytest.raises(ValueError, match=r"^observation_scale must be a finite number > 0, got 0\.0"):
         config.check()
 
 
@@ -145,3 +146,14 @@ def test_the_zoo_trains_sac_with_the_presets_settings():
     scale = (*config.observation_scale, 1.0, 1.0)
     np.testing.assert_allclose(bounds["min_obs"], observations.low * scale)
     np.testing.assert_allclose(bounds["max_obs"], observations.high * scale)
+
+
+def test_recurrent_ppos_preset_is_the_best_trial_of_its_committed_search():
+    content = json.loads((CHECKPOINTS.parent / "study" / "data" / "direct-recurrent-ppo.json").read_text())
+    trials = [trial for trial in content["trials"] if trial["state"] == "complete"]
+    best = max(trials, key=lambda trial: trial["score"])["parameters"]
+    expected = {"gamma": 1.0 - best["one_minus_gamma"], "gae_lambda": 1.0 - best["one_minus_lambda"]}
+    expected |= {name: best[name] for name in ("learning_rate", "n_epochs")}
+    preset = PRESETS["direct", "recurrent-ppo"].to_dict()
+    # Rounded to two or three digits.
+    assert {name: preset[name] for name in expected} == pytest.approx(expected, rel=5e-3)

@@ -13,11 +13,17 @@ from agents.evaluation.episodes import evaluate
 from baselines.archive import GRID, PLANTS, STICKY_GRID, find_grid
 from baselines.dynamic_programming import FOLDER, archive
 from baselines.dynamic_programming import __main__ as command
-from baselines.dynamic_programming import plants as plants_module
 from baselines.dynamic_programming import problem as module
-from baselines.dynamic_programming.archive import Archive, cycle, known_results, load_archive, optimal_speed
+from baselines.dynamic_programming.archive import (
+    Archive,
+    cycle,
+    known_results,
+    load_archive,
+    optimal_speed,
+    set_plants,
+    solve_plant,
+)
 from baselines.dynamic_programming.grid import Grid
-from baselines.dynamic_programming.plants import set_plants, solve_plant
 from baselines.dynamic_programming.policy import Oracle
 from baselines.dynamic_programming.problem import Problem, repeat
 from baselines.dynamic_programming.solver import Solution, solve_on_grids
@@ -128,7 +134,7 @@ def test_malformed_files_raise_an_error(tmp_path, name, content):
     for each in ("archive.json", "arrays.npz"):
         shutil.copy(FOLDER / each, tmp_path)
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(ValueError, match=r"must hold an archive written by `python -m baselines\.dynamic_programming`"):
+    with pytest.raises(ValueError, match=r"must hold an archive for `python -m baselines\.dynamic_programming`"):
         load_archive(tmp_path)
 
 
@@ -144,8 +150,8 @@ def test_the_command_solves_what_is_missing_and_keeps_it(tmp_path, monkeypatch, 
 
     monkeypatch.setattr(module, "PROBLEMS", problems)
     monkeypatch.setattr(archive, "solve_on_grids", quick)
-    monkeypatch.setattr(plants_module, "set_plants", lambda *_: [(0.5, 0.01), (0.5, 0.02)])
-    monkeypatch.setattr(plants_module, "solve_plant", lambda problem, _: repeat(problem, np.full(1650, 60, np.uint8)))
+    monkeypatch.setattr(archive, "set_plants", lambda *_: [(0.5, 0.01), (0.5, 0.02)])
+    monkeypatch.setattr(archive, "solve_plant", lambda problem, _: repeat(problem, np.full(1650, 60, np.uint8)))
     arguments = ["--folder", str(tmp_path / "new")]
     assert command.main(arguments) == 130
     assert list(load_archive(tmp_path / "new").results) == [each.key for each in problems[:2]]

@@ -1,28 +1,28 @@
-"""The gaits: archive, families and policies."""
+"""The gaits: archive, families, policies, and the search for the parameters of the gait law."""
 
 from __future__ import annotations
 
+import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from baselines.archive import PLANTS
+from baselines.gaits import FOLDER, law_search
+from baselines.gaits import __main__ as command
 from baselines.gaits import archive as module
-from baselines.gaits.archive import Archive, Gait, GaitMap, encode_gaits, known_gaits, load_archive, pareto_front
+from baselines.gaits.archive import Archive, GaitMap, check, encode_gaits, known_gaits, load_archive, pareto_front
 from baselines.gaits.families import FAMILIES, GAIT_DT, actions, encode
-from baselines.gaits.search import check
+from baselines.gaits.law_search import draw_episodes, make_batch, run_candidates
+from baselines.laws.gait import PARAMETERS, known_parameters
 from baselines.policies import SCRIPTED
+from capsule_gym.layout import Row
 from capsule_gym.parameters import NOMINAL
 
 
-def make_gait(mean_speed=10.0, cost_of_transport=3.0, M=0.5, mu=0.01, family="harmonics", worst_speed=None):
-    """A gait with invented numbers."""
-    numbers = {"mean_speed": mean_speed, "cost_of_transport": cost_of_transport, "worst_speed": worst_speed}
-    return Gait(M=M, mu=mu, family=family, parameters=FAMILIES[family].start, sensitivity=1e-3, **numbers)
-
-
-def test_committed_gaits_cover_the_grid():
+def test_committed_gaits_cover_the_grid(capsys):
     fastest = known_gaits().fastest()
     assert list(fastest) == list(PLANTS)
     assert fastest[NOMINAL.M, NOMINAL.mu].mean_speed > 18.0
@@ -30,55 +30,33 @@ def test_committed_gaits_cover_the_grid():
     speeds, costs = ([getattr(g, name) for g in pareto_front()] for name in ("mean_speed", "cost_of_transport"))
     assert speeds == sorted(set(speeds)) and costs == sorted(set(costs)) and len(speeds) >= 8
     assert speeds[-1] == fastest[NOMINAL.M, NOMINAL.mu].mean_speed
+    assert command.main([]) == 0
+    for gait, line in zip(fastest.values(), capsys.readouterr().out.splitlines()[2:], strict=True):
+        assert line.split()[2:4] == [gait.family, f"{gait.mean_speed:.2f}"]
 
 
 def test_check_simulates_the_gaits_on_file_and_names_what_differs():
     known = known_gaits()
     some = [known.of_plant(0.35, 0.5)[0], known.of_plant(1.0, 0.005)[-1], known.of_plant(0.5, 0.01, tolerant=True)[0]]
     wrong = replace(known.front[0], mean_speed=1.1 * known.front[0].mean_speed)
-    (line,) = check(Archive({gait.key: gait for gait in some}, front=[known.front[0], wrong]))
+    (line,) = check(Archive({gait.key: gait for gait in some}, (known.front[0], wrong)))
     assert line.startswith(f"{known.front[0].family} at M=0.5, mu=0.01: mean_speed is ")
 
 
-def test_an_archive_survives_its_file_and_a_malformed_one_raises_an_error(tmp_path):
+def test_a_malformed_archive_raises_an_error(tmp_path):
     assert load_archive(tmp_path) == Archive()
-    tolerant, fastest = make_gait(worst_speed=8.0), make_gait(M=1.0)
-    oracle = GaitMap((0.5, 1.0), (0.1,), (tolerant, fastest), ((0,), (1,)))
-    archive = Archive({gait.key: gait for gait in (tolerant, fastest)}, [make_gait()], oracle, 3)
-    archive.save(tmp_path)
-    assert load_archive(tmp_path) == archive
+    shutil.copy(FOLDER / "archive.json", tmp_path)
     path = tmp_path / "archive.json"
     path.write_text(path.read_text().replace("harmonics", "hop"))
-    message = "must hold an archive written by `python -m baselines.gaits`, got KeyError: 'hop'"
+    message = "must hold an archive for `python -m baselines.gaits`, got KeyError: 'hop'"
     with pytest.raises(ValueError, match=message):
         load_archive(tmp_path)
-
-
-def test_an_entry_is_replaced_by_better_ones_only():
-    archive = Archive()
-    assert not archive.offer(make_gait(0.0))
-    assert [archive.offer(make_gait(speed)) for speed in (10.0, 10.0, 9.0, 11.0)] == [True, False, False, True]
-    assert archive.offer(make_gait(8.0, family="bang-bang"))
-    assert [g.mean_speed for g in archive.of_plant(0.5, 0.01)] == [11.0, 8.0]
-    # Tolerant gaits are compared by their worst speed.
-    offers = [(10.0, 7.0), (20.0, 6.0), (9.0, 8.0), (20.0, -1.5)]
-    assert [archive.offer(make_gait(a, worst_speed=b)) for a, b in offers] == [True, False, True, False]
-    assert [g.mean_speed for g in archive.of_plant(0.5, 0.01, tolerant=True)] == [9.0]
-    assert archive.fastest()[0.5, 0.01].mean_speed == 11.0
-
-
-def test_the_front_keeps_what_nothing_dominates():
-    archive = Archive()
-    offers = [(10.2, 3.0), (9.0, 3.0), (-1.0, 0.1), (9.0, 2.0), (10.1, 3.0), (12.0, 2.8)]
-    kept = [True, False, False, True, False, True]
-    assert [archive.offer_front(make_gait(*offer)) for offer in offers] == kept
-    assert [(g.mean_speed, g.cost_of_transport) for g in archive.front] == [(9.0, 2.0), (12.0, 2.8)]
 
 
 @pytest.mark.parametrize("name", FAMILIES)
 def test_a_family_computes_every_environment_by_itself(name):
     family, rng = FAMILIES[name], np.random.default_rng(1)
-    parameters = np.array(family.start) + 0.1 * np.array(family.units) * rng.standard_normal((5, len(family.start)))
+    parameters = rng.uniform(0.05, 0.5, (5, family.parameters))
     gaits = encode(name, parameters)
     observations = rng.uniform(-1.0, 1.0, (5, 5)).astype(np.float32)
     together = actions(gaits, 0.37, observations)
@@ -90,7 +68,9 @@ def test_a_family_computes_every_environment_by_itself(name):
 
 
 def test_gait_oracle_follows_a_jump_of_the_plant(monkeypatch):
-    one, other = make_gait(), make_gait(M=1.0, family="bang-bang")
+    one, other = (
+        next(g for g in known_gaits().everything() if g.family == name) for name in ("harmonics", "bang-bang")
+    )
     gait_map = GaitMap((0.5, 1.0), (0.01, 0.1), (one, other), ((0, 0), (1, 0)))
     assert gait_map.find(np.array([0.2, 0.9, 3.0]), np.array([0.0, 0.01, 0.9])) == [one, other, one]
     monkeypatch.setattr(module, "known_gaits", lambda: Archive(oracle=gait_map))
@@ -101,3 +81,37 @@ def test_gait_oracle_follows_a_jump_of_the_plant(monkeypatch):
     after = act(observation)
     assert before == actions(encode_gaits([one]), 0.0, observation)
     assert after == actions(encode_gaits([other]), GAIT_DT, observation) != before
+
+
+def test_episodes_draw_plants_evenly_and_disturb_every_second_one():
+    plants, actions = draw_episodes(np.random.default_rng(0), 100, 0.6, repeats=2)
+    assert (plants.shape, actions.shape) == ((3, 2, 200), (6, 200))
+    assert (plants[..., :100] == plants[..., 100:]).all()
+    M, mu = plants[0, :, :100]
+    assert np.histogram(M, bins=100, range=(0.35, 0.75))[0].tolist() == [1] * 100
+    assert np.histogram(np.log(mu), bins=100, range=np.log((0.005, 0.3)))[0].tolist() == [1] * 100
+    assert (actions[:, ::2] == 0.0).all() and (actions[:, 1::2] != 0.0).all()
+    batch = make_batch(8)
+    run_candidates(batch, np.tile(known_parameters(), (8, 1)), plants[..., :8], actions[:, :8])
+    np.testing.assert_array_equal(batch.simulation.rows(Row.M, Row.mu + 1), plants[-1, :, :8])
+
+
+def test_failures_score_below_everything_and_better_late():
+    metrics = {"mean_speed": [5.0, 50.0, 50.0], "failed": [0.0, 1.0, 1.0], "duration": [10.0, 9.0, 1.0]}
+    scores = law_search.score({name: np.array(values) for name, values in metrics.items()}, 10.0)
+    assert scores[0] == 5.0 > 0.0 > scores[1] > scores[2]
+
+
+def test_a_law_search_writes_better_parameters_only(monkeypatch, tmp_path):
+    pytest.importorskip("cma")
+    path = tmp_path / "gait.json"
+    sizes = {"POPULATION": 4, "PLANTS": 4, "TEST_EPISODES": 4, "TRIAL": 0.4, "HORIZON": 0.4, "TEST_INTERVAL": 2}
+    for name, value in {**sizes, "FILE": path}.items():
+        monkeypatch.setattr(law_search, name, value)
+    assert command.main(["--law", "3"]) == 0
+    content = json.loads(path.read_text(encoding="utf-8"))
+    assert tuple(content["parameters"]) == PARAMETERS
+    assert content["found"]["command"] == "python -m baselines.gaits --law 3 --seed 0"
+    # The same seed finds the same parameters. They are no better, so the file stays the same.
+    assert command.main(["--law", "3"]) == 0
+    assert json.loads(path.read_text(encoding="utf-8")) == content

@@ -126,7 +126,7 @@ def test_error_dynamics_are_those_of_the_plant(contact):
         # The law uses theta_d'' in place of theta'' in N. If both are equal, its N is the plant's.
         reference = (*reference[:2], theta_ddot, *reference[3:])
         _, after = law(theta, theta_dot, x, x_dot, memory, reference)
-        s = sliding_variables(theta, theta_dot, x, x_dot, memory[-1], np.array(reference), GAINS)
+        s = sliding_variables((theta, theta_dot, x, x_dot), memory[-1], np.array(reference), GAINS)
         change = np.subtract(memory, after)
         Y_theta, Y_x = change[:5] / (GAINS.Gamma_1 * s.delta_theta), change[5:9] / (GAINS.Gamma_2 * s.delta_x)
         e_dot, e_x_dot = theta_dot - reference[1], x_dot - reference[4]
