@@ -11,7 +11,7 @@ STAMP := .venv/.installed
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help train test examples notebooks coverage venv lint types docs web leaderboard leaderboard-check reproduce regression faults fuzz bits bits-check boundscheck sanitize core-coverage install-check oldest check clean
+.PHONY: help train test examples notebooks coverage venv lint types docs web leaderboard leaderboard-check reproduce regression faults fuzz bits bits-check sanitize core-coverage install-check oldest check clean
 
 help:  ## List the targets
 	@grep -hE '^[a-z-]+:.*  ## ' $(MAKEFILE_LIST) | sed -E 's/:.*  ## /\t/' | awk -F '\t' '{printf "%-18s %s\n", $$1, $$2}'
@@ -22,7 +22,7 @@ train: $(STAMP)  ## Install everything and train the default agent (TRAIN_ARGS="
 # A worker that has no tests left takes those at the end of the other's: neighbours share fixtures. Each keeps to one
 # core, or torch's threads would wait for one another.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
-test: $(STAMP)  ## Install everything and run the tests (PYTEST_ARGS="-k kernels" for some)
+test: $(STAMP)  ## Install everything and run the tests (PYTEST_ARGS="tests/web -x" for some)
 	$(PYTEST) $(PYTEST_ARGS)
 
 # Those whose library is missing are skipped: each has an extra of its own, and they do not all go together.
@@ -96,8 +96,7 @@ faults: $(STAMP)  ## Interrupt trainings; fail if something is lost
 	$(BIN)/python -m tests.faults --short
 
 fuzz: $(STAMP)  ## Call the environments with random and invalid arguments; fail on an unexpected error
-	$(BIN)/python -m pytest -n 2 --hypothesis-profile fuzz tests/capsule_gym/test_arguments.py \
-		tests/capsule_gym/test_fingerprint.py
+	$(BIN)/python -m pytest -n 2 --hypothesis-profile fuzz tests/capsule_gym/test_arguments.py
 
 bits-check: $(STAMP)  ## Compare whole episodes with the committed hashes, one seed of each trained policy
 	$(BIN)/python -m tests.bits --first-seeds
@@ -105,14 +104,6 @@ bits-check: $(STAMP)  ## Compare whole episodes with the committed hashes, one s
 bits: $(STAMP)  ## The same for all seeds, as other processors compute, and for the live page
 	$(BIN)/python -m tests.bits --variants
 	$(BIN)/python -m web.episodes
-
-# What asks whether kernels compiled for other processors agree would compile them a second time.
-CHECKED := $(addprefix tests/capsule_gym/test_,$(addsuffix .py,dynamics simulation resets network observation \
-	rollout env vector_env)) tests/baselines/laws
-boundscheck: export NUMBA_BOUNDSCHECK = 1
-boundscheck: $(STAMP)  ## Run the kernels' tests and the committed episodes with index checks
-	$(PYTEST) $(CHECKED) -k "not libraries"
-	$(BIN)/python -m tests.bits
 
 # In environments of their own, whose core is compiled otherwise. Python does not free everything at its end.
 sanitize: SANITIZED := runs/sanitize
@@ -139,7 +130,7 @@ oldest:  ## Run the environment's tests with the oldest supported versions
 		"hypothesis>=6.100" "mpmath>=1.3" "pytest>=8.2" "scipy>=1.11"
 	$(OLDEST)/python -m pytest tests/capsule_gym
 
-check: lint types docs leaderboard-check regression faults fuzz bits boundscheck  ## All checks but the tests
+check: lint types docs leaderboard-check regression faults fuzz bits  ## All checks but the tests
 
 clean:  ## Remove caches and build outputs; keeps .venv and runs/
 	rm -rf build dist site .hypothesis .pytest_cache .ruff_cache .mypy_cache .coverage*

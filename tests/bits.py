@@ -154,20 +154,12 @@ def subjects() -> Iterator[Subject]:
         yield Subject(name, made.env_kwargs, made.start, made)
 
 
-class Trajectory(NamedTuple):
-    """Recorded episodes; the first axis is the step, the second the environment."""
+def batched(subject: Subject) -> tuple[list[np.ndarray], dict[str, np.ndarray]]:
+    """The episodes of a batch and their metrics; an environment stands still after its episode has ended.
 
-    observations: np.ndarray
-    rewards: np.ndarray
-    states: np.ndarray
-
-    def bytes_of(self, i: int, steps: int) -> bytes:
-        """The bytes of the first steps of one environment."""
-        return b"".join(array[:steps, i].tobytes() for array in self)
-
-
-def batched(subject: Subject) -> tuple[Trajectory, dict[str, np.ndarray]]:
-    """The episodes of a batch and their metrics; an environment stands still after its episode has ended."""
+    Returns:
+        Observations, rewards and states, shape (steps, `NUM_ENVS`, ...); metrics.
+    """
     env = batch(subject)
     observations, _ = env.reset(seed=0)
     act = subject.start(range(NUM_ENVS))
@@ -177,7 +169,7 @@ def batched(subject: Subject) -> tuple[Trajectory, dict[str, np.ndarray]]:
         shown.append((observations, rewards, info["state"].copy()))
     metrics = env.episode_metrics()
     env.close()
-    return Trajectory(*(np.array(column) for column in zip(*shown, strict=True))), metrics
+    return [np.array(column) for column in zip(*shown, strict=True)], metrics
 
 
 def alone(subject: Subject, i: int) -> tuple[bytes, int]:
@@ -207,7 +199,7 @@ def compute(subject: Subject) -> tuple[str, list[str]]:
     wrong = []
     i = ALONE[len(subject.name) % 2]
     shown, steps = alone(subject, i)
-    if shown != trajectory.bytes_of(i, steps):
+    if shown != b"".join(array[:steps, i].tobytes() for array in trajectory):
         wrong.append(f"{subject.name}: environment {i} differs alone and in the batch")
     if subject.policy:
         env = batch(subject, threads=2)
@@ -236,11 +228,6 @@ def libraries() -> dict[str, dict[str, str]]:
         "numpy without vectors": {"NPY_DISABLE_CPU_FEATURES": " ".join(found)},
         "C library without FMA": {"GLIBC_TUNABLES": f"glibc.cpu.hwcaps={','.join(absent)}"},
     }
-
-
-def both_libraries() -> dict[str, str]:
-    """The environment variables of all libraries together."""
-    return {name: value for variables in libraries().values() for name, value in variables.items()}
 
 
 def run(variables: dict[str, str], *names: str) -> subprocess.CompletedProcess[str]:

@@ -62,29 +62,24 @@ def build_module(archive: str) -> str:
 
 def build_page(module: str) -> str:
     """The text of the page, one HTML file; an import map contains the text of every JavaScript module by its name."""
-    lengths = {name: value for name, value in vars(rendering).items() if name.isupper() and isinstance(value, float)}
+    names = {name: value for name, value in vars(rendering).items() if name.isupper()}
+    lengths = {name: value for name, value in names.items() if isinstance(value, float)}
     sources = {"capsule.mjs": module, "figure.js": f"export const figure = {json.dumps(lengths)};\n"}
     folder = SOURCES / "page"
     sources |= {path.name: path.read_text("utf-8") for path in sorted(folder.glob("*.js"))}
     imports = {name: "data:text/javascript," + quote(text, safe="/+= ;:,()[]{}*!?&|") for name, text in sources.items()}
-    style = palette() + (folder / "page.css").read_text("utf-8")
+    # The colours of the robot and the figures as CSS properties, for example --ink for INK.
+    robot = {
+        name: "#" + bytes(value).hex() for name, value in names.items() if isinstance(value, tuple) and len(value) == 3
+    }
+    colours = {**robot, "RIVAL": drawing.PURPLE, "ACCENT": drawing.BLUE, "WARNING": drawing.VERMILION}
+    lines = (f"  --{name.lower().replace('_', '-')}: {value};\n" for name, value in colours.items())
+    style = ":root {\n" + "".join(lines) + "}\n" + (folder / "page.css").read_text("utf-8")
     parts = {"style": style, "import map": json.dumps({"imports": imports})}
     template = (folder / "index.html").read_text("utf-8")
     page = re.sub(r"/\* (style|import map) \*/", lambda match: parts[match[1]], template)
     # The address of the preview image must be absolute. SITE_URL is set when the site is deployed, as in mkdocs.yml.
     return page.replace("../media/", (os.environ.get("SITE_URL") or "../") + "media/", 1)
-
-
-def palette() -> str:
-    """The colours of the robot and the figures as CSS properties, for example --ink for INK."""
-    robot = {
-        name: "#" + bytes(value).hex()
-        for name, value in vars(rendering).items()
-        if name.isupper() and isinstance(value, tuple) and len(value) == 3
-    }
-    colours = {**robot, "RIVAL": drawing.PURPLE, "ACCENT": drawing.BLUE, "WARNING": drawing.VERMILION}
-    lines = (f"  --{name.lower().replace('_', '-')}: {value};\n" for name, value in colours.items())
-    return ":root {\n" + "".join(lines) + "}\n"
 
 
 @dataclass(frozen=True)
@@ -108,13 +103,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     try:
         args.output.mkdir(parents=True, exist_ok=True)
+        module = build_module(pack_data(compile_wasm()))
     except OSError as error:
         refuse(PROG, f"--output must be a folder that can be written to, got {str(args.output)!r}: {error}")
-    try:
-        core = compile_wasm()
     except RuntimeError as error:
-        refuse(PROG, f"the core cannot be compiled: {error}")
-    module = build_module(pack_data(core))
+        refuse(PROG, str(error))
     page = build_page(module)
     if not (args.output.parent / "index.html").is_file():
         # Hides the link to the documentation, which does not exist in the folder above.

@@ -11,7 +11,6 @@ import base64
 import json
 import zlib
 from dataclasses import asdict, replace
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -41,20 +40,10 @@ SETS = (*evaluation_sets.SET_NAMES, *evaluation_sets.FURTHER_SET_NAMES, *evaluat
 LARGEST_MOTOR_FRICTION = 0.2
 # Accepted values of the plant's constants. The largest friction is also accepted at the smallest mass.
 RANGES = Randomization(
-    M=(0.2, M_BOUND * NOMINAL.M),
-    mu=(0.0, MU_BOUND),
-    m=(0.1, 0.18),
-    l=(0.25, 0.35),
-    g=(1.0, 15.0),
-    k=(0.2, 0.6),
-    c=(0.05, 0.15),
-    static_ratio=(1.0, 1.5),
-    backward_ratio=(0.5, 1.5),
-    viscous=(0.0, 2.0),
-    stribeck_speed=(0.02, 1.0),
-    slope=(-0.2, 0.2),
-    motor_friction=(0.0, LARGEST_MOTOR_FRICTION),
-)
+    M=(0.2, M_BOUND * NOMINAL.M), mu=(0.0, MU_BOUND), m=(0.1, 0.18), l=(0.25, 0.35), g=(1.0, 15.0), k=(0.2, 0.6),
+    c=(0.05, 0.15), static_ratio=(1.0, 1.5), backward_ratio=(0.5, 1.5), viscous=(0.0, 2.0), stribeck_speed=(0.02, 1.0),
+    slope=(-0.2, 0.2), motor_friction=(0.0, LARGEST_MOTOR_FRICTION),
+)  # fmt: skip
 # Range of energy weights (cm/J) in the training of the policy that observes its weight.
 TRAINED_WEIGHTS = (0.1, 20.0)
 
@@ -83,45 +72,50 @@ class Archive:
 def pack_data(module: bytes) -> str:
     """The archive with all data for the JavaScript, compressed, in base64; `module` is the compiled core."""
     archive = Archive()
+    # The names and sizes of what the core takes.
+    core = {name.lower(): getattr(_core, name) for name in ("ROWS", "SETTINGS", "BATCH", "NETWORK", "CELLS")}
+    core |= {"history_rows": _core.HISTORY_ROWS, "parameters": len(PARAMETERS)}
+    # The fields of a task's memory, those shown in `info`, and the draws at a reset, whose rows follow the rest.
+    tasks = {}
+    for own in map(find_task, _core.TASKS):
+        table = resets.draw_table(own.rows - len(own.draws), resets.Stream.task, own.draws).tolist()
+        tasks[own.name] = {"memory": own.fields, "shown": own.shown, "options": list(own.options), "table": table}
+    # What a varied plant draws.
+    draws = [task.Draw(0.0, 0.0)] * (len(CONSTANTS) + len(DISTURBANCES)) + [task.Draw(0.0, LARGEST_KEY)]
+    limits = {name: Disturbances.limits(name) for name in DISTURBANCES}
+    ranges = parameters.RANDOMIZATIONS.items()
     header = {
         "module": archive.add(module),
-        # The names and sizes of what the core takes.
-        "core": {
-            **{name.lower(): getattr(_core, name) for name in ("ROWS", "SETTINGS", "BATCH", "NETWORK", "CELLS")},
-            "history_rows": _core.HISTORY_ROWS,
-            "parameters": len(PARAMETERS),
-            "terminations": [termination.name for termination in task.Termination],
+        "core": {**core, "terminations": [termination.name for termination in task.Termination]},
+        "tasks": tasks,
+        "variation": {
+            "constants": CONSTANTS,
+            "disturbances": DISTURBANCES,
+            "table": resets.draw_table(Row.drawn_m, resets.Stream.variation, draws).tolist(),
+            "limits": {**limits, "motor_friction": (0.0, LARGEST_MOTOR_FRICTION)},
+            "ideal": asdict(Disturbances()),
         },
-        "tasks": {name: describe_task(find_task(name)) for name in _core.TASKS},
-        "variation": describe_variation(),
         "controllers": {name: describe_controller(name, archive) for name in LAWS},
         "drivers": [describe_driver(policy, archive) for policy in drivers().values()],
         "torques": TORQUES.tolist(),
         "sets": {name: describe_set(evaluation_sets.load_set(name)) for name in SETS},
-        "constants": constants(),
-        "episodes": json.loads(FILE.read_text(encoding="utf-8")),
+        # In SI units.
+        "constants": {
+            **{name.lower(): getattr(task, name) for name in ("CONTROL_DT", "TORQUE_LIMIT", "THETA_LIMIT")},
+            "steps": task.EPISODE_STEPS,
+            "horizons": {name: steps * task.CONTROL_DT for name, (_, steps) in task.TASKS.items()},
+            **{name: getattr(NOMINAL, name) for name in ("m", "l", "g")},
+            "nominal": {name: getattr(NOMINAL, name) for name in ("M", "mu", *CONSTANTS)},
+            "ranges": {name: {"M": each.M, "mu": each.mu} for name, each in ranges if each.M and each.mu},
+            "limits": {name: getattr(RANGES, name) for name in ("M", "mu", *CONSTANTS)},
+            "real": asdict(parameters.REAL),
+            "start": {"theta": task.START_THETA, "theta_dot": 0.0, "x": 0.0, "x_dot": 0.0},
+            "largest_state": dict(zip(_core.ROWS, task.LARGEST_STATE, strict=False)),
+        },
+        "episodes": json.loads(FILE.read_text("utf-8")),
     }
     text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
     return base64.b64encode(zlib.compress(len(text).to_bytes(4, "little") + text + archive.content, 9)).decode()
-
-
-def describe_task(own: task.Task) -> dict[str, Any]:
-    """A task: the fields of its memory, those shown in `info`, and the draws at a reset, whose rows follow the rest."""
-    table = resets.draw_table(own.rows - len(own.draws), resets.Stream.task, own.draws)
-    return {"memory": own.fields, "shown": own.shown, "options": list(own.options), "table": table.tolist()}
-
-
-def describe_variation() -> dict[str, Any]:
-    """The constants that a varied plant draws, and their accepted values."""
-    draws = [task.Draw(0.0, 0.0)] * (len(CONSTANTS) + len(DISTURBANCES)) + [task.Draw(0.0, LARGEST_KEY)]
-    limits = {name: Disturbances.limits(name) for name in DISTURBANCES}
-    return {
-        "constants": CONSTANTS,
-        "disturbances": DISTURBANCES,
-        "table": resets.draw_table(Row.drawn_m, resets.Stream.variation, draws).tolist(),
-        "limits": {**limits, "motor_friction": (0.0, LARGEST_MOTOR_FRICTION)},
-        "ideal": asdict(Disturbances()),
-    }
 
 
 def describe_controller(name: str, archive: Archive) -> dict[str, Any]:
@@ -140,12 +134,6 @@ def describe_controller(name: str, archive: Archive) -> dict[str, Any]:
     }
 
 
-@cache
-def _corners(capsule: Capsule) -> list[Capsule]:
-    """The stiffest plants that the page accepts, including the motor friction of disturbances."""
-    return list(replace(RANGES, motor_friction=(0.0, 2.0 * LARGEST_MOTOR_FRICTION)).corners(capsule))
-
-
 def describe_settings(options: EnvConfig) -> dict[str, Any]:
     """The settings of the step for an environment, ideal and disturbed, and the length of its episodes.
 
@@ -157,9 +145,11 @@ def describe_settings(options: EnvConfig) -> dict[str, Any]:
     if plant.extended or plant.pivot_torque_on_contact:
         raise ValueError(f"options must be of a level floor with Coulomb's friction and Newton's force, got {options}")
     packed = {}
+    # The stiffest plants that the page accepts, including the motor friction of disturbances.
+    corners = list(replace(RANGES, motor_friction=(0.0, 2.0 * LARGEST_MOTOR_FRICTION)).corners(capsule))
     for name, disturbances in (("ideal", "none"), ("disturbed", Disturbances())):
         settings = make_settings(replace(options, randomization="none", disturbances=disturbances), law)
-        for corner in _corners(capsule):
+        for corner in corners:
             check_step(corner, corner.M, corner.mu, settings)
         given = {**settings._asdict(), **plant._asdict(), "varied": bool(settings.history)}
         packed[name] = ordered(_core.SETTINGS, given).tolist()
@@ -178,33 +168,29 @@ def _common(capsule: Capsule, disturbances: str | Disturbances) -> dict[str, Any
     return {"capsule": [getattr(capsule, name) for name in CONSTANTS], "disturbances": given}
 
 
-def _describe(name: str, policy: Policy | ScriptedPolicy) -> dict[str, Any]:
-    """What the descriptions of all drivers share."""
-    options = EnvConfig(**policy.env_kwargs)
-    law = DIRECT if options.controller is None else str(options.controller).removeprefix("baselines:")
-    if law not in LAWS:
-        raise ValueError(f"controller must be None or a law of baselines, got {options.controller}")
-    own = {"task": find_task(options.task).name, "controller": law, "settings": describe_settings(options)}
-    return {"name": name, "description": policy.description, **own}
-
-
-def describe_policy(name: str, policy: Policy) -> dict[str, Any]:
-    """The description of a trained policy for the browser; the network is a float64 array.
+def describe_policy(name: str, policy: Policy | ScriptedPolicy) -> dict[str, Any]:
+    """The description of a policy for the browser; the network of a trained one is a float64 array.
 
     Raises:
         ValueError: if the policy's environment is not one of the browser's.
     """
-    weights = {"energyWeight": TRAINED_WEIGHTS} if policy.observes_energy_weight else {}
-    own = {"kind": "policy", "seed": policy.training_seed, "network": policy._network}
-    return {**_describe(name, policy), **weights, **own}
+    options = EnvConfig(**policy.env_kwargs)
+    law = DIRECT if options.controller is None else str(options.controller).removeprefix("baselines:")
+    if law not in LAWS:
+        raise ValueError(f"controller must be None or a law of baselines, got {options.controller}")
+    described: dict[str, Any] = {"name": name, "description": policy.description, "task": find_task(options.task).name}
+    described |= {"controller": law, "settings": describe_settings(options)}
+    if not isinstance(policy, Policy):
+        return described
+    described |= {"energyWeight": TRAINED_WEIGHTS} if policy.observes_energy_weight else {}
+    return {**described, "kind": "policy", "seed": policy.training_seed, "network": policy._network}
 
 
 def describe_driver(policy: Policy | ScriptedPolicy, archive: Archive) -> dict[str, Any]:
     """The description of a driver for the page and the step."""
-    name = policy.name
+    name, described = policy.name, describe_policy(policy.name, policy)
     if isinstance(policy, Policy):
-        return {**describe_policy(name, policy), "network": archive.add_array(policy._network)}
-    described = _describe(name, policy)
+        return {**described, "network": archive.add_array(described["network"])}
     if name in ("gait-nominal", "gait-oracle"):
         nominal = GaitMap((NOMINAL.M,), (NOMINAL.mu,), (tolerant_nominal(),), ((0,),))
         found = nominal if name == "gait-nominal" else known_gaits().oracle
@@ -232,22 +218,3 @@ def describe_set(found: evaluation_sets.EvaluationSet) -> dict[str, Any]:
     # The capsule is given also where it is the default, since a driver may have been trained on another.
     common = _common(found.env_kwargs["capsule"] or NOMINAL, found.env_kwargs["disturbances"])
     return {"hash": found.hash, "task": found.task, **common, "plants": plants}
-
-
-def constants() -> dict[str, Any]:
-    """The constants of the task and the plant, in SI units."""
-    ranges = parameters.RANDOMIZATIONS.items()
-    return {
-        "control_dt": task.CONTROL_DT,
-        "steps": task.EPISODE_STEPS,
-        "horizons": {name: steps * task.CONTROL_DT for name, (_, steps) in task.TASKS.items()},
-        "torque_limit": task.TORQUE_LIMIT,
-        "theta_limit": task.THETA_LIMIT,
-        **{name: getattr(NOMINAL, name) for name in ("m", "l", "g")},
-        "nominal": {name: getattr(NOMINAL, name) for name in ("M", "mu", *CONSTANTS)},
-        "ranges": {name: {"M": each.M, "mu": each.mu} for name, each in ranges if each.M and each.mu},
-        "limits": {name: getattr(RANGES, name) for name in ("M", "mu", *CONSTANTS)},
-        "real": asdict(parameters.REAL),
-        "start": {"theta": task.START_THETA, "theta_dot": 0.0, "x": 0.0, "x_dot": 0.0},
-        "largest_state": dict(zip(_core.ROWS, task.LARGEST_STATE, strict=False)),
-    }

@@ -2,7 +2,7 @@
 
 Every driver has an episode, on a plant of the frozen set `drift`, whose M and mu jump twice, or of its task's set. Some
 have another one on a disturbed plant of the set `real`, or with `actions`, each held for several steps, since the
-platform would not move otherwise. The hash covers what `compared` returns after every step, and the observation.
+platform would not move otherwise. The hash covers, after every step, the observation and what `info` shows.
 
 The tables of the optimum's policies are many times as large as the module, but their torques take few bytes. The module
 therefore contains recordings: for each of its plants, the index in `TORQUES` of each action. It replays the actions in
@@ -14,10 +14,9 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import math
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -25,11 +24,10 @@ from typing import Any
 import numpy as np
 
 import capsule_gym
-from agents.evaluation.episodes import evaluate
 from baselines.dynamic_programming.policy import TORQUES
-from baselines.policies import ALL_SCRIPTED, Act
+from baselines.policies import ALL_SCRIPTED
 from capsule_gym.command_line import parse
-from capsule_gym.evaluation_sets import SET_NAMES, EvaluationSet, PlantSpec, load_set
+from capsule_gym.evaluation_sets import SET_NAMES, PlantSpec, load_set
 from capsule_gym.files import write_atomically
 from capsule_gym.layout import ROWS, Row
 from capsule_gym.policy import policy_names
@@ -55,31 +53,15 @@ def drivers() -> dict[str, Any]:
     return ALL_SCRIPTED | {each.name: each for each in sorted(trained, key=lambda policy: "task" in policy.env_kwargs)}
 
 
-def episodes() -> list[Episode]:
-    """The definitions of the committed episodes, and of one for each driver without: driver, plant, and actions."""
-    known = json.loads(FILE.read_text(encoding="utf-8"))
-    for n, (name, policy) in enumerate(drivers().items()):
-        if all(episode["driver"] != name for episode in known):
-            task = policy.env_kwargs.get("task", "speed")
-            known.append({"name": name, "driver": name, "set": "drift" if task == "speed" else task, "plant": n})
-    return known
-
-
-def compared(env: capsule_gym.CapsuleEnv) -> bytes:
-    """The float64 rows that `info` shows, the memories of law and task, and a disturbed plant's last reading."""
-    world = env.simulation.world[0, :, 0]
-    parts = [world[: Row.clock + 1], world[ROWS : env.simulation.task_end]]
-    if env.simulation.settings.history:
-        parts.append(world[Row.read_theta : Row.read_x_dot + 1])
-    return np.concatenate(parts).tobytes()
-
-
 def compute(episode: Episode) -> tuple[int, str]:
     """Runs an episode in Python's environment; returns the number of steps and the hash."""
     policy, found = drivers()[episode["driver"]], load_set(episode["set"])
     plant, kwargs = found.plants[episode["plant"]], {**policy.env_kwargs, **found.env_kwargs}
     env = capsule_gym.CapsuleEnv(**kwargs)
     observation, _ = env.reset(seed=plant.seed, options=plant.reset_options())
+    # The rows that `info` shows, the memories of law and task, and a disturbed plant's last reading.
+    rows = [*range(Row.clock + 1), *range(ROWS, env.simulation.task_end)]
+    rows += range(Row.read_theta, Row.read_x_dot + 1) if env.simulation.settings.history else ()
     act = policy.start([plant.seed])
     digest, terminated, step = hashlib.sha256(), False, 0
     horizon = round(TASKS[found.task][1] * CONTROL_DT / kwargs.get("control_dt", CONTROL_DT))
@@ -89,7 +71,7 @@ def compute(episode: Episode) -> tuple[int, str]:
         else:
             action = act(observation[None])[0]
         observation, _, terminated, _, _ = env.step(action)
-        digest.update(compared(env) + observation.tobytes())
+        digest.update(env.simulation.world[0, rows, 0].tobytes() + observation.tobytes())
         step += 1
     env.close()
     return step, digest.hexdigest()
@@ -101,23 +83,18 @@ def record(name: str, plants: Sequence[PlantSpec]) -> np.ndarray:
     Returns:
         Shape (plants, `EPISODE_STEPS`), uint8; `OVER` after the end of an episode.
     """
-    taken = []
-
-    def start(seeds: Sequence[int]) -> Act:
-        act = ALL_SCRIPTED[name].start(seeds)
-
-        def noted(observations: np.ndarray) -> np.ndarray:
-            taken.append(act(observations))
-            return taken[-1]
-
-        return noted
-
-    episodes = evaluate(replace(ALL_SCRIPTED[name], start=start), EvaluationSet(name, tuple(plants)))
-    places = np.full((len(plants), EPISODE_STEPS), OVER, np.uint8)
-    for row, actions, episode in zip(places, np.concatenate(taken, axis=1), episodes, strict=True):
-        # Rounded up, since an episode may end within its last step.
-        steps = math.ceil(episode["duration"] / CONTROL_DT - 1e-6)
-        row[:steps] = np.searchsorted(TORQUES, actions[:steps])
+    policy, count = ALL_SCRIPTED[name], len(plants)
+    env = capsule_gym.CapsuleVectorEnv(count, autoreset_mode="DISABLED", **policy.env_kwargs)
+    options = [plant.reset_options() for plant in plants]
+    observations, _ = env.reset(options={key: [each[key] for each in options] for key in options[0]})
+    act, running = policy.start([plant.seed for plant in plants]), np.ones(count, bool)
+    places = np.full((count, EPISODE_STEPS), OVER, np.uint8)
+    for step in range(EPISODE_STEPS):
+        actions = act(observations)
+        places[running, step] = np.searchsorted(TORQUES, actions[running, 0])
+        observations, _, terminated, _, _ = env.step(actions)
+        running &= ~terminated
+    env.close()
     return places
 
 
@@ -137,7 +114,15 @@ class Args:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = parse(Args, "python -m web.episodes", arguments)
-    found = [{**episode, **dict(zip(("steps", "sha256"), compute(episode), strict=True))} for episode in episodes()]
+    committed = json.loads(FILE.read_text(encoding="utf-8"))
+    known, found = {episode["driver"] for episode in committed}, []
+    for n, (name, policy) in enumerate(drivers().items()):
+        if name not in known:
+            task = policy.env_kwargs.get("task", "speed")
+            committed.append({"name": name, "driver": name, "set": "drift" if task == "speed" else task, "plant": n})
+    for episode in committed:
+        steps, sha256 = compute(episode)
+        found.append({**episode, "steps": steps, "sha256": sha256})
     plants = {each: load_set(each).plants[:SEEDS] for each in SET_NAMES}
     recorded = {f"{name} {each}": record(name, plants[each]) for name in RECORDED for each in SET_NAMES}
     if args.write:
@@ -145,12 +130,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         content = io.BytesIO()
         np.savez_compressed(content, allow_pickle=False, **recorded)
         write_atomically(RECORDINGS, content.getvalue())
-    committed, known = json.loads(FILE.read_text(encoding="utf-8")), np.load(RECORDINGS)
+        committed = found
+    recordings = np.load(RECORDINGS)
     wrong = [episode["name"] for episode in found if episode not in committed]
-    wrong += [key for key, places in recorded.items() if not np.array_equal(places, known[key])]
-    print(
-        *(f"{name}: differs" for name in wrong), f"{len(found) + len(recorded)} compared, {len(wrong)} differ", sep="\n"
-    )
+    wrong += [key for key, places in recorded.items() if not np.array_equal(places, recordings[key])]
+    wrong = [f"{name}: differs" for name in wrong]
+    print(*wrong, f"{len(found) + len(recorded)} compared, {len(wrong)} differ", sep="\n")
     return int(bool(wrong))
 
 

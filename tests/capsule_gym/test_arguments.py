@@ -214,3 +214,112 @@ def test_a_short_episode(batch, data, drive, steps):
             break
     check_finite("metrics", env.episode_metrics())
     env.close()
+
+
+# What is refused, and the message that says why
+
+PARADOX = Randomization(M=(0.001, 0.5), mu=(5.0, 20.0))
+TASK = r"^task must be a Task or one of \[.*'speed'.*\], got "
+
+
+@pytest.mark.parametrize(
+    ("kind", "kwargs", "error", "message"),
+    [
+        (
+            CapsuleEnv,
+            {"residual_limit": 0.0},
+            ValueError,
+            "residual_limit must be > 0 .*, got 0.0: the action would have",
+        ),
+        (CapsuleEnv, {"randomization": PARADOX}, ValueError, "Painleve"),
+        (CapsuleEnv, {"physics_dt": 0.003}, ValueError, "physics_dt must divide"),
+        (CapsuleEnv, {"controller": "baselines:adaptive", "control_dt": 0.0015}, ValueError, "dt must divide"),
+        (CapsuleEnv, {"render_mode": np.array(["human", "human"])}, ValueError, "render_mode must be"),
+        (CapsuleEnv, {"tusk": "goal"}, TypeError, "unexpected keyword argument 'tusk'; did you mean 'task'"),
+        *((CapsuleEnv, {"task": value}, error, TASK) for value, error in (("fast", ValueError), (1, TypeError))),
+        (CapsuleVectorEnv, {"num_envs": 0}, ValueError, "num_envs must be"),
+        (CapsuleVectorEnv, {"residual_limit": 0.0}, ValueError, "residual_limit must be > 0"),
+        (CapsuleVectorEnv, {"autoreset_mode": "LATER"}, ValueError, "autoreset_mode"),
+        (CapsuleVectorEnv, {"render_mode": "human"}, ValueError, "render_mode"),
+    ],
+)
+def test_bad_arguments_are_named(kind, kwargs, error, message):
+    with pytest.raises(error, match=message):
+        kind(**kwargs)
+
+
+JUMP = {"t": 1.0, "M": 0.5, "mu": 0.01}
+COMMAND = {"t": 0.0, "v": 0.1}
+NO_GOAL = r"^options\['goal'\] must be a finite number of m within 1e\+06 of 0, got "
+# For each environment: options of a reset.
+BAD_OPTIONS: dict[str, list[tuple[Any, type[Exception], str]]] = {
+    "speed": [
+        ({"mass": 1.0}, ValueError, "mass"),
+        ([1.0], TypeError, "options must be a dict"),
+        ({"M": 0.0}, ValueError, "M must be"),
+        ({"mu": float("inf")}, ValueError, "mu must be"),
+        ({"state": "here"}, TypeError, "state"),
+        ({"state": [0.3, 1e120, 0.0, 0.0]}, ValueError, r"\|theta_dot\| <= 1000 rad/s"),
+        ({"state": [0.3, 0.0, -1.1e6, 0.0]}, ValueError, r"\|x\| <= 1e\+06 m"),
+        ({"state": [0.3, 0.0, 0.0, 1001.0]}, ValueError, r"\|x_dot\| <= 1000 m/s"),
+        ({"changes": [1.0]}, TypeError, r"options\['changes'\]\[0\].*, got 1.0"),
+        ({"changes": [{"t": 1.0, "M": 0.5}]}, ValueError, r"options\['changes'\]\[0\] must have the keys"),
+        ({"changes": [JUMP, {**JUMP, "t": 0.5}]}, ValueError, r"\[1\]\['t'\] must be later .*, 1 s, got 0.5 s"),
+        ({"changes": [{"t": 1.0, "M": 0.001, "mu": 2.0}]}, ValueError, r"options\['changes'\]\[0\]: .*Painleve"),
+        ({"commands": [COMMAND]}, ValueError, "options must have keys out of"),
+    ],
+    "velocity": [
+        ({"commands": 0.05}, TypeError, r"^options\['commands'\] must be a list"),
+        ({"commands": []}, ValueError, r"^options\['commands'\] must be a list of 1 to 8"),
+        ({"commands": [COMMAND] * 9}, ValueError, "must be a list of 1 to 8 .* got 9"),
+        ({"commands": [0.05]}, TypeError, r"^options\['commands'\]\[0\] must be a dict"),
+        ({"commands": [{"t": 0.0}]}, ValueError, "must have the keys 't' and 'v' and no others"),
+        ({"commands": [{**COMMAND, "t": 1.0}]}, ValueError, r"^options\['commands'\]\[0\]\['t'\] must be 0 s for the"),
+        ({"commands": [COMMAND] * 2}, ValueError, r"\[1\]\['t'\] must be later than the one before, 0 s"),
+        ({"commands": [{**COMMAND, "v": 0.3}]}, ValueError, r"\['v'\] must be a number of m/s within 0.2 of 0"),
+        ({"commands": [{**COMMAND, "v": "fast"}]}, TypeError, r"\['v'\] must be a number of m/s"),
+    ],
+    "goal": [
+        *(({"goal": goal}, ValueError, NO_GOAL) for goal in (np.inf, -2e6)),
+        *(({"goal": goal}, TypeError, NO_GOAL) for goal in ("far", [0.1])),
+    ],
+    "batch": [
+        ({"M": [0.5]}, ValueError, r"options\['M'\] must have one entry per environment \(2\), got 1"),
+        ({"changes": 1.0}, TypeError, r"options\['changes'\] must have one entry per environment .*, got 1.0"),
+        ({"state": np.zeros((3, 4))}, ValueError, "state"),
+        ({"reset_mask": [True, False]}, TypeError, "reset_mask"),
+        ({"reset_mask": np.array([False, False])}, ValueError, "reset_mask"),
+    ],
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "error", "message"), [(name, *case) for name, cases in BAD_OPTIONS.items() for case in cases]
+)
+def test_bad_options_are_named_and_change_nothing(name, options, error, message):
+    env = CapsuleVectorEnv(2) if name == "batch" else CapsuleEnv(task=name)
+    env.reset(seed=0)
+    before = env.simulation.world.tobytes()
+    with pytest.raises(error, match=message):
+        env.reset(options=options)
+    assert env.simulation.world.tobytes() == before
+
+
+@pytest.mark.parametrize(
+    ("seed", "error"), [([1], ValueError), (np.timedelta64(5), TypeError), (2**128 - 1, ValueError)]
+)
+def test_bad_seeds_of_a_batch_are_named(seed, error):
+    with pytest.raises(error, match=r"^seed must be"):
+        CapsuleVectorEnv(2).reset(seed=seed)
+
+
+ALONE = [np.zeros(2), np.array([np.nan]), np.zeros((1, 1)), 0.5, np.array([np.inf]), ["a"], None, {}]
+SEVERAL = [np.zeros(2), np.zeros((3, 1)), np.array([[0.0], [np.nan]]), [["a"], ["b"]], None]
+
+
+@pytest.mark.parametrize(("n", "action"), [*((None, each) for each in ALONE), *((2, each) for each in SEVERAL)])
+def test_bad_actions_are_named(n, action):
+    env = CapsuleVectorEnv(n) if n else CapsuleEnv()
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"^actions? must be"):
+        env.step(action)

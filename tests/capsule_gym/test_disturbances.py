@@ -56,16 +56,11 @@ def test_drawn_constants_make_the_plant_of_a_capsule_with_these():
     given |= {"viscous": 0.3, "stribeck_speed": 0.1, "slope": -0.02, "motor_friction": 0.03}
     capsule = Capsule(**given)
     ranges = Randomization(M=(0.4, 0.6), mu=(0.1, 0.3), **{name: (value, value) for name, value in given.items()})
-    actions = swing(200)
+    actions, own = swing(200), Randomization(M=ranges.M, mu=ranges.mu)
     drawn = run(CapsuleEnv(randomization=ranges), actions, seed=1)
-    set_ = run(
-        CapsuleEnv(randomization=VARIED), actions, options={"capsule": given, "M": drawn[0]["M"], "mu": drawn[0]["mu"]}
-    )
-    fixed = run(
-        CapsuleEnv(randomization=Randomization(M=ranges.M, mu=ranges.mu), capsule=capsule, physics_dt=0.002),
-        *(actions,),
-        seed=1,
-    )
+    options = {"capsule": given, "M": drawn[0]["M"], "mu": drawn[0]["mu"]}
+    set_ = run(CapsuleEnv(randomization=VARIED), actions, options=options)
+    fixed = run(CapsuleEnv(randomization=own, capsule=capsule, physics_dt=0.002), actions, seed=1)
     assert drawn[0]["capsule"] == given
     for one, other, third in zip(drawn, fixed, set_, strict=True):
         np.testing.assert_allclose(one["state"], other["state"], rtol=0.0, atol=1e-11)
@@ -84,24 +79,21 @@ def test_readings_are_late_by_the_latency():
 
 
 def test_the_errors_of_readings_have_the_sizes_and_the_memory_that_are_asked_for():
-    size = np.array([0.01, 0.1, 0.02])
-    sensors = ("theta", "theta_dot", "x_dot")
+    size = {"theta": 0.01, "theta_dot": 0.1, "x_dot": 0.02}
     count, steps = 400, 50
 
-    def errors(**given: object) -> np.ndarray:
+    def errors(kind: str, **given: object) -> np.ndarray:
+        """The errors of the sensors relative to the size that is asked for, of readings by step and environment."""
+        given |= {f"{name}_{kind}": (-value, value) if kind == "bias" else value for name, value in size.items()}
         batch = CapsuleVectorEnv(count, disturbances=Disturbances(**given), randomization="paper")
         _, info = batch.reset(seed=0)
         rows = []
         for _ in range(steps):
-            rows.append((info["reading"] - info["state"])[:, [0, 1, 3]] / size)
+            rows.append((info["reading"] - info["state"])[:, [0, 1, 3]] / [*size.values()])
             _, _, _, _, info = batch.step(np.zeros((count, 1), np.float32))
         return np.array(rows)
 
-    white = errors(**{f"{name}_noise": float(value) for name, value in zip(sensors, size, strict=True)})
-    drift = errors(
-        **{f"{name}_drift": float(value) for name, value in zip(sensors, size, strict=True)}, drift_time=0.05
-    )
-    bias = errors(**{f"{name}_bias": (-float(value), float(value)) for name, value in zip(sensors, size, strict=True)})
+    white, drift, bias = errors("noise"), errors("drift", drift_time=0.05), errors("bias")
     independent = 5.0 / math.sqrt(count * steps)
     for n in range(3):
         assert stats.kstest(white[:, :, n].ravel(), "norm").pvalue > 1e-3
@@ -174,9 +166,8 @@ def test_the_motor_follows_the_command_with_its_lag_in_steps_of_its_resolution()
 
 
 def test_a_push_changes_the_momentum_by_its_impulse():
-    env = CapsuleEnv(
-        disturbances=Disturbances(push=0.4), randomization=Randomization(M=(0.5, 0.5), mu=(0.0, 0.0)), physics_dt=5e-4
-    )
+    smooth = Randomization(M=(0.5, 0.5), mu=(0.0, 0.0))
+    env = CapsuleEnv(disturbances=Disturbances(push=0.4), randomization=smooth, physics_dt=5e-4)
     momenta = []
     for info in run(env, np.zeros((501, 1, 1), np.float32), seed=0):
         theta, theta_dot, _, x_dot = info["state"]
@@ -190,16 +181,16 @@ def test_a_push_changes_the_momentum_by_its_impulse():
     assert len(set(np.round(per_second, 9))) == 10
 
 
-def test_a_push_and_a_slope_of_the_same_force_agree_on_the_platform_that_sticks():
-    """Static friction balances a push below mu N, but not above."""
-    rest = {"state": [0.0, 0.0, 0.0, 0.0]}
-    for push, moves in ((0.5, False), (2.0, True)):
-        env = CapsuleEnv(disturbances=Disturbances(push=push), randomization=Randomization(M=(0.5, 0.5), mu=(0.1, 0.1)))
-        reached = np.array(
-            [abs(info["state"][3]) for info in run(env, np.zeros((150, 1, 1), np.float32), options=rest, seed=3)]
-        )
-        # Without a torque, the upright pendulum does not fall: the platform stands still until it is pushed.
-        assert (reached[:150] > 0.0).any() == moves
+@pytest.mark.parametrize(("push", "moves"), [(0.5, False), (2.0, True)])
+def test_static_friction_balances_a_push_below_the_threshold_only(push, moves):
+    env = CapsuleEnv(disturbances=Disturbances(push=push), randomization=Randomization(M=(0.5, 0.5), mu=(0.1, 0.1)))
+    # Without a torque, the upright pendulum does not fall: the platform stands still until it is pushed.
+    infos = run(env, np.zeros((150, 1, 1), np.float32), options={"state": [0.0] * 4}, seed=3)
+    assert any(info["state"][3] != 0.0 for info in infos) == moves
+
+
+def reset(**options: object) -> None:
+    CapsuleEnv(disturbances="real").reset(options=options)
 
 
 @pytest.mark.parametrize(
@@ -209,31 +200,16 @@ def test_a_push_and_a_slope_of_the_same_force_agree_on_the_platform_that_sticks(
             lambda: Disturbances(latency=-1.0),
             r"Disturbances\.latency must be a number from 0 to 0\.5, or a pair .*-1\.0",
         ),
-        (
-            lambda: Disturbances(theta_bias=(1.0, 0.0)),
-            r"Disturbances\.theta_bias must be .* low <= high, got \(1\.0, 0\.0\)",
-        ),
+        (lambda: Disturbances(theta_bias=(1.0, 0.0)), r"Disturbances\.theta_bias must be .*, got \(1\.0, 0\.0\)"),
         (lambda: Disturbances(unmeasured=("x",)), r"Disturbances\.unmeasured must be .* got \('x',\)"),
         (lambda: Disturbances(controls="all"), r"Disturbances\.controls must be 'both', 'law' or 'agent', got 'all'"),
-        (
-            lambda: CapsuleEnv(disturbances="some"),
-            r"disturbances must be a Disturbances or one of .*, got 'some'",
-        ),
+        (lambda: CapsuleEnv(disturbances="some"), r"disturbances must be a Disturbances or one of .*, got 'some'"),
         (lambda: Randomization(k=(2.0, 1.0)), r"Randomization\.k must be a pair .* got \(2\.0, 1\.0\)"),
         (lambda: CapsuleEnv(randomization=Randomization(m=(0.1, 40.0), mu=(0.5, 9.0))), r"Painleve"),
         (lambda: CapsuleEnv(randomization=Randomization(c=(0.1, 900.0))), r"physics_dt must be at most"),
-        (
-            lambda: CapsuleEnv(disturbances="real").reset(options={"disturbances": {"latency": 0.1}}),
-            r"options\['disturbances'\]\['latency'\] must be a number from 0 to 0\.016, got 0\.1",
-        ),
-        (
-            lambda: CapsuleEnv(disturbances="real").reset(options={"disturbances": {"speed": 0.1}}),
-            r"options\['disturbances'\] must be a dict with keys out of",
-        ),
-        (
-            lambda: CapsuleEnv(disturbances="real").reset(options={"capsule": {"m": -1.0}}),
-            r"Capsule\.m must be a finite number .* got -1\.0",
-        ),
+        (lambda: reset(disturbances={"latency": 0.1}), r"\['latency'\] must be a number from 0 to 0\.016, got 0\.1"),
+        (lambda: reset(disturbances={"speed": 0.1}), r"options\['disturbances'\] must be a dict with keys out of"),
+        (lambda: reset(capsule={"m": -1.0}), r"Capsule\.m must be a finite number .* got -1\.0"),
         (
             lambda: CapsuleEnv().reset(options={"capsule": {"m": 0.1}}),
             r"options\['capsule'\] needs an environment with",

@@ -28,13 +28,13 @@ def change(*changes):
     return plant(changes=[dict(zip(("t", "M", "mu"), entry, strict=True)) for entry in changes])
 
 
+ONE_GOAL = {"name": "x", "task": "goal", "plants": [*plant()["plants"], *plant(goal=0.1)["plants"]]}
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (
-            [],
-            r"set must be an object with the fields name, plants and optionally .*disturbances, got \[\]",
-        ),
+        ([], r"set must be an object with the fields name, plants and optionally .*disturbances, got \[\]"),
         ({"name": "x"}, r"fields name, plants and optionally task, capsule, disturbances, got {'name': 'x'}"),
         ({"name": "", "plants": []}, "set.name must be a string that is not empty, got ''"),
         ({"name": "x", "plants": []}, r"at least one plant, got \[\]"),
@@ -46,14 +46,8 @@ def change(*changes):
         (plant(colour="red"), "fields M, mu, seed and optionally theta, changes, capsule, got .*colour"),
         (plant(goal=0.3), "fields M, mu, seed and optionally theta, changes, capsule, got .*goal"),
         ({**plant(), "task": "tow"}, r"set.task must be one of \['goal', 'speed', 'velocity'\], got 'tow'"),
-        (
-            {**plant(goal=2e6), "task": "goal"},
-            r"plants\[0\].goal must be a number of m within 1e\+06 of 0, got 2000000.0",
-        ),
-        (
-            {"name": "x", "task": "goal", "plants": [*plant()["plants"], *plant(goal=0.1)["plants"]]},
-            "set.plants must have a goal each, or none must have one",
-        ),
+        ({**plant(goal=2e6), "task": "goal"}, r"\[0\].goal must be a number of m within 1e\+06 of 0, got 2000000.0"),
+        (ONE_GOAL, "set.plants must have a goal each, or none must have one"),
         ({**plant(), "capsule": {"weight": 1.0}}, "set.capsule must be an object with the fields .*mu.*, got .*weight"),
         ({**plant(), "capsule": {"static_ratio": 0.5}}, "Capsule.static_ratio must be a finite number from 1 to"),
         (plant(changes=3), r"set.plants\[0\].changes must be a list"),

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from capsule_gym import CapsuleVectorEnv, Controller, _core, native
-from capsule_gym.controller import CoreLaw, find_controller
+from capsule_gym import CapsuleVectorEnv, _core, native
+from capsule_gym.controller import find_controller
 from capsule_gym.layout import ROWS
 from capsule_gym.parameters import REAL
 from capsule_gym.task import TASKS
@@ -60,7 +60,6 @@ def test_bits_do_not_depend_on_level_batch_and_threads(kwargs, monkeypatch):
 
 def test_a_law_of_the_core_gives_the_torques_of_the_environment_at_every_level(monkeypatch):
     made = find_controller("baselines:gait")
-    assert isinstance(made, Controller) and isinstance(made.law, CoreLaw)
     states = np.random.default_rng(0).uniform(-1.0, 1.0, (200, 4)) * (1.5, 20.0, 1.0, 1.0)
     found = set()
     for level in _core.LEVELS:
@@ -74,12 +73,10 @@ def test_a_law_of_the_core_gives_the_torques_of_the_environment_at_every_level(m
 
 
 def test_an_unknown_level_is_named():
+    command = [sys.executable, "-c", "import capsule_gym.native"]
     for level in ("v9", ""):
         done = subprocess.run(
-            [sys.executable, "-c", "import capsule_gym.native"],
-            env={**os.environ, "CAPSULE_GYM_LEVEL": level},
-            capture_output=True,
-            text=True,
+            command, env={**os.environ, "CAPSULE_GYM_LEVEL": level}, capture_output=True, text=True, check=False
         )
         said = f"ImportError: CAPSULE_GYM_LEVEL must be one of {_core.LEVELS} on this processor, got {level!r}"
         assert done.stderr.splitlines()[-1] == said

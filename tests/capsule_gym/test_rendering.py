@@ -12,16 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from capsule_gym.parameters import Capsule
-from capsule_gym.rendering import (
-    FLOOR,
-    GHOST,
-    HEADER,
-    HEIGHT,
-    WIDTH,
-    Renderer,
-    _number,
-    write_gif,
-)
+from capsule_gym.rendering import FLOOR, GHOST, HEADER, HEIGHT, WIDTH, Renderer, _number, write_gif
 
 pygame = pytest.importorskip("pygame")
 Image = pytest.importorskip("PIL.Image")
@@ -133,36 +124,29 @@ def dummy(monkeypatch: pytest.MonkeyPatch) -> Any:
     pygame.display.quit()
 
 
-def test_a_window_shows_the_frames(dummy) -> None:
-    renderer = Renderer(Capsule(), "human", 200, 1.5, title="a title")
+def test_a_window_shows_the_frames_and_passes_keys_on(dummy) -> None:
+    keys: list[tuple[str, bool]] = []
+    renderer = Renderer(Capsule(), "human", 200, 1.5, title="a title", on_key=lambda *key: keys.append(key))
+    for kind in (pygame.KEYDOWN, pygame.KEYUP, pygame.MOUSEMOTION):
+        pygame.event.post(pygame.event.Event(kind, key=pygame.K_LEFT))
     for k in range(3):
         assert renderer.draw(**{**STATE, "time": 0.02 * k}) is None
+    assert keys == [("left", True), ("left", False)]
     window = pygame.display.get_surface()
     assert window.get_size() == (WIDTH, HEIGHT) and pygame.display.get_caption()[0] == "a title"
     shown = pygame.surfarray.array3d(window).swapaxes(0, 1)
     np.testing.assert_array_equal(shown[STAGE, 250:700], frame(time=0.04)[STAGE, 250:700])
-    renderer.close()
-    renderer.close()
-    assert not pygame.display.get_init()
-    assert renderer.closed and renderer.draw(**STATE) is None
 
 
-def test_keys_of_the_window_are_passed_on(dummy) -> None:
-    keys: list[tuple[str, bool]] = []
-    renderer = Renderer(Capsule(), "human", 200, 1.5, on_key=lambda *key: keys.append(key))
-    for kind in (pygame.KEYDOWN, pygame.KEYUP, pygame.MOUSEMOTION):
-        pygame.event.post(pygame.event.Event(kind, key=pygame.K_LEFT))
-    renderer.draw(**STATE)
-    assert keys == [("left", True), ("left", False)]
-
-
-def test_a_window_closed_by_its_user_stays_closed(dummy) -> None:
+@pytest.mark.parametrize("by_user", [False, True])
+def test_a_closed_window_stays_closed(dummy, by_user) -> None:
     renderer = Renderer(Capsule(), "human", 200, 1.5)
     renderer.draw(**STATE)
-    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    pygame.event.post(pygame.event.Event(pygame.QUIT)) if by_user else renderer.close()
     for _ in range(2):
         assert renderer.draw(**STATE) is None and renderer.closed
         assert not pygame.display.get_init()
+    renderer.close()
 
 
 RED = (255, 0, 0)

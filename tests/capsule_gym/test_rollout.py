@@ -50,24 +50,6 @@ def jumps(n: int) -> list[list[dict[str, float]]]:
     return [([*three, {"t": 50.0, "M": 0.5, "mu": 0.01}], [], one, three)[i % 4] for i in range(n)]
 
 
-@pytest.mark.parametrize("n", [1, 2 * LANES + 3])
-@pytest.mark.parametrize("name", ["direct-ppo", "direct-sac", "residual-ppo"])
-@pytest.mark.parametrize("with_changes", [False, True], ids=["steady", "jumping"])
-def test_a_rollout_gives_the_bits_of_a_loop_in_python(name, n, with_changes):
-    policy = load_policy(name)
-    changes = jumps(n) if with_changes else None
-    looped, observations = begun(policy, n, changes, randomization="wide")
-    stepped(looped, policy, observations, 100)
-    rolled, _ = begun(policy, n, changes, randomization="wide", threads=3)
-    metrics = rollout(rolled.simulation, policy, 100)
-    assert_same(looped.simulation, rolled.simulation)
-    rolled.close()
-    assert set(metrics) == set(METRICS)
-    assert (rolled.simulation.row(Row.steps) > 0.0).all()
-    if with_changes and n > 1:
-        assert len(set(rolled.simulation.row(Row.mu)[1:5])) == len(set(rolled.simulation.row(Row.M)[1:5])) > 1
-
-
 def on_a_law() -> Policy:
     """A policy that identifies M and mu, observes a law's torque, and outputs torques."""
     policy = make_remembering()
@@ -78,26 +60,31 @@ def on_a_law() -> Policy:
     return replace(policy, layers=((wider, bias),), mean=zeros, variance=ones, output="torque", env_kwargs=env_kwargs)
 
 
+PRETRAINED = [partial(load_policy, name) for name in ("direct-ppo", "direct-sac", "residual-ppo")]
+
+
 @pytest.mark.parametrize("n", [1, 2 * LANES + 3])
-@pytest.mark.parametrize("make", [make_remembering, partial(make_remembering, output="torque"), on_a_law])
-def test_what_is_remembered_gives_the_same_bits_alone_in_a_batch_and_in_a_rollout(make, n):
-    policy = make()
+@pytest.mark.parametrize("make", [*PRETRAINED, make_remembering, partial(make_remembering, output="torque"), on_a_law])
+def test_a_rollout_gives_the_bits_of_a_loop_in_python_and_of_environments_alone(make, n):
+    policy, steps = make(), 130
+    policy = replace(policy, env_kwargs={**policy.env_kwargs, "randomization": "wide"})
     looped, observations = begun(policy, n, jumps(n), threads=2)
-    rolled, _ = begun(policy, n, jumps(n), threads=2)
-    stepped(looped, policy, observations, 130)
-    metrics = rollout(rolled.simulation, policy, 130)
+    rolled, _ = begun(policy, n, jumps(n), threads=3)
+    stepped(looped, policy, observations, steps)
+    metrics = rollout(rolled.simulation, policy, steps)
+    assert set(metrics) == set(METRICS)
     # The action of an environment whose episode has ended has no effect.
     assert_same(looped.simulation, rolled.simulation, EPISODE_ROWS)
-    # The platform moves, so that the policy can identify M and mu.
+    # The platform moves, so that the policy can identify M and mu, which have changed.
     assert np.median(metrics["distance"] + metrics["backward_ratio"]) > 0.01
+    assert n == 1 or len(set(rolled.simulation.row(Row.mu)[1:5])) == len(set(rolled.simulation.row(Row.M)[1:5])) > 1
     for i in {0, n // 2, n - 1}:
         alone = CapsuleEnv(**policy.env_kwargs)
         observation, _ = alone.reset(seed=3 + i, options={"changes": jumps(n)[i]})
-        act = policy.start([0])
-        for _ in range(130):
+        act, terminated, step = policy.start([0]), False, 0
+        while not terminated and step < steps:
             observation, _, terminated, _, _ = alone.step(act(observation))
-            if terminated:
-                break
+            step += 1
         assert observation.tobytes() == rolled.simulation.observations[i].tobytes()
     looped.close()
     rolled.close()

@@ -1,4 +1,4 @@
-"""A batch of environments: every quantity equals that of the environment alone, in any lane, block and thread."""
+"""A batch of environments: the plants and steps that it accepts, and the draws at the start of an episode."""
 
 from __future__ import annotations
 
@@ -8,25 +8,14 @@ import re
 import numpy as np
 import pytest
 
-from capsule_gym import Capsule, Controller, Randomization, dynamics
+from capsule_gym import Capsule, Controller, Randomization
 from capsule_gym.config import EnvConfig
 from capsule_gym.layout import Row
+from capsule_gym.resets import Stream, draw_plant, plant_at, plant_ranges, random_stream
 from capsule_gym.settings import STABLE
 from capsule_gym.simulation import Simulation
-from capsule_gym.task import Termination
-from tests.capsule_gym.fakes import picky_controller
-
-
-def test_a_substep_in_which_contact_is_lost_is_that_of_the_plant():
-    capsule = Capsule(mu=0.3)
-    simulation = Simulation(1, EnvConfig(capsule=capsule, control_dt=0.002))
-    state = (-0.4, 18.0, 0.0, 2.0)
-    simulation.reset(np.array([0]), [capsule.M], [capsule.mu], np.array([state]))
-    simulation.step_one(0.0)
-    motion = dynamics.step(*state, 0.0, capsule.plant(), 0.002)
-    assert motion.normal_force == 0.0
-    rows = (Row.theta, Row.theta_dot, Row.x, Row.x_dot)
-    assert simulation.columns(np.array([0]))[list(rows), 0].tolist() == [float(each) for each in motion[:4]]
+from capsule_gym.task import START_THETA, Termination
+from tests.capsule_gym.fakes import picky_controller  # noqa: F401 (named by a pickle)
 
 
 @pytest.mark.parametrize(
@@ -94,18 +83,12 @@ def test_a_batch_for_which_there_is_no_memory_says_so(monkeypatch):
         Simulation(99)
 
 
-short = picky_controller
-
-
-def longer() -> Controller:
-    return Controller("longer", lambda *arguments: (0.0, arguments[4]), np.zeros((1, 2)), (0.0, 0.0))
-
-
 def test_a_pickle_whose_law_has_another_memory_now_is_refused(monkeypatch):
     # Compiled code would write beyond the rows of its environments.
-    packed = pickle.dumps(Simulation(1, EnvConfig(controller=f"{__name__}:short")))
-    monkeypatch.setitem(globals(), "short", longer)
-    with pytest.raises(ValueError, match=r"controller='.*:short' must be as it was"):
+    packed = pickle.dumps(Simulation(1, EnvConfig(controller=f"{__name__}:picky_controller")))
+    longer = Controller("longer", lambda *arguments: (0.0, arguments[4]), np.zeros((1, 2)), (0.0, 0.0))
+    monkeypatch.setitem(globals(), "picky_controller", lambda: longer)
+    with pytest.raises(ValueError, match=r"controller='.*:picky_controller' must be as it was"):
         pickle.loads(packed)
 
 
@@ -119,9 +102,62 @@ def test_a_jump_that_a_reset_cancels_never_comes():
     assert simulation.row(Row.M).tolist() == [0.6, M]
 
 
-def test_what_a_law_has_spoilt_is_not_observed():
-    simulation = Simulation(2, EnvConfig(controller=picky_controller))
-    with pytest.raises(ValueError, match="in environment 1"):
-        simulation.reset(np.arange(2), state=np.array([[0.1, 0.0, 0.0, 0.0], [0.1, 0.0, -6.0, 0.0]]))
-    assert np.isfinite(simulation.observations).all()
-    assert np.isfinite(simulation.world[0, : Row.steps, :2]).all()
+# The start of an episode
+
+SEEDS = (0, 1, 12345, 2**63, 2**64 - 1, 2**64, 2**100 + 7, 2**128 - 1, 2**128 + 1)
+RANDOMIZATIONS = ("none", "paper", "wide", Randomization(mu=(0.01, 0.2), log_mu=True), Randomization(M=(0.4, 0.5)))
+
+
+@pytest.mark.parametrize("start", [{"initial_noise": 0.05}, {"initial_range": (1.0, 8.0)}], ids=str)
+@pytest.mark.parametrize("randomization", RANDOMIZATIONS, ids=str)
+def test_what_is_drawn_are_the_numbers_of_numpys_philox_bit_for_bit(randomization, start):
+    simulation = Simulation(len(SEEDS), EnvConfig(randomization=randomization, capsule=Capsule(M=0.6), **start))
+    rows = np.arange(len(SEEDS))
+    for i, seed in enumerate(SEEDS):
+        simulation.seed(i, seed)
+    for episode in range(10):
+        simulation.reset(rows)
+        for i, seed in enumerate(SEEDS):
+            stream = random_stream(seed, episode, Stream.parameters)
+            plant = draw_plant(simulation.randomization, simulation.capsule, stream)
+            noise = random_stream(seed, episode, Stream.initial_state).uniform(-1.0, 1.0, 2)
+            column = simulation.columns(rows)[:, i]
+            assert (column[Row.M], column[Row.mu]) == plant
+            ranged = "initial_range" in start
+            expected = (noise[0], 8.0 * noise[1]) if ranged else (START_THETA + 0.05 * noise[0], 0.0)
+            assert (column[Row.theta], column[Row.theta_dot]) == expected
+            assert column[Row.largest_theta] == abs(column[Row.theta])
+    # A constant that is not drawn is the present capsule's.
+    if simulation.randomization.M is None:
+        assert (simulation.row(Row.M) == 0.6).all()
+
+
+def test_a_range_is_drawn_as_its_formula_says():
+    wide, uniform = Randomization.named("wide"), Randomization(mu=(0.1, 0.4))
+    for seed in range(100):
+        shares = random_stream(seed, 0, Stream.parameters).random(2).tolist()
+        M, mu = draw_plant(wide, Capsule(), random_stream(seed, 0, Stream.parameters))
+        assert M == 0.35 + (0.75 - 0.35) * shares[0]
+        assert mu == pytest.approx(0.005 * (0.3 / 0.005) ** shares[1], rel=1e-15)
+        # Ranges do not shift the stream, and a constant without a range is the capsule's own.
+        found = draw_plant(uniform, Capsule(M=0.7), random_stream(seed, 0, Stream.parameters))
+        assert found == (0.7, 0.1 + (0.4 - 0.1) * shares[1])
+    assert plant_at(plant_ranges(wide, Capsule()), 0.0, 0.0) == (0.35, 0.005)
+    same = Randomization(mu=(0.1, 0.1), log_mu=True)
+    assert plant_at(plant_ranges(same, Capsule(M=0.7)), 0.5, 0.5) == (0.7, 0.1)
+
+
+def test_rows_may_be_any_integers_that_name_environments():
+    simulation = Simulation(130)
+    for rows in (np.array([129, 3]), np.array([129, 3], np.int32), np.arange(130)[::-126]):
+        for i in range(130):
+            simulation.seed(i, i)
+        simulation.reset(np.arange(130))
+        first = simulation.row(Row.M)
+        simulation.reset(rows)
+        assert np.flatnonzero(simulation.row(Row.M) != first).tolist() == [3, 129]
+    for wrong in (-1, 130, 2**40):
+        before = simulation.world.copy()
+        with pytest.raises(IndexError, match="rows must be indices of environments"):
+            simulation.reset(np.array([0, wrong]))
+        assert simulation.world.tobytes() == before.tobytes()

@@ -27,7 +27,7 @@ SHELL = ("bash", "sh", "shell", "console")
 # The JavaScript of docs/live.md runs in tests/web.
 KNOWN = {"python", "cpp", "text", "js", *SHELL}
 # Programs of other projects.
-ELSEWHERE = {"git", "bash", "cd", "tensorboard", "pre-commit", "pip", "venv"}
+ELSEWHERE = {"git", "bash", "cd", "tensorboard", "pre-commit", "pip", "venv", "uvx"}
 MODULES_ELSEWHERE = {"pytest", "venv", "pip", "rl_zoo3.train"}
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import hashlib
 import importlib
-import io
 import json
 import pickle
 import sys
@@ -38,22 +37,13 @@ class Touch:
 PICKLE = pickle.dumps(Touch())
 
 
-def archive() -> bytes:
-    """A Stable-Baselines3 model whose parts are all such pickles."""
-    content = io.BytesIO()
-    with zipfile.ZipFile(content, "w") as parts:
+def write_model(path: Path) -> None:
+    """Writes a Stable-Baselines3 model whose parts are all such pickles."""
+    with zipfile.ZipFile(path, "w") as parts:
         data = {"policy_class": {":type:": "type", ":serialized:": base64.b64encode(PICKLE).decode()}}
         parts.writestr("data", json.dumps(data))
         for name in ("policy.pth", "policy.optimizer.pth", "pytorch_variables.pth"):
             parts.writestr(name, PICKLE)
-    return content.getvalue()
-
-
-def arrays() -> bytes:
-    """A numpy archive that contains such a pickle."""
-    content = io.BytesIO()
-    np.savez(content, nominal=np.array([Touch()], object), values=np.array([Touch()], object))
-    return content.getvalue()
 
 
 def write_run(folder: Path, algo: str, config: Config | None = None) -> None:
@@ -65,7 +55,7 @@ def write_run(folder: Path, algo: str, config: Config | None = None) -> None:
     for name in ("checkpoint-000000000512", "checkpoint-000000001024"):
         (folder / name).write_bytes(hashlib.sha256(PICKLE).digest() + PICKLE)
     for part in (folder, folder / "best"):
-        (part / "model.zip").write_bytes(archive())
+        write_model(part / "model.zip")
         for name in ("vecnormalize.pkl", "policy.safetensors"):
             (part / name).write_bytes(PICKLE)
 
@@ -81,9 +71,9 @@ def hostile(tmp_path, monkeypatch) -> Path:
     (tmp_path / "set.json").write_bytes(PICKLE)
     (tmp_path / "archive").mkdir()
     (tmp_path / "archive" / ARCHIVE).write_text("{}")
-    (tmp_path / "archive" / ARRAYS).write_bytes(arrays())
+    np.savez(tmp_path / "archive" / ARRAYS, nominal=np.array([Touch()], object), values=np.array([Touch()], object))
     (tmp_path / "empty").mkdir()
-    (tmp_path / "model.zip").write_bytes(archive())
+    write_model(tmp_path / "model.zip")
     (tmp_path / "policy.safetensors").write_bytes(PICKLE)
     return tmp_path
 

@@ -25,10 +25,6 @@ for controller in (None, "baselines:adaptive"):
     env.reset(seed=0)
     env.step(env.action_space.sample())
 capsule_gym.load_policy("direct-ppo")
-try:
-    import capsule_gym.demo
-except ImportError as error:
-    assert 'pip install "capsule-gym[render]"' in str(error)
 """
 
 
