@@ -21,7 +21,7 @@ SOURCE = Path(__file__).with_name("plain.c")
 FIELDS = (
     "m l g k c static_ratio backward_ratio torque_limit physics_dt energy_weight termination_penalty stick_threshold"
 )
-OPTIONS = ("-std=c99", "-O3", "-ffast-math", "-fPIC", "-shared")
+OPTIONS = ("-std=c99", "-O3", "-ffast-math", "-fPIC", "-c")
 PROCESSORS = {"v4": ("-march=native", "-mprefer-vector-width=512"), "v3": ("-march=x86-64-v3",)}
 
 
@@ -41,9 +41,11 @@ def copy_to_c(compiler: str, simulation: Simulation) -> tuple[Callable[[np.ndarr
         Their `Simulation.step`, and the rows of `Simulation.world` before `Row.clock`.
     """
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "plain.so")
-        options = [*OPTIONS, *PROCESSORS.get(native.LEVEL, ()), str(SOURCE), "-lm", "-o", str(path)]
+        compiled, path = Path(folder, "plain.o"), Path(folder, "plain.so")
+        options = [*OPTIONS, *PROCESSORS.get(native.LEVEL, ()), str(SOURCE), "-o", str(compiled)]
         subprocess.run([*compiler.split(), *options], check=True)
+        # Linked without -ffast-math, with which gcc makes the whole process lose subnormal numbers.
+        subprocess.run([*compiler.split(), "-shared", str(compiled), "-lm", "-o", str(path)], check=True)
         library = ctypes.CDLL(str(path))
     blocks, rows = len(simulation.world), ctypes.c_int.in_dll(library, "ROWS").value
     world, observations = native.aligned_zeros((blocks, rows, LANES)), np.zeros((simulation.num_envs, 5), np.float32)
