@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks import reference
-from capsule_gym import _core, dynamics, native
+from capsule_gym import _core, dynamics
 from capsule_gym.config import EnvConfig
 from capsule_gym.dynamics import step
 from capsule_gym.layout import Row
@@ -365,14 +365,7 @@ def test_friction_never_pushes_a_platform_that_has_lost_contact():
 # Levels of instructions
 
 
-@pytest.fixture
-def _level():
-    yield
-    _core.select_level(native.LEVEL)
-
-
-@pytest.mark.usefixtures("_level")
-def test_every_level_of_instructions_gives_the_same_bits():
+def test_every_level_of_instructions_gives_the_same_bits(select_level):
     rng, n = np.random.default_rng(50), 300
     events = 0
     for i in range(20):
@@ -384,7 +377,7 @@ def test_every_level_of_instructions_gives_the_same_bits():
         h = rng.choice([5e-4, 1e-3, 5e-3, 2e-2], n)
         found = []
         for level in _core.LEVELS:
-            _core.select_level(level)
+            select_level(level)
             motion = step(theta, theta_dot, 0.3, x_dot, u, p, h)
             forces = dynamics.stick_margin(theta, theta_dot, u, p)
             found.append(np.array([*motion, *forces, dynamics.contact_phase(theta, theta_dot, x_dot, u, p)]).tobytes())

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from capsule_gym import CapsuleVectorEnv, _core, native
+from capsule_gym import CapsuleVectorEnv, _core
 from capsule_gym.controller import find_controller
 from capsule_gym.layout import ROWS
 from capsule_gym.parameters import REAL
@@ -48,22 +48,22 @@ def episode(n: int, threads: int, **kwargs: Any) -> list[bytes]:
 
 
 @pytest.mark.parametrize("kwargs", CASES.values(), ids=CASES)
-def test_bits_do_not_depend_on_level_batch_and_threads(kwargs, monkeypatch):
+def test_bits_do_not_depend_on_level_batch_and_threads(kwargs, select_level):
     expected = episode(max(SIZES), 1, **kwargs)
     assert len(set(expected)) == len(expected)
     for level in _core.LEVELS:
-        monkeypatch.setattr(native, "LEVEL", level)
+        select_level(level)
         # The slowest level, without fused instructions, in a small and a large batch.
         for n in SIZES if level == _core.LEVELS[0] else (3, 65):
             assert episode(n, 1 + n % 2, **kwargs) == expected[:n], (level, n)
 
 
-def test_a_law_of_the_core_gives_the_torques_of_the_environment_at_every_level(monkeypatch):
+def test_a_law_of_the_core_gives_the_torques_of_the_environment_at_every_level(select_level):
     made = find_controller("baselines:gait")
     states = np.random.default_rng(0).uniform(-1.0, 1.0, (200, 4)) * (1.5, 20.0, 1.0, 1.0)
     found = set()
     for level in _core.LEVELS:
-        monkeypatch.setattr(native, "LEVEL", level)
+        select_level(level)
         torques, _ = made.law.evaluate(states, np.zeros((200, made.law.cells)), np.zeros((200, _core.LAWS["gait"][2])))
         env = CapsuleVectorEnv(200, controller=made)
         _, info = env.reset(options={"state": states})
@@ -72,7 +72,7 @@ def test_a_law_of_the_core_gives_the_torques_of_the_environment_at_every_level(m
     assert len(found) == 1
 
 
-def test_an_unknown_level_is_named():
+def test_an_unknown_level_is_named(select_level):
     command = [sys.executable, "-c", "import capsule_gym.native"]
     for level in ("v9", ""):
         done = subprocess.run(
@@ -81,7 +81,7 @@ def test_an_unknown_level_is_named():
         said = f"ImportError: CAPSULE_GYM_LEVEL must be one of {_core.LEVELS} on this processor, got {level!r}"
         assert done.stderr.splitlines()[-1] == said
     with pytest.raises(ValueError, match=r"^level must be one that this processor runs, got 'v9'$"):
-        _core.select_level("v9")
+        select_level("v9")
 
 
 @pytest.mark.parametrize("n", [1, 65])

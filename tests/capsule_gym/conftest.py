@@ -1,0 +1,14 @@
+"""Fixtures of the tests of the package."""
+
+from __future__ import annotations
+
+import pytest
+
+from capsule_gym import _core, native
+
+
+@pytest.fixture
+def select_level():
+    """Selects a level of instructions until the end of the test."""
+    yield _core.select_level
+    _core.select_level(native.LEVEL)
