@@ -16,7 +16,6 @@ COMMANDS: int
 THETA_LIMIT: float
 THETA_DOT_BOUND: float
 X_DOT_BOUND: float
-RATE_LIMIT: float
 MOTOR_WIDTH: float
 MOTOR_SLOPE: float
 ERROR_BOUND: float

@@ -24,7 +24,7 @@ _OWN = re.compile(r"baselines:[A-Za-z][A-Za-z0-9_]*")
 # Limits of the numbers in a reference table (80 MB), and of its columns and the cells of a memory, each of which the
 # compiler sees.
 LARGEST_TABLE = 10_000_000
-MOST_COLUMNS = 256
+MOST_COLUMNS = _core.MOST_CELLS
 
 
 @dataclass(frozen=True, init=False)

@@ -1,8 +1,8 @@
 """Control laws that users write in Python, called by the core's step.
 
 With numba installed (the extra `law`) a law is compiled by `numba.cfunc`, once per process and controller; nothing is
-kept on disk. Without numba, or where numba cannot compile the law, the interpreter calls it: one environment with a law
-at 1 kHz then takes about a millisecond per step. The torques are the same up to rounding.
+kept on disk. Without numba, or where numba cannot compile the law, the interpreter calls it for each environment, which
+takes many times as long in a batch (docs/controllers.md). The torques are the same up to rounding.
 """
 
 from __future__ import annotations
