@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from capsule_gym import _core, native
+from capsule_gym._core import ESTIMATES
 from capsule_gym.checks import check_count
 from capsule_gym.config import EnvConfig
 from capsule_gym.elementary import log
-from capsule_gym.observation import ESTIMATES, observation_names
+from capsule_gym.observation import observation_names
 from capsule_gym.parameters import Capsule
 
 if TYPE_CHECKING:

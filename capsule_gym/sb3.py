@@ -13,6 +13,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.policies import MultiInputActorCriticPolicy
+from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.torch_layers import MlpExtractor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
@@ -21,6 +22,9 @@ from torch import Tensor, nn
 from capsule_gym.checks import check_flag, written
 from capsule_gym.parameters import DISTURBANCES, Disturbances
 from capsule_gym.vector_env import CapsuleVectorEnv
+
+# A critic observes the logarithm of mu, which may be 0.
+LEAST_MU = 1e-3
 
 
 class CapsuleSB3VecEnv(VecEnv):
@@ -47,9 +51,7 @@ class CapsuleSB3VecEnv(VecEnv):
         batch: the `CapsuleVectorEnv`, stepped with SAME_STEP.
     """
 
-    def __init__(
-        self, num_envs: int, seed: int | None = None, *, privileged: bool = False, **env_kwargs: Any
-    ) -> None:
+    def __init__(self, num_envs: int, seed: int | None = None, *, privileged: bool = False, **env_kwargs: Any) -> None:
         self.privileged = check_flag("privileged", privileged)
         self.batch = CapsuleVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **env_kwargs)
         self._actions: np.ndarray | None = None
@@ -94,7 +96,8 @@ class CapsuleSB3VecEnv(VecEnv):
         """The observations, with those of the critic from an info of the batch if privileged."""
         if not self.privileged:
             return observations
-        columns = [info["M"], np.log(info["mu"]), *(info[key][name] for key in self._drawn for name in self._drawn[key])]
+        columns = [info["M"], np.log(np.maximum(info["mu"], LEAST_MU))]
+        columns += [info[key][name] for key, names in self._drawn.items() for name in names]
         if self._reads:
             theta, theta_dot, _, x_dot = info["state"].T
             columns += [theta, theta_dot, x_dot]
@@ -152,6 +155,24 @@ class CapsuleSB3VecEnv(VecEnv):
         return [wrapper_class is Monitor] * len(list(self._get_indices(indices)))
 
 
+class FixedScale(RunningMeanStd):
+    """Statistics with which SB3's `VecNormalize` multiplies observations by fixed factors: `env.obs_rms = FixedScale(..)`.
+
+    Running statistics would magnify `stick`, which is almost constant. `VecNormalize.training = False` would also stop
+    the normalisation of rewards.
+
+    Args:
+        factors: the factor of each entry of the observation, shape (entries,), > 0.
+    """
+
+    def __init__(self, factors: np.ndarray) -> None:
+        super().__init__(shape=factors.shape)
+        self.var = factors**-2.0
+
+    def update(self, arr: np.ndarray) -> None:
+        """Changes nothing."""
+
+
 class _Last(nn.Module):
     """The last entries of the features."""
 
@@ -168,8 +189,8 @@ class AsymmetricPolicy(MultiInputActorCriticPolicy):
     """A policy of SB3's `PPO` for `CapsuleSB3VecEnv(privileged=True)`, whose critic sees more than its actor.
 
     The actor takes the observation "policy", the critic that and the observation "critic" (Pinto et al., "Asymmetric
-    actor critic for image-based robot learning", 2018). A run on the trained policy needs no privileged observation
-    but its place: the actor ignores it. Arguments are those of SB3's `MultiInputActorCriticPolicy`.
+    actor critic for image-based robot learning", 2018). `predict` also takes both, but its actions depend only on
+    "policy". Arguments are those of SB3's `MultiInputActorCriticPolicy`.
     """
 
     def _build_mlp_extractor(self) -> None:

@@ -18,7 +18,6 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import NStepReplayBuffer
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, OrnsteinUhlenbeckActionNoise
-from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 from torch import nn
@@ -35,26 +34,11 @@ from agents.training.config import (
 )
 from capsule_gym.config import EnvConfig
 from capsule_gym.observation import observation_names
-from capsule_gym.sb3 import AsymmetricPolicy, CapsuleSB3VecEnv
+from capsule_gym.sb3 import AsymmetricPolicy, CapsuleSB3VecEnv, FixedScale
 from capsule_gym.tasks import velocity
 
 CLASSES: dict[Algorithm, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "td3": TD3, "tqc": TQC}
 CLASSES["recurrent-ppo"] = RecurrentPPO
-
-
-class FixedScale(RunningMeanStd):
-    """The statistics of an observation that is multiplied by fixed factors; training does not change them.
-
-    Running statistics would magnify `stick`, which is almost constant. `VecNormalize.training = False` would also stop
-    the normalisation of rewards.
-    """
-
-    def __init__(self, factors: np.ndarray) -> None:
-        super().__init__(shape=factors.shape)
-        self.var = factors**-2.0
-
-    def update(self, arr: np.ndarray) -> None:
-        """Changes nothing."""
 
 
 class EpisodeMetrics(gym.Wrapper[Any, Any, Any, Any]):
@@ -126,10 +110,8 @@ def make_env(config: Config, seed: int) -> VecNormalize:
         # Wrappers may add entries, or remove some; the names of stacked observations end with a number.
         for i, name in zip(range(len(factors)), observation_names(EnvConfig(**kwargs)), strict=False):
             factors[i] = of.get(name.partition(" ")[0], 1.0)
-        if privileged:
-            statistics["policy"] = FixedScale(factors)
-        else:
-            env.obs_rms = FixedScale(factors)
+        fixed: Any = FixedScale(factors)
+        env.obs_rms = {**statistics, "policy": fixed} if privileged else fixed
     return env
 
 
