@@ -13,6 +13,7 @@ FUSED: str
 LONGEST_TRACE: int
 LAWS: dict[str, tuple[str, int, int]]
 TASKS: dict[str, tuple[str, int]]
+ESTIMATES: dict[str, tuple[float, float]]
 LANES: int
 HISTORY_ROWS: int
 MOST_CELLS: int

@@ -6,7 +6,7 @@ The network's loops are written here; everything else is recorded from the core 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -27,9 +27,11 @@ from capsule_gym.parameters import Capsule, Disturbances
 from capsule_gym.policy import Policy, load_policy
 from capsule_gym.settings import make_settings
 from capsule_gym.simulation import Simulation
-from capsule_gym.trace import c_number, record, to_c
+from capsule_gym.trace import c_number, record, to_c, to_onnx
 from capsule_gym.vector_env import CapsuleVectorEnv
 
+# What the filter of M and mu assumes.
+PENDULUM = ("m", "l", "g", "dt")
 PROG = "python -m capsule_gym.export"
 # The set whose first episode gives the test vectors, by the task, or "real" for disturbances.
 SETS = {"speed": "paper", "goal": "goal", "velocity": "velocity", "real": "real"}
@@ -238,7 +240,7 @@ class Exported:
             found = self.options.controller or "no control law"
             raise ValueError(f"--law needs a control law of the core, one of {', '.join(_core.LAWS)}, got {found}")
         self.task, self.settings = find_task(self.options.task), make_settings(self.options, self.controller)
-        plant = (self.options.capsule or Capsule()).plant()
+        plant = self.plant = (self.options.capsule or Capsule()).plant()
         varied = {"varied": bool(self.settings.history)}
         self.constants = native.ordered(_core.SETTINGS, {**self.settings._asdict(), **plant._asdict(), **varied})
         self.reading = ["theta", "theta_dot", "x", "x_dot", "action"]
@@ -248,7 +250,7 @@ class Exported:
 
     def header(self, single: bool) -> str:
         """The text of the C header, in float or in double."""
-        policy, task, settings, law = self.policy, self.task, self.settings, self.law
+        policy, task, settings, law, plant = self.policy, self.task, self.settings, self.law, self.plant
         number = partial(c_number, single=single)
         kept = task.rows - len(task.draws)
         # The task's memory. Goal and command come from outside; a new command ends the one before.
@@ -258,16 +260,21 @@ class Exported:
         cells = [f"before.task[{n}]" if n < kept else "0" for n in range(task.rows)]
         inputs = [given.get(name, cell) for name, cell in zip(task.fields, cells, strict=True)]
         kept_cells = [cell.replace("before.", "memory->") if "task" in cell else None for cell in cells]
-        names = observation_names(self.controller is not None, settings.with_parameters, task.entries)
+        names = observation_names(replace(self.options, stack_size=1))
         seen = [f"reading->{name}" if name in self.reading else "0" for name in _core.OBSERVED]
         begin = to_c(record("begin", self.constants, task.number), [*inputs, "reading->x"], kept_cells, single)
-        observe = to_c(
-            record("observe", self.constants, task.number),
-            [*inputs, "reading->x", "before.x", "before.begun", *seen],
-            [*(f"observation[{n}]" for n in range(len(names))), *kept_cells],
-            single,
-        )
+        rows, observe = record("observe", self.constants, task.number), ""
+        inputs_of_rows = [*inputs, "reading->x", "before.x", "before.begun", *seen]
+        entries = [f"observation[{n}]" for n in range(len(names))]
+        if settings.with_estimates:
+            inputs_of_rows += ["memory->estimates[1]", "memory->estimates[2]", "deviations[0]", "deviations[1]"]
+            first: list[str | None] = [*entries[:3], *[None] * (len(names) - 3 + task.rows)]
+            constants = plant.m, plant.l, plant.g, self.options.control_dt
+            observe = "  REAL deviations[2];\n  {\n" + to_c(rows, inputs_of_rows, first, single) + "  }\n  {\n"
+            observe += _identify(constants, "estimates", ["deviations[0]", "deviations[1]"], single) + "  }\n"
+        observe += to_c(rows, inputs_of_rows, [*entries, *kept_cells], single)
         memory = [f"task[{kept}]"] if kept else []
+        memory += [f"estimates[{_core.CELLS}]"] if settings.with_estimates else []
         memory += [f"law[{len(law.memory)}]"] if law else []
         memory += [f"filter[{_core.CELLS}]"] if policy and policy.identifies else []
         start_law = ""
@@ -341,15 +348,9 @@ class Exported:
                 layers += f"  for (i = 0; i < {sizes[n + 1]}; i++) {x}[i] = {form};\n"
         layers += f"  {x}[0] = NAME_tanh({x}[0]);\n" if policy.squashing == "tanh" else ""
         if policy.identifies:
-            cells = [f"filter[{n}]" for n in range(_core.CELLS)]
-            observed = [f"(REAL)observation[{n}]" for n in range(3)]
-            body = to_c(
-                record("identify", header.values()),
-                [*(f"before.{cell}" for cell in cells), *observed],
-                [*(f"memory->{cell}" for cell in cells), f"in[{entries + 2}]", f"in[{entries + 3}]"],
-                single,
-            )
-            identify = f"  const NAME_memory before = *memory;\n{body}"
+            deviations = [f"in[{entries + 2}]", f"in[{entries + 3}]"]
+            identify = "  const NAME_memory before = *memory;\n"
+            identify += _identify([header[name] for name in PENDULUM], "filter", deviations, single)
             identify += "".join(f"  in[{entries + n}] = (float)memory->filter[{1 + n}];\n" for n in range(2))
         if policy.observes_energy_weight:
             identify += f"  in[{inputs - 1}] = {c_number(header['log_energy_weight'], True)};\n"
@@ -428,8 +429,78 @@ class Exported:
         return text.replace("NAME", self.name).replace("REAL", "float" if single else "double")
 
     def onnx(self, single: bool) -> bytes:
-        """The policy as an ONNX model, in float or in double."""
-        ...
+        """The policy as an ONNX model, which computes in float or in double.
+
+        Raises:
+            ValueError: if there is no policy, but only a control law.
+        """
+        if self.policy is None:
+            raise ValueError("--onnx needs a policy, got a control law")
+        try:
+            from onnx import TensorProto, checker, helper, numpy_helper
+        except ImportError as error:
+            raise ImportError('--onnx needs onnx: pip install "capsule-gym[export]"') from error
+        policy, header = self.policy, dict(zip(_core.NETWORK, self.policy._network.tolist(), strict=False))
+        kind, real = (TensorProto.FLOAT, np.float32) if single else (TensorProto.DOUBLE, np.float64)
+        nodes, initializers = list[Any](), list[Any]()
+
+        def constant(value: Any, dtype: Any) -> str:
+            initializers.append(numpy_helper.from_array(np.asarray(value, dtype), f"constant_{len(initializers)}"))
+            return initializers[-1].name
+
+        def add(operation: str, *inputs: Any, dtype: Any = real, **attributes: Any) -> str:
+            names = [each if isinstance(each, str) else constant(each, dtype) for each in inputs]
+            nodes.append(helper.make_node(operation, names, [f"value_{len(nodes)}"], **attributes))
+            return nodes[-1].output[0]
+
+        def column(name: str, place: int) -> str:
+            return add("Gather", name, constant([place], np.int64), axis=1)
+
+        def tensor(name: str, width: int, dtype: int) -> Any:
+            return helper.make_tensor_value_info(name, dtype, ["n", width])
+
+        inputs, outputs = [tensor("observation", policy.entries, 1)], [tensor("action", 1, 1)]
+        x = add("Cast", "observation", to=kind)
+        if policy.identifies:
+            # As in the core, the filter computes in double, and the network takes its estimates as float.
+            inputs, outputs = (
+                [*each, tensor(name, _core.CELLS, TensorProto.DOUBLE)]
+                for each, name in ((inputs, "memory"), (outputs, "next_memory"))
+            )
+            observed = add("Cast", "observation", to=TensorProto.DOUBLE)
+            given = [column("memory", n) for n in range(_core.CELLS)] + [column(observed, n) for n in range(3)]
+            rows = record("identify", [header[name] for name in PENDULUM])
+            found = to_onnx(rows, given, partial(add, dtype=np.float64))
+            nodes.append(helper.make_node("Concat", found[: _core.CELLS], ["next_memory"], axis=1))
+            estimates = add("Concat", *found[1:3], *found[_core.CELLS :], axis=1)
+            x = add("Concat", x, add("Cast", add("Cast", estimates, to=TensorProto.FLOAT), to=kind), axis=1)
+        if policy.observes_energy_weight:
+            weight = add("Add", add("Mul", column(x, 0), 0.0), np.float32(header["log_energy_weight"]))
+            x = add("Concat", x, weight, axis=1)
+        x = add("Mul", add("Sub", x, policy.mean), 1.0 / np.sqrt(policy.variance + policy.epsilon))
+        x = add("Clip", x, -policy.clip, policy.clip)
+        for n, (weights, bias) in enumerate(policy.layers):
+            x = add("Gemm", x, weights, bias, transB=1)
+            if n < len(policy.layers) - 1 or policy.squashing == "tanh":
+                last = n == len(policy.layers) - 1
+                x = add("Relu" if policy.activation == "relu" and not last else "Tanh", x)
+        law_torque: Any = 0.0
+        if header["law_torque"] >= 0.0:
+            law_torque = add("Cast", column("observation", int(header["law_torque"])), to=kind)
+        (action,) = to_onnx(record("action", header.values()), [x, law_torque], add)
+        nodes.append(helper.make_node("Cast", [action], ["action"], to=TensorProto.FLOAT))
+        graph = helper.make_graph(nodes, policy.name, inputs, outputs, initializers, doc_string=policy.description)
+        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+        checker.check_model(model)
+        content: bytes = model.SerializeToString()
+        return content
+
+
+def _identify(pendulum: Iterable[float], memory: str, deviations: Sequence[str], single: bool) -> str:
+    """C statements of the filter of M and mu, with the name of its memory, and what its deviations are assigned to."""
+    cells = [f"{memory}[{n}]" for n in range(_core.CELLS)]
+    inputs = [*(f"before.{cell}" for cell in cells), *(f"(REAL)observation[{n}]" for n in range(3))]
+    return to_c(record("identify", pendulum), inputs, [*(f"memory->{cell}" for cell in cells), *deviations], single)
 
 
 def _table(array: np.ndarray, single: bool) -> str:

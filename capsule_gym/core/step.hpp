@@ -41,10 +41,10 @@ template <class T> INLINE T total_torque(const Settings& q, T law_torque, T acti
   FIELD(law_torque) FIELD(M) FIELD(mu)
 template <class T> struct Observed { OBSERVED(CAPSULE_NUMBER) };
 
-// Puts the entries in the order of `observation_names`.
-template <class Task, class T, class Put>
+// Puts the entries in the order of `observation_names`; `put_estimates` puts those of M and mu.
+template <class Task, class T, class Put, class PutEstimates>
 INLINE void put_entries(const Settings& q, const Observed<T>& o, const typename Task::template Memory<T>& memory,
-                        Put put) {
+                        Put put, PutEstimates put_estimates) {
   put(clip(o.theta, T(THETA_LIMIT))), put(clip(o.theta_dot, T(THETA_DOT_BOUND))), put(clip(o.x_dot, T(X_DOT_BOUND)));
   put(select(abs(o.x_dot) <= q.stick_threshold, T(1.0), T(0.0))), put(o.action);
   if (q.with_reference != 0.0) {
@@ -53,6 +53,7 @@ INLINE void put_entries(const Settings& q, const Observed<T>& o, const typename 
     put(sin), put(cos), put(o.law_torque);
   }
   if (q.with_parameters != 0.0) put(o.M), put(o.mu);
+  if (q.with_estimates != 0.0) put_estimates();
   T own[Task::ENTRIES + 1];
   Task::observe(own, memory);
   for (int i = 0; i < Task::ENTRIES; i++) put(own[i]);
@@ -401,6 +402,17 @@ template <class T, int N> struct Step {
     }
   }
 
+  // Updates the estimates of M and mu with an observation, and writes them to it; returns the end of what is written.
+  NOINLINE float* estimate(int j, const float* observed, float* next) {
+    double* cells = disturbed.entry((int)q.history) + j;
+    Identification f;
+    for (int r = 0; r < WIDTH<Identification>; r++) ((double*)&f)[r] = cells[r * N];
+    struct { double m, l, g, dt; } nominal = {q.m, q.l, q.g, q.law_steps * q.physics_steps * q.physics_dt};
+    identify<double>(f, observed[0], observed[1], observed[2], nominal);
+    for (int r = 0; r < WIDTH<Identification>; r++) cells[r * N] = ((double*)&f)[r];
+    return write_estimates(f, next);
+  }
+
   template <class Task> NOINLINE void observe(bool begin) {
     int entries = (int)batch.entries / (int)q.stack_size, all = (int)batch.entries;
     bool reads = q.varied != 0.0 && q.agent_reads != 0.0;
@@ -412,7 +424,10 @@ template <class T, int N> struct Step {
       Observed<double> seen = {reads ? b.read_theta[j] : b.theta[j], reads ? b.read_theta_dot[j] : b.theta_dot[j],
                                reads ? b.read_x_dot[j] : b.x_dot[j], begin ? 0.0 : b.action[j], line[j], line[N + j],
                                b.clock[j] / (double)batch.reference_rows, b.law_torque[j], b.M[j], b.mu[j]};
-      put_entries<Task>(q, seen, read_task<double, Task>(j), [next = out](double entry) mutable { *next++ = (float)entry; });
+      float* next = out;
+      put_entries<Task>(
+          q, seen, read_task<double, Task>(j), [&](double entry) { *next++ = (float)entry; },
+          [&] { next = estimate(j, out, next); });
       if (begin)
         for (int entry = entries; entry < all; entry++) out[entry] = out[entry - entries];
     }
