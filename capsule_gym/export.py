@@ -59,7 +59,7 @@ HEAD = """\
 """
 MATH = {
     True: """\
-#ifdef FP_FAST_FMAF
+#if defined(FP_FAST_FMAF) || defined(__FP_FAST_FMAF)
 #define NAME_fma fmaf
 #else
 #define NAME_fma(a, b, c) ((a) * (b) + (c))
@@ -79,7 +79,7 @@ static inline float NAME_power_of_two(float shifted) {
 #if FLT_EVAL_METHOD != 0
 #error "this processor rounds to another precision than double"
 #endif
-#ifdef FP_FAST_FMA
+#if defined(FP_FAST_FMA) || defined(__FP_FAST_FMA)
 #define NAME_fma fma
 #else
 FUSED
