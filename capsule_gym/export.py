@@ -281,11 +281,15 @@ class Exported:
         if law:
             values = ", ".join(map(number, law.memory))
             start_law = f"  static const REAL law[] = {{{values}}};\n  memcpy(memory->law, law, sizeof law);\n"
-        text = HEAD + MATH[single] + fill(
-            FUNCTIONS,
-            SINCOS=to_c(record("sincos"), ["angle"], ["result.sine", "result.cosine"], single),
-            EXP=to_c(record("exp"), ["x"], ["x"], single),
-            TANH=to_c(record("tanh"), ["x"], ["x"], single),
+        text = (
+            HEAD
+            + MATH[single]
+            + fill(
+                FUNCTIONS,
+                SINCOS=to_c(record("sincos"), ["angle"], ["result.sine", "result.cosine"], single),
+                EXP=to_c(record("exp"), ["x"], ["x"], single),
+                TANH=to_c(record("tanh"), ["x"], ["x"], single),
+            )
         )
         text += fill(
             OBSERVE,
