@@ -71,6 +71,13 @@ def c_number(value: float, single: bool) -> str:
     return f"{np.float32(value)}f" if single else repr(float(value))
 
 
+def c_table(values: Sequence[Any] | np.ndarray, single: bool) -> str:
+    """An array as the initialiser of one of C, one row per line."""
+    if np.ndim(values) == 1:
+        return "{" + ", ".join(c_number(float(value), single) for value in values) + "}"
+    return "{" + ",\n".join(c_table(row, single) for row in values) + "}"
+
+
 def to_c(rows: Sequence[Row], inputs: Iterable[str], outputs: Sequence[str | None], single: bool) -> str:
     """Statements of C99 that compute a function; in double precision every operation is rounded as in the core.
 
@@ -102,7 +109,7 @@ def to_c(rows: Sequence[Row], inputs: Iterable[str], outputs: Sequence[str | Non
                 lines.append(f"  const {kind} t{len(lines)} = {expression};")
                 expression = f"t{len(lines) - 1}"
         forms[place] = expression
-    return "\n".join([*lines, *assignments, ""])
+    return "\n".join([*lines, *assignments])
 
 
 def to_onnx(rows: Sequence[Row], inputs: Iterable[str], add: Callable[..., str]) -> list[str]:

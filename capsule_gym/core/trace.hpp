@@ -33,72 +33,56 @@ inline double record(Operation operation, double a = 0.0, double b = 0.0, double
   return recording.count++;
 }
 
-struct Condition {
-  double place;
-  friend Condition operator&(Condition a, Condition b) { return {record(Operation::both, a.place, b.place)}; }
-  friend Condition operator|(Condition a, Condition b) { return {record(Operation::either, a.place, b.place)}; }
-  friend Condition operator!(Condition a) { return {record(Operation::inverse, a.place)}; }
-};
-
+struct Condition { double place; };
 struct Trace {
   double place;
   Trace() = default;
   Trace(const Trace&) = default;
   Trace(double value) : place(record(Operation::constant, value)) {}
-  static Trace of(Operation operation, double a = 0.0, double b = 0.0, double c = 0.0) {
-    Trace result;
-    result.place = record(operation, a, b, c);
-    return result;
-  }
+  explicit Trace(Condition recorded) : place(recorded.place) {}
   Trace& operator=(const Trace& value) {
     double taken = recording.taken;
     place = taken < 0.0 ? value.place : record(Operation::select, taken, value.place, place);
     return *this;
   }
-  friend Trace operator+(Trace a, Trace b) { return of(Operation::add, a.place, b.place); }
-  friend Trace operator-(Trace a, Trace b) { return of(Operation::subtract, a.place, b.place); }
-  friend Trace operator*(Trace a, Trace b) { return of(Operation::multiply, a.place, b.place); }
-  friend Trace operator/(Trace a, Trace b) { return of(Operation::divide, a.place, b.place); }
-  friend Trace operator-(Trace a) { return of(Operation::negate, a.place); }
-  friend Condition operator<(Trace a, Trace b) { return {record(Operation::less, a.place, b.place)}; }
-  friend Condition operator>(Trace a, Trace b) { return b < a; }
-  friend Condition operator<=(Trace a, Trace b) { return {record(Operation::less_equal, a.place, b.place)}; }
-  friend Condition operator>=(Trace a, Trace b) { return b <= a; }
-  friend Condition operator==(Trace a, Trace b) { return {record(Operation::equal, a.place, b.place)}; }
-  friend Condition operator!=(Trace a, Trace b) { return !(a == b); }
 };
+
+#define RESULT(name, ...) (Condition{record(Operation::name __VA_OPT__(, ) __VA_ARGS__)})
+#define UNARY(R, T, function, name) inline R function(T a) { return R RESULT(name, a.place); }
+#define BINARY(R, T, function, name) inline R function(T a, T b) { return R RESULT(name, a.place, b.place); }
+BINARY(Trace, Trace, operator+, add) BINARY(Trace, Trace, operator-, subtract) BINARY(Trace, Trace, operator*, multiply)
+BINARY(Trace, Trace, operator/, divide) UNARY(Trace, Trace, operator-, negate)
+BINARY(Condition, Trace, operator<, less) BINARY(Condition, Trace, operator<=, less_equal)
+BINARY(Condition, Trace, operator==, equal) BINARY(Condition, Condition, operator&, both)
+BINARY(Condition, Condition, operator|, either) UNARY(Condition, Condition, operator!, inverse)
+UNARY(Trace, Trace, abs, absolute) UNARY(Trace, Trace, sqrt, square_root) BINARY(Trace, Trace, copysign, copysign)
+UNARY(Trace, Trace, power_of_two, power_of_two) UNARY(Trace, Trace, exp, exp) UNARY(Trace, Trace, tanh, tanh)
+inline Condition operator>(Trace a, Trace b) { return b < a; }
+inline Condition operator>=(Trace a, Trace b) { return b <= a; }
+inline Condition operator!=(Trace a, Trace b) { return !(a == b); }
+inline Trace fma(Trace a, Trace b, Trace c) { return Trace RESULT(fma, a.place, b.place, c.place); }
+inline Trace select(Condition condition, Trace a, Trace b) {
+  return Trace RESULT(select, condition.place, a.place, b.place);
+}
+inline SinCos<Trace> sincos(Trace angle) {
+  double both = record(Operation::sincos, angle.place);
+  return {Trace RESULT(sine, both), Trace RESULT(cosine, both)};
+}
 
 struct Taken {
   double before = recording.taken;
-  explicit Taken(Condition condition) {
-    recording.taken = before < 0.0 ? condition.place : record(Operation::both, before, condition.place);
-  }
+  explicit Taken(Condition c) { recording.taken = before < 0.0 ? c.place : record(Operation::both, before, c.place); }
   Taken(const Taken&) = delete;
   ~Taken() { recording.taken = before; }
   operator bool() const { return true; }
 };
 inline Taken when(Condition condition) { return Taken(condition); }
-
-inline Trace select(Condition condition, Trace a, Trace b) {
-  return Trace::of(Operation::select, condition.place, a.place, b.place);
-}
-inline Trace fma(Trace a, Trace b, Trace c) { return Trace::of(Operation::fma, a.place, b.place, c.place); }
-inline Trace copysign(Trace size, Trace sign) { return Trace::of(Operation::copysign, size.place, sign.place); }
-inline Trace abs(Trace x) { return Trace::of(Operation::absolute, x.place); }
-inline Trace sqrt(Trace x) { return Trace::of(Operation::square_root, x.place); }
-inline Trace power_of_two(Trace shifted) { return Trace::of(Operation::power_of_two, shifted.place); }
-inline Trace exp(Trace x) { return Trace::of(Operation::exp, x.place); }
-inline Trace tanh(Trace x) { return Trace::of(Operation::tanh, x.place); }
-inline SinCos<Trace> sincos(Trace angle) {
-  double both = record(Operation::sincos, angle.place);
-  return {Trace::of(Operation::sine, both), Trace::of(Operation::cosine, both)};
-}
 CAPSULE_FUNCTIONS(Trace)
 
 // A struct of inputs, and the output of a struct.
 template <class S> S given() {
   S inputs;
-  for (int i = 0; i < WIDTH<S>; i++) ((Trace*)&inputs)[i] = Trace::of(Operation::input);
+  for (int i = 0; i < WIDTH<S>; i++) ((Trace*)&inputs)[i] = Trace RESULT(input);
   return inputs;
 }
 template <class S> void give(const S& outputs) {
@@ -153,7 +137,7 @@ inline int trace(const char* function, long long number, const double* constants
       auto seen = given<Observed<Trace>>();                                                                           \
       double dt = settings.law_steps * settings.physics_steps * settings.physics_dt;                                  \
       if (auto taken = when(begun)) Task::reward(x, seen.x_dot, x - before, dt, memory);                              \
-      put_entries<Task>(settings, seen, memory, give<Trace>, [] { give(given<Estimates>()); });                                    \
+      put_entries<Task>(settings, seen, memory, give<Trace>, [] { give(given<Estimates>()); });  \
     }                                                                                                                 \
     give(memory);                                                                                                     \
   }

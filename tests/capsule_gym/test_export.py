@@ -63,8 +63,8 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Any]:
     """Compiles the header of a policy or law, and loads it."""
 
     def compile_library(name: str, single: bool) -> Any:
-        exported, folder = Exported(name, False), tmp_path_factory.mktemp("library")
-        (folder / f"{exported.name}.h").write_text(exported.header(single))
+        exported, folder = Exported(name), tmp_path_factory.mktemp("library")
+        (folder / f"{exported.name}.h").write_text(exported.c(single=single))
         memory = "&memory[i]," if exported.policy and exported.policy.identifies else ""
         task = {"goal": "r.goal = s[4];", "velocity": "r.command = s[4];"}.get(exported.task.name, "")
         source = HARNESS.replace("NAME", exported.name).replace("TASK", task)
@@ -138,7 +138,7 @@ def test_c_network(observed: Any, library: Any, single: bool):
 def test_onnx(observed: Any, single: bool):
     pytest.importorskip("onnx")
     runtime = pytest.importorskip("onnxruntime")
-    session = runtime.InferenceSession(Exported(observed.policy.name, False).onnx(single))
+    session = runtime.InferenceSession(Exported(observed.policy.name).onnx(single=single))
     memory, worst = np.zeros((100, 9)), 0.0
     for observation, action in zip(observed.observations, observed.actions, strict=True):
         given = {"observation": observation, **({"memory": memory} if observed.policy.identifies else {})}
@@ -163,7 +163,7 @@ def test_float_does_not_change_the_speed(library: Any, name: str):
 @pytest.mark.parametrize("name", [*LAWS, *TASK_LAWS])
 def test_c_law(library: Any, name: str):
     """On 3,000 states, some of them at rest, and with changes that no plant makes."""
-    exported, rng, n = Exported(f"baselines:{name}", True), np.random.default_rng(21), 3000
+    exported, rng, n = Exported(f"baselines:{name}"), np.random.default_rng(21), 3000
     t = np.arange(n) * 1e-3
     states = np.array(
         [0.6 * np.sin(9.0 * t), 5.4 * np.cos(9.0 * t), 0.05 * t, 0.15 * np.sin(9.0 * t + 1.0), 0.3 + 0 * t]
