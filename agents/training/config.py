@@ -150,6 +150,11 @@ class Config:
         return kwargs
 
     @property
+    def asymmetric(self) -> bool:
+        """Whether the critic observes more than the actor."""
+        return False
+
+    @property
     def env_task(self) -> str:
         """The environment's argument `task`."""
         return next(name for name, (env_id, _) in TASKS.items() if env_id == self.env)
@@ -203,7 +208,12 @@ class PPOConfig(OnPolicyConfig):
     algo: ClassVar[Algorithm] = "ppo"
 
     privileged: bool = False
-    """The critic also observes the true plant and, where sensors are disturbed, the true state."""
+    """The critic also observes the true plant and, where sensors are disturbed, the true state; not under wrappers."""
+
+    @property
+    def asymmetric(self) -> bool:
+        """Whether the critic observes more than the actor."""
+        return self.privileged and not self.wrapper
 
 
 @dataclass(frozen=True, kw_only=True)

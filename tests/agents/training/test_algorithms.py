@@ -104,8 +104,8 @@ def test_an_archive_loads_without_this_checkout(algo, tmp_path, monkeypatch):
         monkeypatch.setitem(sys.modules, name, None)
     model = CLASSES[algo].load(run / "model.zip", device="cpu")
     assert model.num_timesteps >= 320
-    assert type(model.policy).__module__.partition(".")[0] in ("stable_baselines3", "sb3_contrib")
-    env = CapsuleSB3VecEnv(2, seed=0)
+    assert type(model.policy).__module__.partition(".")[0] in ("stable_baselines3", "sb3_contrib", "capsule_gym")
+    env = CapsuleSB3VecEnv(2, seed=0, privileged=algo == "ppo")
     normalised = VecNormalize.load(run / "vecnormalize.pkl", env)
     action, _ = model.predict(normalised.reset(), deterministic=True)
     assert action.shape == (2, 1)
