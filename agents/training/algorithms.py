@@ -5,6 +5,7 @@ To train with another algorithm, pass it the environments that `make_env(config,
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import pkgutil
 from collections.abc import Mapping
@@ -33,6 +34,7 @@ from agents.training.config import (
 )
 from capsule_gym.config import EnvConfig
 from capsule_gym.observation import observation_names
+from capsule_gym.parameters import Disturbances
 from capsule_gym.sb3 import AsymmetricPolicy, CapsuleSB3VecEnv, FixedScale
 from capsule_gym.tasks import velocity
 
@@ -80,13 +82,16 @@ def make_env(config: Config, seed: int) -> VecNormalize:
     A wrong argument of the environment raises a TypeError or ValueError that names it.
     """
     kwargs = config.env_kwargs()
-    # Only for training: policies are selected with `residual_limit`, on the commands of the task.
+    # Only for training: policies are selected with `residual_limit`, and the task's commands and sensors.
     if config.training_limit is not None:
         kwargs["residual_limit"] = config.training_limit
     if config.command_range:
         if config.env_task != "velocity":
             raise ValueError(f"command_range must be None in {config.env}, which has no commands")
         kwargs["task"] = velocity.with_commands(*config.command_range)
+    if config.latency_range is not None:
+        disturbances = Disturbances.named(config.disturbances) or Disturbances()
+        kwargs["disturbances"] = dataclasses.replace(disturbances, latency=config.latency_range)
     steps = max(1, round((config.episode_seconds or config.horizon) / config.control_dt))
     venv: VecEnv
     if config.wrapper:

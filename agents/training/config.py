@@ -94,6 +94,8 @@ class Config:
     static_ratio: float | None = None
     """Static over kinetic friction coefficient of the floor; None for the environment's default."""
     disturbances: Annotated[Literal["none", "real"], _option("disturbances")] = "none"
+    latency_range: tuple[float, float] | None = None
+    """Ends of the range of the sensors' latency in training, s; None for that of the disturbances."""
     observe_parameters: Annotated[bool, _option("observe_parameters")] = EnvConfig.observe_parameters
     observe_estimates: Annotated[bool, _option("observe_estimates")] = EnvConfig.observe_estimates
     stack_size: Annotated[Count, _option("stack_size")] = 1
