@@ -131,6 +131,7 @@ def observed(request: pytest.FixtureRequest) -> Any:
 def test_c_network(observed: Any, library: Any, single: bool):
     act = c_policy(library(observed.policy.name, single), 100)
     errors = np.abs(np.array([act(each) for each in observed.observations]) - observed.actions)
+    print(f"{observed.policy.name}, C99 in {'float' if single else 'double'}: {errors.max():.2g}")
     assert errors.max() <= ((1e-3 if observed.policy.identifies else 1e-5) if single else 0.0)
 
 
@@ -144,6 +145,7 @@ def test_onnx(observed: Any, single: bool):
         given = {"observation": observation, **({"memory": memory} if observed.policy.identifies else {})}
         found, *rest = session.run(None, given)
         memory, worst = rest[0] if rest else memory, max(worst, np.abs(found - action).max())
+    print(f"{observed.policy.name}, ONNX in {'float' if single else 'double'}: {worst:.2g}")
     assert worst <= ((5e-6 if observed.policy.squashing == "tanh" else 2e-6) if single else 1e-9)
 
 
