@@ -101,7 +101,7 @@ def to_c(rows: Sequence[Row], inputs: Iterable[str], outputs: Sequence[str | Non
             continue
         if operation == "constant":
             expression = c_number(row[1], single)
-            expression = f"({expression})" if row[1] < 0.0 else expression
+            expression = f"({expression})" if expression.startswith("-") else expression
         elif operation != "input":
             expression = C_FORMS[operation].format(*(forms[operand] for operand in operands(row)))
             if uses[place] > 1 or operation == "sincos" or len(expression) > LONGEST_FORM:

@@ -162,7 +162,8 @@ T torque(const State<T>& s, Memory<T>& memory, T error, double near, double stop
   auto ends = (phase == PULSE) & ((side * theta_dot >= rate) | (side * theta > PULSE_END));
   if (auto taken = when(ends)) phase = BRAKE, timer = 0.0;
   T found = side * q.torque_limit;
-  auto runs = phase == RUN, brakes = (phase != PULSE) & !runs;
+  auto runs = phase == RUN;
+  auto brakes = (phase != PULSE) & !runs;
   if (auto taken = when(runs))
     found = side * guarded_torque(side * theta, side * theta_dot, side * x_dot, q, q.guard_from, q.torque_limit);
   if (auto taken = when(brakes)) {
