@@ -24,6 +24,8 @@ from capsule_gym.layout import Row
 POLICIES = ("direct-ppo", "goal", "residual-real", "direct-real", "dp-distilled")
 C99 = ("-std=c99", "-Wall", "-Wextra", "-Werror")
 M4 = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "--specs=rdimon.specs")
+START, VECTORS = Path(__file__).with_name("mps2.c"), "-Wl,--section-start=.vectors=0"
+QEMU = ("qemu-system-arm", "-M", "mps2-an386", "-nographic", "-semihosting")
 # Many calls at a time; a law's state is theta, theta_dot, x, x_dot and the goal or command.
 HARNESS = """
 #include "NAME.h"
@@ -45,6 +47,36 @@ void law(int n, int begin, NAME_memory *memory, const double *s, double *torques
     if (begin) NAME_start(&memory[i], &r);
     torques[i] = NAME_law(&memory[i], &r);
   }
+}
+#endif
+"""
+# An action and a call of the law on a Cortex-M4 with a clock of 25 MHz, at one instruction per nanosecond.
+COUNT = """
+#include "policy.h"
+#include <stdio.h>
+#define TIMER ((volatile uint32_t *)0xE000E010)
+float act(NAME_memory *, NAME_reading *, float *);
+float act(NAME_memory *memory, NAME_reading *reading, float *observation) {
+  if (memory->called) NAME_law(memory, reading);
+  else NAME_start(memory, reading);
+  NAME_observe(memory, reading, observation);
+  return NAME_torque(reading, reading->action = NAME_act(observation));
+}
+#ifdef COUNT
+int main(void) {
+  static NAME_memory memory;
+  static NAME_reading reading;
+  static float observation[NAME_ENTRIES];
+  uint32_t begin, instructions = 0;
+  TIMER[1] = 0xFFFFFF, TIMER[0] = 5;
+  for (int i = 0; i < 100; i++) {
+    reading.theta = 0.01f * (float)i - 0.5f, reading.theta_dot = 0.1f * (float)i, reading.x_dot = 0.002f * (float)i;
+    memory.called = i > 0, begin = TIMER[2];
+    act(&memory, &reading, observation);
+    instructions += ((begin - TIMER[2]) & 0xFFFFFF) * 40;
+  }
+  printf("%u instructions\\n", (unsigned)(instructions / 100));
+  return 0;
 }
 #endif
 """
@@ -209,14 +241,27 @@ def test_program(tmp_path: Path, target: str, arguments: str):
     assert main([*arguments.split(), "--c", str(tmp_path / "policy.h")]) == 0
     source, program = tmp_path / "policy_test.c", tmp_path / "program"
     if target == "cortex-m4":
-        start = Path(__file__).with_name("mps2.c"), "-Wl,--section-start=.vectors=0"
-        run("arm-none-eabi-gcc", *C99, "-O2", *M4, *start, source, "-o", program, "-lm")
-        machine = ("-M", "mps2-an386", "-nographic", "-semihosting", "-kernel", program)
-        output = run("qemu-system-arm", *machine)
+        run("arm-none-eabi-gcc", *C99, "-O2", *M4, START, VECTORS, source, "-o", program, "-lm")
+        output = run(*QEMU, "-kernel", program)
     else:
         run("gcc", *C99, target, source, "-o", program, "-lm")
         output = run(program)
     assert re.search(r": 0 of \d\d+ periods differ", output), output
+
+
+@pytest.mark.skipif(shutil.which("qemu-system-arm") is None and "CI" not in os.environ, reason="needs qemu-system-arm")
+def test_size_and_time_on_a_cortex_m4(tmp_path: Path):
+    """A policy of 64 x 64 units with its law, in float."""
+    (tmp_path / "policy.h").write_text(Exported("residual-real", True).c(single=True))
+    source, compiler = tmp_path / "count.c", ("arm-none-eabi-gcc", *C99, "-O2", *M4)
+    source.write_text(COUNT.replace("NAME", "residual_real"))
+    run(*compiler, "-c", source, "-o", tmp_path / "act.o")
+    size = int(run("arm-none-eabi-size", tmp_path / "act.o").split()[6])
+    run(*compiler, "-DCOUNT", START, VECTORS, source, "-o", tmp_path / "program", "-lm")
+    instructions = int(run(*QEMU, "-icount", "shift=0", "-kernel", tmp_path / "program").split()[0])
+    print(f"{size} bytes, {instructions} instructions")
+    assert size <= 25_000
+    assert 10_000 < instructions <= 35_000
 
 
 def test_command_names_what_it_cannot_export(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
