@@ -156,7 +156,7 @@ class CapsuleSB3VecEnv(VecEnv):
 
 
 class FixedScale(RunningMeanStd):
-    """Statistics with which SB3's `VecNormalize` multiplies observations by fixed factors: `env.obs_rms = FixedScale(f)`.
+    """Statistics with which `VecNormalize` multiplies observations by fixed factors: `env.obs_rms = FixedScale(f)`.
 
     Running statistics would magnify `stick`, which is almost constant. `VecNormalize.training = False` would also stop
     the normalisation of rewards.
