@@ -7,6 +7,7 @@ A field of type `Positional[str]` is a positional argument; a field of type `Cou
 from __future__ import annotations
 
 import inspect
+import io
 import math
 import sys
 from collections.abc import Sequence
@@ -62,6 +63,9 @@ def parse(kind: type[T], prog: str, arguments: Sequence[str] | None = None, *, d
     Raises:
         SystemExit: with 0 after `--help`, with 2 if the command line is invalid.
     """
+    if arguments is None and isinstance(sys.stdout, io.TextIOWrapper):
+        # Paths may contain characters that the encoding of the output lacks.
+        sys.stdout.reconfigure(errors="backslashreplace")
     defaults: dict[str, Any] = {} if default is None else {"default": default}
     options: T = tyro.cli(
         kind, prog=prog, args=arguments, description=inspect.getdoc(kind), config=NO_NEGATIONS, **defaults

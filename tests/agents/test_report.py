@@ -117,6 +117,15 @@ def test_two_policies_of_one_name_are_refused(tmp_path):
         report.render([str(tmp_path / NAME), str(tmp_path / "other" / NAME)])
 
 
+def test_a_link_out_of_a_runs_folder_is_no_part_of_its_page(tmp_path):
+    make_run(tmp_path / "run")
+    log = tmp_path / "run" / "evaluations.csv"
+    log.rename(tmp_path / "private.csv").touch()
+    log.symlink_to(tmp_path / "private.csv")
+    with pytest.raises(ValueError, match=r"evaluations.csv must be a file in the run's folder.*private.csv"):
+        report.find_run(str(tmp_path / "run"))
+
+
 def test_an_existing_file_is_kept(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "there.html").write_text("mine")
