@@ -84,7 +84,7 @@ def find_run(name: str, *, trust_controller: bool = False, trust_pickle: bool = 
     path = Path(name)
     for file in (file for read in (CONFIG, EVALUATIONS, MODEL, NORMALISATION, POLICY) for file in path.rglob(read)):
         if not (target := file.resolve()).is_relative_to(path.resolve()):
-            raise ValueError(f"{file} must be a file in the run's folder, which a page can contain, got a link to {target}")
+            raise ValueError(f"{file} must be a file in the run's folder, got a link to {target}")
     if (path / BEST / MODEL).is_file() and not (path / BEST / POLICY).is_file():
         if not trust_pickle:
             raise ValueError(

@@ -252,8 +252,10 @@ def find_controller(controller: str | Controller | Callable[[], Controller] | No
             found = found()
         except (TypeError, ValueError) as error:
             kind = TypeError if isinstance(error, TypeError) else ValueError
-            raise kind(f"controller must be {accepted}, got {controller!r}, whose call fails: {error}") from error
+            raise kind(
+                f"controller must be {accepted}, got {written(controller)}, whose call fails: {error}"
+            ) from error
     if found is not None and not isinstance(found, Controller):
-        given = "" if found is controller else f", which gives {found!r}"
+        given = "" if found is controller else f", which gives {written(found)}"
         raise TypeError(f"controller must be {accepted}, got {written(controller)}{given}")
     return found

@@ -5,6 +5,7 @@ docs/evaluation.md shows how to evaluate the latter.
 
 from __future__ import annotations
 
+import os
 import pkgutil
 import re
 import sys
@@ -17,7 +18,7 @@ import numpy as np
 
 import capsule_gym
 from baselines.policies import SCRIPTED, TASK_SCRIPTED, ScriptedPolicy
-from capsule_gym.checks import nearest
+from capsule_gym.checks import nearest, written
 from capsule_gym.task import TORQUE_LIMIT
 
 Act = Callable[[np.ndarray], np.ndarray]
@@ -174,12 +175,14 @@ def find_candidate(name_or_path: str, *, trust: bool = False, trust_controller: 
         return Candidate(name_or_path, (policy,), policy.description)
     known = name_or_path.partition("/")[0] in checkpoint_names()
     path = CHECKPOINTS / name_or_path if known else Path(name_or_path)
-    if path.exists():
+    # Unlike the methods of Path, this function accepts names that no file can have.
+    if os.path.exists(path):
         return _trained(name_or_path, path, trust_controller)
     scripted, checkpoints = (", ".join(names) or "there is none" for names in (known_scripted, checkpoint_names()))
+    similar = nearest(name_or_path, [*known_scripted, *checkpoint_names()])
     raise ValueError(
         f"policy must be a scripted policy ({scripted}), a checkpoint ({checkpoints}), or the path of a run's folder "
-        f"or of a policy file, got {name_or_path!r}{nearest(name_or_path, [*known_scripted, *checkpoint_names()])}"
+        f"or of a policy file, got {written(name_or_path)}{similar}"
     )
 
 
