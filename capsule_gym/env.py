@@ -181,7 +181,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     def __init__(self, *, render_mode: str | None = None, **options: Any) -> None:
         self.simulation = make_simulation(1, EnvConfig(render_mode=render_mode, **options))
         self.render_mode = render_mode
-        self.metadata = {**type(self).metadata, "render_fps": round(1.0 / self.simulation.options.control_dt)}
+        self.metadata = {**type(self).metadata, "render_fps": frames_per_second(self.simulation)}
         self.action_space, self.observation_space = make_spaces(self.simulation)
         self._running = self._seeded = False
         self._bind()
@@ -334,8 +334,13 @@ def make_simulation(num_envs: int, config: EnvConfig) -> Simulation:
 
 def make_renderer(simulation: Simulation, mode: str) -> Renderer:
     """The renderer of an environment or a batch; a window shows one frame per agent step in real time."""
-    fps = round(1.0 / simulation.options.control_dt)
-    return Renderer(simulation.capsule, mode, fps, simulation.settings.torque_limit)
+    return Renderer(simulation.capsule, mode, frames_per_second(simulation), simulation.settings.torque_limit)
+
+
+def frames_per_second(simulation: Simulation) -> float:
+    """The frames per second of real time, one frame per agent step; an int if it is whole, and within what ffmpeg accepts."""
+    fps = min(max(1.0 / simulation.options.control_dt, 0.01), 1000.0)
+    return round(fps) if math.isclose(fps, round(fps)) else fps
 
 
 def describe(values: Any, state: np.ndarray, termination: Any) -> dict[str, Any]:

@@ -308,8 +308,8 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
     controller = policy.env_kwargs.get("controller")
     if not (trust_controller or is_own(controller)):
         raise ValueError(
-            f"{path} names the control law {written(controller)}, which is not of this package; an environment "
-            "made with it runs that code: load_policy(.., trust_controller=True) if you trust it"
+            f"{path} names the control law {written(controller)}, which does not come with this package; an "
+            "environment made with it runs that code: load_policy(.., trust_controller=True) if you trust it"
         )
     return policy
 

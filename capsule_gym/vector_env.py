@@ -22,6 +22,7 @@ from capsule_gym.env import (
     as_actions,
     check_options,
     describe,
+    frames_per_second,
     make_renderer,
     make_simulation,
     make_spaces,
@@ -93,7 +94,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.max_episode_steps = None if count == -1 else count
         self.num_envs = self.simulation.num_envs
         self.render_mode = render_mode
-        fps = round(1.0 / self.simulation.options.control_dt)
+        fps = frames_per_second(self.simulation)
         self.metadata = {**type(self).metadata, "render_fps": fps, "autoreset_mode": self.autoreset_mode}
         self.single_action_space, self.single_observation_space = make_spaces(self.simulation)
         self.action_space = batch_space(self.single_action_space, self.num_envs)

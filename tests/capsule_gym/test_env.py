@@ -7,15 +7,17 @@ import math
 import multiprocessing
 import pickle
 import warnings
+from functools import partial
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_sb3
 
 import baselines
-from capsule_gym import Capsule, CapsuleEnv, Controller, Randomization
+from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Controller, Disturbances, Randomization
 from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.layout import Row
 from capsule_gym.parameters import NOMINAL
@@ -170,6 +172,25 @@ def test_a_plant_that_the_step_does_not_resolve_ends_as_diverged():
     with pytest.raises(gym.error.ResetNeeded):
         env.step(np.zeros(1, np.float32))
     assert not env.reset()[1]["termination"]
+
+
+RANGES = Randomization(mu=(0.1, 0.2), l=(0.2, 0.3), log_mu=True)
+NOISY = Disturbances(latency=(0.005, 0.015), unmeasured=("x_dot",))
+
+
+@pytest.mark.parametrize("make", [gym.make, partial(gym.make_vec, num_envs=2)])
+def test_a_spec_comes_back_from_json(make):
+    env = make(ENV_ID, capsule=Capsule(M=0.7), randomization=RANGES, disturbances=NOISY, initial_range=(0.1, 0.2))
+    again = make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.unwrapped.simulation.options == env.unwrapped.simulation.options
+    assert again.reset(seed=3)[0].tobytes() == env.reset(seed=3)[0].tobytes()
+
+
+@pytest.mark.parametrize(("control_dt", "fps"), [(0.02, 50), (0.03, 1 / 0.03), (2.5, 0.4), (1e3, 0.01), (1e-6, 1e3)])
+def test_the_frame_rate_is_real_time_where_a_video_can_have_it(control_dt, fps):
+    for kind in (CapsuleEnv, CapsuleVectorEnv):
+        env = kind(control_dt=control_dt, physics_dt=control_dt / (1e6 if control_dt > 1.0 else 20))
+        assert env.metadata["render_fps"] == pytest.approx(fps)
 
 
 def test_options_set_state_plant_and_changes():

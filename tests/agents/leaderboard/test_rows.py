@@ -1,3 +1,6 @@
+import io
+import zipfile
+
 import numpy as np
 import pytest
 
@@ -45,6 +48,12 @@ def test_malformed_files_raise_an_error(row, world):
         path.write_bytes(content)
         with pytest.raises(ValueError, match=r"^learnt: learnt\.npz contains no results: "):
             load_row(path)
+    array = io.BytesIO()
+    np.lib.format.write_array_header_1_0(array, {"descr": "<f8", "fortran_order": False, "shape": (2**50,)})
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("header.npy", array.getvalue())
+    with pytest.raises(ValueError, match="contains no results"):
+        load_row(path)
     for arrays in ({}, {"header": np.frombuffer(b"[]", np.uint8)}, {"header": np.frombuffer(b"{}", np.uint8)}):
         np.savez_compressed(path, **arrays)
         with pytest.raises(ValueError, match="contains no results"):
