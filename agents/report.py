@@ -19,11 +19,11 @@ from agents.analysis.data import Learning, rank, read_learning
 from agents.analysis.figures import draw_learning, draw_profiles, draw_transport
 from agents.evaluate import comparison_table
 from agents.evaluation.criteria import CRITERIA
-from agents.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, TASK_METRICS, evaluate, summarise
-from agents.evaluation.policies import CHECKPOINTS, Candidate, Policy, all_candidates, find_candidate
 from agents.leaderboard.rows import RESULTS, Row, evaluate_run, load_row, make_row, path_of
 from agents.training.config import BEST, CONFIG, EVALUATIONS, MODEL, NORMALISATION
 from baselines.drawing import BLUE, DPI, MUTED, new_figure, style
+from baselines.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, TASK_METRICS, evaluate, summarise
+from baselines.evaluation.policies import CHECKPOINTS, Candidate, Policy, all_candidates, find_candidate
 from capsule_gym import CapsuleEnv
 from capsule_gym.command_line import Positional, arg, check_output, parse, refuse
 from capsule_gym.config import find_task

@@ -32,10 +32,10 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from agents.evaluation.episodes import Episode, as_episodes, versions
-from agents.evaluation.episodes import evaluate as evaluate_policy
-from agents.evaluation.policies import Candidate, Policy
 from baselines.archive import UNREADABLE
+from baselines.evaluation.episodes import Episode, as_episodes, versions
+from baselines.evaluation.episodes import evaluate as evaluate_policy
+from baselines.evaluation.policies import Candidate, Policy
 from baselines.policies import SCRIPTED
 from capsule_gym.config import find_task
 from capsule_gym.evaluation_sets import NOMINAL_PLANT, EvaluationSet
@@ -85,7 +85,7 @@ class Row:
         return found
 
     def episodes(self, evaluation_set: EvaluationSet) -> list[Episode]:
-        """The episodes as `agents.evaluation.episodes.evaluate` returns them, without the omitted metrics.
+        """The episodes as `baselines.evaluation.episodes.evaluate` returns them, without the omitted metrics.
 
         Raises:
             ValueError: if the row was evaluated on another set of this name, or on none.

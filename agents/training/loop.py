@@ -15,7 +15,6 @@ import torch
 from stable_baselines3.common.logger import Logger, make_output_format
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
-from agents.evaluation.episodes import versions
 from agents.training import checkpoint
 from agents.training.algorithms import CLASSES, make_env, make_model, schedule
 from agents.training.callbacks import Stopped, TrainingCallback
@@ -23,6 +22,7 @@ from agents.training.checkpoint import LOCK, Progress, git_revision, locked
 from agents.training.config import BEST, CONFIG, LOGS, MODEL, Config, RunError, read_config
 from agents.training.export import save
 from agents.training.signals import Stop
+from baselines.evaluation.episodes import versions
 from capsule_gym.files import canonical_hash, naming, to_json, write_atomically
 
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from agents import report
-from agents.evaluation.episodes import evaluate
 from agents.leaderboard.rows import evaluate_run
+from baselines.evaluation.episodes import evaluate
 from capsule_gym.evaluation_sets import SET_NAMES, EvaluationSet, PlantSpec
 from tests.agents.fakes import Sine, write_run
 from tests.agents.training.small import small

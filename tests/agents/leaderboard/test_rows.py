@@ -4,8 +4,6 @@ import zipfile
 import numpy as np
 import pytest
 
-from agents.evaluation import episodes
-from agents.evaluation.policies import find_candidate
 from agents.leaderboard.rows import (
     disturbed_range,
     evaluate,
@@ -15,6 +13,8 @@ from agents.leaderboard.rows import (
     save_row,
     static_header,
 )
+from baselines.evaluation import episodes
+from baselines.evaluation.policies import find_candidate
 from tests.agents.leaderboard.world import HORIZON, SETS, make_set
 
 
