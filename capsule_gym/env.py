@@ -267,7 +267,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         array = action if plain else as_actions(action)
         if array is None or array.shape != (1,) or not math.isfinite(value := array.item()):
             raise ValueError(
-                f"action must be one finite number of shape (1,), which is clipped to [-1, 1], got {written(action)}"
+                f"action must be one finite number, clipped to [-1, 1], of shape (1,), got {written(action)}"
             )
         self._step(value)
         values = self._rows.tolist()

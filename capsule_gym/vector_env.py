@@ -182,7 +182,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         array = as_actions(actions)
         if array is None or array.shape != (self.num_envs, 1) or not np.isfinite(array).all():
             raise ValueError(
-                f"actions must be finite, which are clipped to [-1, 1], and of shape ({self.num_envs}, 1), got "
+                f"actions must be finite numbers, clipped to [-1, 1], of shape ({self.num_envs}, 1), got "
                 f"{written(actions)}"
             )
         simulation = self.simulation
