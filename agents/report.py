@@ -19,11 +19,11 @@ from agents.analysis.data import Learning, rank, read_learning
 from agents.analysis.figures import draw_learning, draw_profiles, draw_transport
 from agents.evaluate import comparison_table
 from agents.evaluation.criteria import CRITERIA
-from agents.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, TASK_METRICS, evaluate, summarise
-from agents.evaluation.policies import CHECKPOINTS, Candidate, Policy, all_candidates, find_candidate
 from agents.leaderboard.rows import RESULTS, Row, evaluate_run, load_row, make_row, path_of
-from agents.training.config import BEST, MODEL
+from agents.training.config import BEST, CONFIG, EVALUATIONS, MODEL, NORMALISATION
 from baselines.drawing import BLUE, DPI, MUTED, new_figure, style
+from baselines.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, TASK_METRICS, evaluate, summarise
+from baselines.evaluation.policies import CHECKPOINTS, Candidate, Policy, all_candidates, find_candidate
 from capsule_gym import CapsuleEnv
 from capsule_gym.command_line import Positional, arg, check_output, parse, refuse
 from capsule_gym.config import find_task
@@ -77,10 +77,14 @@ def find_run(name: str, *, trust_controller: bool = False, trust_pickle: bool = 
 
     Raises:
         OSError: if a file cannot be read.
-        ValueError: if the policy does not exist or a file is broken; if an agent with an LSTM must be unpickled, which
-            can run any code, without `trust_pickle`; `trust_controller` is that of `capsule_gym.load_policy`.
+        ValueError: if the policy does not exist or a file is broken or a link out of the folder; if an agent with an
+            LSTM must be unpickled, which can run any code, without `trust_pickle`; `trust_controller` is that of
+            `capsule_gym.load_policy`.
     """
     path = Path(name)
+    for file in (file for read in (CONFIG, EVALUATIONS, MODEL, NORMALISATION, POLICY) for file in path.rglob(read)):
+        if not (target := file.resolve()).is_relative_to(path.resolve()):
+            raise ValueError(f"{file} must be a file in the run's folder, got a link to {target}")
     if (path / BEST / MODEL).is_file() and not (path / BEST / POLICY).is_file():
         if not trust_pickle:
             raise ValueError(
@@ -240,9 +244,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = parse(Args, PROG, arguments)
     try:
         page = render(args.policies, trust_controller=args.trust_controller, trust_pickle=args.trust_pickle)
-    except ValueError as error:
+        write_atomically(args.output, page)
+    except (OSError, ValueError) as error:
         refuse(PROG, str(error))
-    write_atomically(args.output, page)
     print(f"Written: {args.output}")
     return 0
 

@@ -11,17 +11,21 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
-from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.policies import MultiInputActorCriticPolicy
-from stable_baselines3.common.running_mean_std import RunningMeanStd
-from stable_baselines3.common.torch_layers import MlpExtractor
-from stable_baselines3.common.vec_env import VecEnv
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
-from torch import Tensor, nn
 
 from capsule_gym.checks import check_flag, written
 from capsule_gym.parameters import DISTURBANCES, Disturbances
 from capsule_gym.vector_env import CapsuleVectorEnv
+
+try:
+    from stable_baselines3.common.monitor import Monitor
+    from stable_baselines3.common.policies import MultiInputActorCriticPolicy
+    from stable_baselines3.common.running_mean_std import RunningMeanStd
+    from stable_baselines3.common.torch_layers import MlpExtractor
+    from stable_baselines3.common.vec_env import VecEnv
+    from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
+    from torch import Tensor, nn
+except ImportError as error:
+    raise ImportError('capsule_gym.sb3 needs Stable-Baselines3: pip install "capsule-gym[sb3]"') from error
 
 # A critic observes the logarithm of mu, which may be 0.
 LEAST_MU = 1e-3
@@ -156,7 +160,7 @@ class CapsuleSB3VecEnv(VecEnv):
 
 
 class FixedScale(RunningMeanStd):
-    """Statistics with which `VecNormalize` multiplies observations by fixed factors: `env.obs_rms = FixedScale(f)`.
+    """Makes SB3's `VecNormalize` multiply observations by fixed factors: `env.obs_rms = FixedScale(f)`.
 
     Running statistics would magnify `stick`, which is almost constant. `VecNormalize.training = False` would also stop
     the normalisation of rewards.

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Literal
 
 from agents.evaluation.criteria import CRITERIA
-from agents.evaluation.policies import CHECKPOINTS
 from agents.training.config import BEST, CONFIG, EVALUATIONS, Config, RunError, read_config
 from agents.training.presets import row_settings
+from baselines.evaluation.policies import CHECKPOINTS
 from baselines.tables import text_table
 from capsule_gym.files import write_atomically
 from capsule_gym.policy import POLICY

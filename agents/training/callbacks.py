@@ -19,16 +19,16 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from tqdm import tqdm
 
 from agents.evaluation.criteria import CRITERIA
-from agents.evaluation.episodes import Episode, evaluate, scores
-from agents.evaluation.policies import Policy
 from agents.evaluation.sets import validation_set
-from agents.evaluation.statistics import interquartile_mean
 from agents.training import checkpoint
 from agents.training.algorithms import wrapped_env
 from agents.training.checkpoint import Progress
 from agents.training.config import BEST, EVALUATIONS, Config
 from agents.training.export import export, normalisation, recurrent_policy, save
 from agents.training.signals import Stop
+from baselines.evaluation.episodes import Episode, evaluate, scores
+from baselines.evaluation.policies import Policy
+from baselines.evaluation.statistics import interquartile_mean
 from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, EvaluationSet
 from capsule_gym.files import write_atomically

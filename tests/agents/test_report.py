@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from agents import report
-from agents.evaluation.episodes import evaluate
 from agents.leaderboard.rows import evaluate_run
+from baselines.evaluation.episodes import evaluate
 from capsule_gym.evaluation_sets import SET_NAMES, EvaluationSet, PlantSpec
 from tests.agents.fakes import Sine, write_run
 from tests.agents.training.small import small
@@ -115,6 +115,15 @@ def test_two_policies_of_one_name_are_refused(tmp_path):
         write_run(folder, 4)
     with pytest.raises(ValueError, match=f"different names, got {re.escape(NAME)} more than once"):
         report.render([str(tmp_path / NAME), str(tmp_path / "other" / NAME)])
+
+
+def test_a_link_out_of_a_runs_folder_is_no_part_of_its_page(tmp_path):
+    make_run(tmp_path / "run")
+    log = tmp_path / "run" / "evaluations.csv"
+    log.rename(tmp_path / "private.csv").touch()
+    log.symlink_to(tmp_path / "private.csv")
+    with pytest.raises(ValueError, match=r"evaluations.csv must be a file in the run's folder.*private.csv"):
+        report.find_run(str(tmp_path / "run"))
 
 
 def test_an_existing_file_is_kept(capsys, tmp_path, monkeypatch):
