@@ -31,8 +31,9 @@ class CapsuleSB3VecEnv(VecEnv):
     """The native batch as a `VecEnv` of Stable-Baselines3, without a Python loop over environments.
 
     It replaces `make_vec_env("capsule_gym:CapsuleStickSlip-v0", n_envs=num_envs)`. The info of an environment is empty,
-    and the same dict at every step, except at the end of an episode. There it contains "terminal_observation", "TimeLimit.truncated", "episode" with the
-    return "r" and the length "l" as in SB3's `Monitor`, and "metrics" (`capsule_gym.task.Metrics`, and the task's).
+    and the same dict at every step, except at the end of an episode. There it contains "terminal_observation",
+    "TimeLimit.truncated", "episode" with the return "r" and the length "l" as in SB3's `Monitor`, and "metrics"
+    (`capsule_gym.task.Metrics`, and the task's).
 
     Args:
         num_envs: number of environments.
