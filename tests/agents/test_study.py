@@ -80,6 +80,8 @@ def test_a_killed_worker_is_a_failure_of_the_unfinished_runs(tmp_path, monkeypat
 
 def test_a_lost_node_of_a_ray_cluster_loses_no_run(tmp_path, monkeypatch):
     cluster_utils = pytest.importorskip("ray.cluster_utils")
+    # A busy machine starts nodes slowly.
+    monkeypatch.setenv("RAY_raylet_start_wait_time_s", "300")
     cluster = cluster_utils.Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
     other = cluster.add_node(num_cpus=1)
     monkeypatch.setenv("RAY_ADDRESS", cluster.address)
