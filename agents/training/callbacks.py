@@ -87,10 +87,10 @@ class TrainingCallback(BaseCallback):
         self.restore_streams()
 
     def _on_step(self) -> bool:
-        for info in self.locals["infos"]:
-            if "metrics" in info:
-                # SB3 keeps "episode" for the last episodes, also in checkpoints.
-                info["episode"] |= info["metrics"]
+        for i in np.flatnonzero(self.locals["dones"]):
+            info = self.locals["infos"][i]
+            # SB3 keeps "episode" for the last episodes, also in checkpoints.
+            info["episode"] |= info["metrics"]
         # The last rollout exceeds the total; a bar beyond its total shows no percentage.
         self.bar.update(min(self.num_timesteps, self.config.total_steps) - self.bar.n)
         return True
