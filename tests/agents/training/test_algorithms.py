@@ -19,12 +19,12 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
 import train as command_line
-from agents.evaluation.episodes import evaluate
 from agents.training.algorithms import CLASSES, make_env, make_model, make_noise
 from agents.training.config import RunError, TD3Config
 from agents.training.export import export, load_best, recurrent_policy, save
 from agents.training.loop import begin, train
 from agents.training.presets import PRESETS
+from baselines.evaluation.episodes import evaluate
 from capsule_gym import load_policy
 from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec
 from capsule_gym.files import to_json
