@@ -249,6 +249,18 @@ def test_program(tmp_path: Path, target: str, arguments: str):
     assert re.search(r": 0 of \d\d+ periods differ", output), output
 
 
+def test_loop_of_the_page(tmp_path: Path):
+    """The C of docs/export.md moves the motor."""
+    page = (Path(__file__).parents[2] / "docs" / "export.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```c\n(.*?)```", page, re.DOTALL)
+    code = code.replace("float rig_step(", "float rig_step(const float sensors[4]);\nfloat rig_step(")
+    main = "int main(void) { float s[4] = {-1}; return !(rig_step(s) > 1 && rig_step(s) <= 1.5f); }\n"
+    (tmp_path / "policy.h").write_text(Exported("residual-real", True).c(single=True))
+    (tmp_path / "rig.c").write_text(code + main)
+    run("gcc", *C99, tmp_path / "rig.c", "-o", tmp_path / "rig", "-lm")
+    run(tmp_path / "rig")
+
+
 @pytest.mark.skipif(shutil.which("qemu-system-arm") is None and "CI" not in os.environ, reason="needs qemu-system-arm")
 def test_size_and_time_on_a_cortex_m4(tmp_path: Path):
     """A policy of 64 x 64 units with its law, in float."""
