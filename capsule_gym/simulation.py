@@ -10,7 +10,6 @@ from copy import deepcopy
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,9 +19,10 @@ from capsule_gym.checks import check_count, check_integer, check_number, check_t
 from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.controller import CoreLaw, bind_law, find_controller
 from capsule_gym.layout import LANES, Row
+from capsule_gym.metrics import episode_metrics
 from capsule_gym.observation import observation_names, parameter_bounds
-from capsule_gym.parameters import CONSTANTS, DISTURBANCES, LARGEST, NOMINAL, Capsule, Disturbances, Randomization
-from capsule_gym.settings import DEFAULTS, NO_CONTROLLER, SPEED, check_step, count_rows, ends, make_settings
+from capsule_gym.parameters import CONSTANTS, DISTURBANCES, NOMINAL, Capsule, Disturbances, Randomization
+from capsule_gym.settings import DEFAULTS, NO_CONTROLLER, check_step, count_rows, ends, make_settings
 
 # Upper limit of the keys of an episode's noise; floats represent all whole numbers up to it exactly.
 LARGEST_KEY = 2.0**53
@@ -43,41 +43,6 @@ def check_seed(seed: Any, accepted: str = "an integer in [0, 2**128) or None", c
     Raises a TypeError or ValueError for what is not accepted.
     """
     return check_integer("seed", seed, accepted, 0, 2**128 - count)
-
-
-def episode_metrics(world: np.ndarray, horizon: float | None, own: task.Task = SPEED) -> dict[str, np.ndarray]:
-    """The metrics of episodes, one column of `Simulation.world` each, with the rows down to the task's memory.
-
-    The length of a whole episode, `horizon` in s, is by default the time that has passed.
-
-    Returns:
-        One float64 array of shape (n,) for each field of `task.Metrics`, and for each metric of the task.
-    """
-    rows = SimpleNamespace(**{name: world[row] for name, row in vars(Row).items()})
-    failed, distance = rows.termination != 0, rows.x - rows.start_x
-    # Before the first step every integral is 0, and so is every ratio.
-    elapsed = np.where(rows.duration > 0.0, rows.duration, 1.0)
-    whole = elapsed if horizon is None else np.where(failed, horizon, elapsed)
-    nowhere, never = np.where(rows.backward > 0.0, math.inf, 0.0), np.full(len(failed), math.inf)
-    metrics = task.Metrics(
-        mean_speed=100.0 * distance / whole,
-        cost_of_transport=np.divide(
-            rows.episode_energy, rows.weight_distance, out=never, where=rows.weight_distance > 0.0
-        ),
-        peak_torque=rows.peak_torque,
-        rms_torque=np.sqrt(rows.torque_squared / elapsed),
-        backward_ratio=np.divide(rows.backward, rows.forward, out=nowhere, where=rows.forward > 0.0),
-        stuck_fraction=rows.stuck / elapsed,
-        smallest_normal_ratio=rows.smallest_normal_ratio,
-        largest_theta=rows.largest_theta,
-        largest_theta_dot=rows.largest_theta_dot,
-        distance=distance,
-        energy=rows.episode_energy,
-        duration=rows.duration,
-        failed=failed.astype(np.float64),
-    )
-    memory = SimpleNamespace(**dict(zip(own.fields, world[len(world) - own.rows :], strict=True)))
-    return {**metrics._asdict(), **own.metrics(memory, whole)}
 
 
 class Simulation:
@@ -292,16 +257,17 @@ class Simulation:
             accepted = f"rows must be indices of environments, from 0 to {self.num_envs - 1}, each at most once"
             raise IndexError(f"{accepted}, got {written(rows.tolist())}")
         starts = self._starts[:, :count]
-        drawn = self._draw_rows(count, options) if len(self.draw_table) else None
+        drawn = self._drawn[:, :count]
+        resets.write_options(drawn, options, self.task, self.settings)
         if M is not None or mu is not None or options.get("capsule"):
             masses = starts[Row.M].tolist() if M is None else M
             frictions = starts[Row.mu].tolist() if mu is None else mu
             for n, plant in enumerate(zip(masses, frictions, strict=True)):
-                own = () if drawn is None else drawn[len(self.task.draws) :, n].tolist()
+                own = drawn[len(self.task.draws) :, n].tolist()
                 self._check_plant(*plant, replace(self.capsule, **dict(zip(CONSTANTS, own, strict=False))))
             starts[Row.M], starts[Row.mu] = masses, frictions
         if state is not None:
-            starts[: Row.M] = self._check_state(state, len(rows)).T
+            starts[: Row.M] = resets.check_state(state, count).T
 
         # Nothing above changes the environments, so a reset that raises an error leaves them unchanged.
         if self._changes or schedules:
@@ -425,33 +391,6 @@ class Simulation:
             self._pool.shutdown()
         self._pool = None
 
-    def _draw_rows(self, count: int, options: dict[str, Sequence[Any]]) -> np.ndarray:
-        """The given or drawn values of `count` environments that begin, shape (lines of `draw_table`, count)."""
-        drawn = self._drawn[:, :count]
-        first = 0
-        for name, option in self.task.options.items():
-            last = first + len(option.draws)
-            for n, value in enumerate(options.get(name, ())):
-                drawn[first:last, n] = option.parse(f"options[{name!r}]", value)
-            first = last
-        for name, names in (("capsule", CONSTANTS), ("disturbances", DISTURBANCES)):
-            for n, values in enumerate(options.get(name, ())):
-                accepted = f"a dict with keys out of {names}"
-                if not isinstance(values, dict) or set(values) - set(names):
-                    error = ValueError if isinstance(values, dict) else TypeError
-                    raise error(f"options[{name!r}] must be {accepted}, got {written(values)}")
-                for key, value in values.items():
-                    low, high = Disturbances.limits(key) if name == "disturbances" else (-LARGEST, LARGEST)
-                    if key == "latency":
-                        # The length of the history.
-                        settings = self.settings
-                        high = (settings.history - 1) * settings.physics_steps * settings.physics_dt
-                    in_words = f"a number from {low:g} to {high:g}"
-                    number = check_number(f"options[{name!r}][{key!r}]", value, in_words, low, high)
-                    drawn[first + names.index(key), n] = number
-            first += len(names)
-        return drawn
-
     def _check_plant(self, M: float, mu: float, capsule: Capsule) -> None:
         """Raises an error for M and mu that are invalid, too stiff for the step, or outside their observed bounds."""
         capsule.check_plant(M, mu)
@@ -460,21 +399,6 @@ class Simulation:
             for name, value, largest in zip(("M", "mu"), (M, mu), self._largest, strict=True):
                 accepted = f"at most {largest:g} where observe_parameters shows it (a wider randomization shows more)"
                 check_number(name, value, accepted, 0.0, largest)
-
-    def _check_state(self, state: Any, count: int) -> np.ndarray:
-        """The states of `count` environments as float64, shape (count, 4)."""
-        _, *rest = task.LARGEST_STATE
-        accepted = "|theta| < pi/2, |theta_dot| <= {:g} rad/s, |x| <= {:g} m and |x_dot| <= {:g} m/s".format(*rest)
-        message = f"options['state'] must be [theta, theta_dot, x, x_dot] with {accepted}, got {written(state)}"
-        try:
-            array = np.asarray(state, dtype=np.float64)
-        except (TypeError, ValueError, OverflowError) as error:
-            raise (ValueError if isinstance(error, OverflowError) else TypeError)(message) from None
-        if array.shape not in ((4,), (count, 4)):
-            raise ValueError(f"{message} of shape {array.shape}")
-        if not ((np.abs(array) <= task.LARGEST_STATE).all() and (np.abs(array[..., 0]) < task.THETA_LIMIT).all()):
-            raise ValueError(message)
-        return np.broadcast_to(array, (count, 4))
 
     def _schedule(self, changes: Sequence[dict[str, float]]) -> list[tuple[float, float, float]]:
         """The changes of one episode as (t, M, mu)."""
