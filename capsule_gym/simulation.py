@@ -57,6 +57,7 @@ class Simulation:
             or, for a single environment, 1. The rows are those of `capsule_gym.layout`; those of the task's memory are
             `task_row` to `task_end`. `row`, `rows` and `columns` read it by environments.
         observations: shape (num_envs, entries), float32, of the present state.
+        arrays: the arrays that the core reads, by name; among them `settings`, in the order of `_core.SETTINGS`.
         start: distribution of the initial states: middle (rad) and half width of theta's, half width of theta_dot's
             (rad/s).
 
@@ -161,8 +162,7 @@ class Simulation:
         self._drawn = np.zeros((len(self.draw_table), count))
         observed = Row.read_theta if self.settings.law_reads else Row.theta
         law, self._law = bind_law(acting, self.lanes, observed)
-        # The core reads these arrays by their addresses.
-        self._arrays = {
+        self.arrays = {
             "world": self.world,
             "observations": self.observations,
             "settings": native.ordered(_core.SETTINGS, given),
@@ -178,7 +178,7 @@ class Simulation:
             "drawn": self._drawn,
         }
         fields = {
-            **{name: native.address(array) for name, array in self._arrays.items()},
+            **{name: native.address(array) for name, array in self.arrays.items()},
             **law,
             "num_envs": count,
             "lanes": self.lanes,
