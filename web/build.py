@@ -74,7 +74,11 @@ def build_page(module: str) -> str:
 
 @dataclass(frozen=True)
 class Args:
-    """Builds the environment for browsers and node, and the live page."""
+    """Builds the environment for browsers and node, and the live page.
+
+    Examples:
+      python -m web.build --output site/live
+    """
 
     output: Path = Path("site/live")
     """Folder of the files; created if it does not exist."""

@@ -81,7 +81,7 @@ def pack_data(module: bytes) -> str:
         tasks[own.name] = {"memory": own.fields, "shown": own.shown, "options": list(own.options), "table": table}
     # What a varied plant draws.
     draws = [task.Draw(0.0, 0.0)] * (len(CONSTANTS) + len(DISTURBANCES)) + [task.Draw(0.0, LARGEST_KEY)]
-    limits, named = {name: Disturbances.limits(name) for name in DISTURBANCES}, parameters.RANDOMIZATIONS
+    ranges, motor = parameters.RANDOMIZATIONS.items(), {"motor_friction": (0.0, LARGEST_MOTOR_FRICTION)}
     header = {
         "module": archive.add(module),
         "core": {**core, "terminations": [termination.name for termination in task.Termination]},
@@ -90,7 +90,7 @@ def pack_data(module: bytes) -> str:
             "constants": CONSTANTS,
             "disturbances": DISTURBANCES,
             "table": resets.draw_table(Row.drawn_m, resets.Stream.variation, draws).tolist(),
-            "limits": {**limits, "motor_friction": (0.0, LARGEST_MOTOR_FRICTION)},
+            "limits": {**dict(zip(DISTURBANCES, map(Disturbances.limits, DISTURBANCES), strict=True)), **motor},
             "ideal": asdict(Disturbances()),
         },
         "controllers": {name: describe_controller(name, archive) for name in LAWS},
@@ -104,7 +104,7 @@ def pack_data(module: bytes) -> str:
             "horizons": {name: steps * task.CONTROL_DT for name, (_, steps) in task.TASKS.items()},
             **{name: getattr(NOMINAL, name) for name in ("m", "l", "g")},
             "nominal": {name: getattr(NOMINAL, name) for name in ("M", "mu", *CONSTANTS)},
-            "ranges": {name: {"M": each.M, "mu": each.mu} for name, each in named.items() if each.M},
+            "ranges": {name: {"M": each.M, "mu": each.mu} for name, each in ranges if each.M},
             "limits": {name: getattr(RANGES, name) for name in ("M", "mu", *CONSTANTS)},
             "real": asdict(parameters.REAL),
             "start": {"theta": task.START_THETA, "theta_dot": 0.0, "x": 0.0, "x_dot": 0.0},

@@ -95,7 +95,11 @@ def record(name: str, plants: Sequence[PlantSpec]) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Args:
-    """Computes the episodes of the live page and the optimum's actions; the exit status is 1 if they differ."""
+    """Computes the episodes of the live page and the optimum's actions; the exit status is 1 if they differ.
+
+    Examples:
+      python -m web.episodes --write
+    """
 
     write: bool = False
     """Write them to web/episodes.json and web/recordings.npz."""
@@ -105,22 +109,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = parse(Args, "python -m web.episodes", arguments)
     committed = json.loads(FILE.read_text(encoding="utf-8"))
-    known = {episode["driver"] for episode in committed}
     for n, (name, policy) in enumerate(drivers().items()):
-        if name not in known:
+        if all(episode["driver"] != name for episode in committed):
             task = policy.env_kwargs.get("task", "speed")
             committed.append({"name": name, "driver": name, "set": "drift" if task == "speed" else task, "plant": n})
     found = [compute(episode) for episode in committed]
-    plants = {each: load_set(each).plants[:SEEDS] for each in SET_NAMES}
-    recorded = {f"{name} {each}": record(name, plants[each]) for name in RECORDED for each in SET_NAMES}
+    sets = [(each, load_set(each).plants[:SEEDS]) for each in SET_NAMES]
+    recorded = {f"{name} {each}": record(name, plants) for name in RECORDED for each, plants in sets}
     if args.write:
         write_atomically(FILE, "[\n" + ",\n".join(json.dumps(episode) for episode in found) + "\n]\n")
         with replacing(RECORDINGS) as temporary:
             np.savez_compressed(temporary, allow_pickle=False, **recorded)
         committed = found
-    recordings = np.load(RECORDINGS)
     wrong = [f"{episode['name']}: differs" for episode in found if episode not in committed]
-    wrong += [f"{key}: differs" for key, taken in recorded.items() if not np.array_equal(taken, recordings[key])]
+    wrong += [
+        f"{key}: differs" for key, known in np.load(RECORDINGS).items() if not np.array_equal(known, recorded[key])
+    ]
     print(*wrong, f"{len(found) + len(recorded)} compared, {len(wrong)} differ", sep="\n")
     return int(bool(wrong))
 
