@@ -87,8 +87,7 @@ def pack_data(module: bytes) -> str:
         "core": {**core, "terminations": [termination.name for termination in task.Termination]},
         "tasks": tasks,
         "variation": {
-            "constants": CONSTANTS,
-            "disturbances": DISTURBANCES,
+            **{"constants": CONSTANTS, "disturbances": DISTURBANCES},
             "table": resets.draw_table(Row.drawn_m, resets.Stream.variation, draws).tolist(),
             "limits": {**dict(zip(DISTURBANCES, map(Disturbances.limits, DISTURBANCES), strict=True)), **motor},
             "ideal": asdict(Disturbances()),
@@ -97,8 +96,7 @@ def pack_data(module: bytes) -> str:
         "drivers": [describe_driver(policy, archive) for policy in drivers().values()],
         "torques": TORQUES.tolist(),
         "sets": {name: describe_set(evaluation_sets.load_set(name)) for name in SETS},
-        # In SI units.
-        "constants": {
+        "constants": {  # in SI units
             **{name.lower(): getattr(task, name) for name in ("CONTROL_DT", "TORQUE_LIMIT", "THETA_LIMIT")},
             "steps": task.EPISODE_STEPS,
             "horizons": {name: steps * task.CONTROL_DT for name, (_, steps) in task.TASKS.items()},

@@ -111,20 +111,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     committed = json.loads(FILE.read_text(encoding="utf-8"))
     for n, (name, policy) in enumerate(drivers().items()):
         if all(episode["driver"] != name for episode in committed):
-            task = policy.env_kwargs.get("task", "speed")
-            committed.append({"name": name, "driver": name, "set": "drift" if task == "speed" else task, "plant": n})
+            found_set = policy.env_kwargs.get("task", "drift")
+            committed.append({"name": name, "driver": name, "set": found_set, "plant": n})
     found = [compute(episode) for episode in committed]
-    sets = [(each, load_set(each).plants[:SEEDS]) for each in SET_NAMES]
-    recorded = {f"{name} {each}": record(name, plants) for name in RECORDED for each, plants in sets}
+    pairs = [(name, load_set(each)) for name in RECORDED for each in SET_NAMES]
+    recorded = {f"{name} {each.name}": record(name, each.plants[:SEEDS]) for name, each in pairs}
     if args.write:
         write_atomically(FILE, "[\n" + ",\n".join(json.dumps(episode) for episode in found) + "\n]\n")
         with replacing(RECORDINGS) as temporary:
             np.savez_compressed(temporary, allow_pickle=False, **recorded)
         committed = found
+    saved = np.load(RECORDINGS)
     wrong = [f"{episode['name']}: differs" for episode in found if episode not in committed]
-    wrong += [
-        f"{key}: differs" for key, known in np.load(RECORDINGS).items() if not np.array_equal(known, recorded[key])
-    ]
+    wrong += [f"{key}: differs" for key, taken in recorded.items() if not np.array_equal(taken, saved[key])]
     print(*wrong, f"{len(found) + len(recorded)} compared, {len(wrong)} differ", sep="\n")
     return int(bool(wrong))
 
