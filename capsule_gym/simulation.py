@@ -20,7 +20,7 @@ from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.controller import CoreLaw, bind_law, find_controller
 from capsule_gym.layout import LANES, Row
 from capsule_gym.metrics import episode_metrics
-from capsule_gym.observation import observation_names, parameter_bounds
+from capsule_gym.observation import observation_entries, parameter_bounds
 from capsule_gym.parameters import CONSTANTS, DISTURBANCES, NOMINAL, Capsule, Disturbances, Randomization
 from capsule_gym.settings import DEFAULTS, NO_CONTROLLER, check_step, count_rows, ends, make_settings
 
@@ -57,6 +57,7 @@ class Simulation:
             or, for a single environment, 1. The rows are those of `capsule_gym.layout`; those of the task's memory are
             `task_row` to `task_end`. `row`, `rows` and `columns` read it by environments.
         observations: shape (num_envs, entries), float32, of the present state.
+        entries: the bounds of the observation's entries by name, in order.
         arrays: the arrays that the core reads, by name; among them `settings`, in the order of `_core.SETTINGS`.
         start: distribution of the initial states: middle (rad) and half width of theta's, half width of theta_dot's
             (rad/s).
@@ -102,11 +103,10 @@ class Simulation:
             draws = [task.Draw(*ends(each)) for each in ranges]
             tables.append(resets.draw_table(Row.drawn_m, resets.Stream.variation, draws))
         self.draw_table = np.concatenate(tables)
-        switches = self.settings.with_reference, self.settings.with_parameters
-        names = observation_names(*switches, self.task.entries, options.stack_size)
+        self.entries = observation_entries(options, self.controller is not None)
         try:
             self.world = native.aligned_zeros((blocks, rows, self.lanes))
-            self.observations = np.zeros((self.num_envs, len(names)), np.float32)
+            self.observations = np.zeros((self.num_envs, len(self.entries)), np.float32)
         except MemoryError as error:
             raise ValueError(f"num_envs must fit into memory, got {self.num_envs}: {error}") from None
         self._keys = np.zeros((self.num_envs, 2), np.uint64)
