@@ -116,6 +116,7 @@ class EnvConfig:
     disturbances: str | Disturbances = _option("none", _found_by(Disturbances.named))
     capsule: Capsule | None = _option(None, _check_capsule)
     observe_parameters: bool = _option(False, check_flag)
+    observe_estimates: bool = _option(False, check_flag)
     stack_size: int = _option(1, partial(check_count, most=LARGEST_STACK))
     energy_weight: float = _option(task.ENERGY_WEIGHT, _number(0.0, LARGEST_COST, "cm/J"))
     termination_penalty: float = _option(task.TERMINATION_PENALTY, _number(0.0, LARGEST_COST, "cm"))

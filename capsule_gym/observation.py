@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from capsule_gym._core import THETA_DOT_BOUND, X_DOT_BOUND
+from capsule_gym._core import ESTIMATES, THETA_DOT_BOUND, X_DOT_BOUND
 from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.parameters import NOMINAL, Capsule, Randomization
 from capsule_gym.task import THETA_LIMIT
@@ -10,9 +10,6 @@ from capsule_gym.task import THETA_LIMIT
 # Bounds of the observed M, in masses of the capsule's platform, and of mu; wider ranges extend them.
 M_BOUND = 4.0
 MU_BOUND = 1.0
-# Inputs of a policy from the online filter (`capsule_gym/core/identification.hpp`): M, log(mu), and the standard
-# deviations of both.
-ESTIMATES = ("M_estimate", "log_mu_estimate", "M_deviation", "log_mu_deviation")
 
 
 def parameter_bounds(capsule: Capsule, randomization: Randomization) -> tuple[float, float]:
@@ -24,16 +21,19 @@ def parameter_bounds(capsule: Capsule, randomization: Randomization) -> tuple[fl
     return max(M_BOUND * capsule.M, room * heaviest), max(MU_BOUND, room * roughest)
 
 
-def observation_entries(options: EnvConfig, with_reference: bool) -> dict[str, tuple[float, float]]:
+def observation_entries(options: EnvConfig) -> dict[str, tuple[float, float]]:
     """The entries of the observation in order, each with its bounds; those of n steps ago end with their number."""
     angle, rate, unit = (-THETA_LIMIT, THETA_LIMIT), (-THETA_DOT_BOUND, THETA_DOT_BOUND), (-1.0, 1.0)
     entries = {"theta": angle, "theta_dot": rate, "x_dot": (-X_DOT_BOUND, X_DOT_BOUND), "stick": (0.0, 1.0)}
     entries["last_action"] = unit
-    if with_reference:
+    if options.controller is not None:
         entries |= {"theta_d": angle, "theta_d_dot": rate, "sin_phase": unit, "cos_phase": unit}
         entries["law_torque"] = -options.torque_limit, options.torque_limit
     if options.observe_parameters:
         bounds = parameter_bounds(options.capsule or NOMINAL, Randomization.named(options.randomization))
         entries |= {"M": (0.0, bounds[0]), "mu": (0.0, bounds[1])}
+    if options.observe_estimates:
+        # From the online filter (`capsule_gym/core/identification.hpp`).
+        entries |= ESTIMATES
     entries |= find_task(options.task).entries
     return entries | {f"{name} {n}": entries[name] for n in range(1, options.stack_size) for name in entries}

@@ -35,6 +35,7 @@ class StepSettings(NamedTuple):
     termination_penalty: float
     with_reference: bool
     with_parameters: bool
+    with_estimates: bool
     stack_size: int = 1
     # Disturbances: number of states in the history, whether law and agent observe the sensors, the sensors that exist,
     # and the measured velocity up to which the observation's `stick` is 1.
@@ -107,6 +108,7 @@ def make_settings(options: EnvConfig, controller: Controller | None) -> StepSett
         termination_penalty=options.termination_penalty,
         with_reference=controller is not None,
         with_parameters=options.observe_parameters,
+        with_estimates=options.observe_estimates,
         stack_size=options.stack_size,
     )
     if disturbed is None:

@@ -95,7 +95,8 @@ class Simulation:
         blocks = -(-self.num_envs // self.lanes)
         self.task_end = count_rows(self.controller, self.task)
         self.task_row = self.task_end - self.task.rows
-        rows = self.task_end + layout.HISTORY_ROWS * self.settings.history
+        filter_rows = _core.CELLS if options.observe_estimates else 0
+        rows = self.task_end + layout.HISTORY_ROWS * self.settings.history + filter_rows
         tables = [resets.draw_table(self.task_end - len(self.task.draws), resets.Stream.task, self.task.draws)]
         if self.settings.history:
             own = [getattr(self.randomization, name) or getattr(self.capsule, name) for name in CONSTANTS]
@@ -103,7 +104,7 @@ class Simulation:
             draws = [task.Draw(*ends(each)) for each in ranges]
             tables.append(resets.draw_table(Row.drawn_m, resets.Stream.variation, draws))
         self.draw_table = np.concatenate(tables)
-        self.entries = observation_entries(options, self.controller is not None)
+        self.entries = observation_entries(options)
         try:
             self.world = native.aligned_zeros((blocks, rows, self.lanes))
             self.observations = np.zeros((self.num_envs, len(self.entries)), np.float32)
