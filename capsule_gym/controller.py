@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import pkgutil
 import re
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -49,15 +48,15 @@ class CoreLaw:
         if name not in _core.LAWS:
             raise ValueError(f"name must be one of {', '.join(_core.LAWS)}, got {written(name)}")
         items = [item.partition(":") for item in _core.LAWS[name][0].split()]
-        counts = {key: int(count or 1) for key, _, count in items}
+        counts, numbers = {key: int(count or 1) for key, _, count in items}, []
         if counts.keys() != constants.keys():
             raise TypeError(f"the law {name!r} takes the constants {', '.join(counts)}, got {', '.join(constants)}")
-        values = {key: np.ravel(np.asarray(constants[key], np.float64)) for key in counts}
         for key, count in counts.items():
-            if values[key].size != count or np.isnan(values[key]).any():
+            numbers += (given := np.ravel(np.asarray(constants[key], np.float64))).tolist()
+            if given.size != count or np.isnan(given).any():
                 raise ValueError(f"{key} must be {count} numbers, got {written(constants[key])}")
         object.__setattr__(self, "name", name)
-        object.__setattr__(self, "constants", tuple(np.concatenate([*values.values(), []]).tolist()))
+        object.__setattr__(self, "constants", tuple(numbers))
 
     @property
     def number(self) -> int:
@@ -221,17 +220,6 @@ def is_own(controller: str | None) -> bool:
     return controller is None or _OWN.fullmatch(controller) is not None
 
 
-def _hidden_baselines(controller: str) -> str:
-    """Advice where an import string names a law of this package, but `baselines` is another package; "" otherwise."""
-    module = sys.modules.get("baselines")
-    if not is_own(controller) or module is None or hasattr(module, "LAWS"):
-        return ""
-    return (
-        f"{list(module.__path__)} hides the package `baselines` of capsule-gym (OpenAI Baselines has the same name); "
-        "uninstall that one, install capsule-gym into a virtual environment without it, or start Python elsewhere"
-    )
-
-
 def find_controller(controller: str | Controller | Callable[[], Controller] | None) -> Controller | None:
     """Returns the `Controller` for the environment's argument `controller`.
 
@@ -245,8 +233,7 @@ def find_controller(controller: str | Controller | Callable[[], Controller] | No
         try:
             found = pkgutil.resolve_name(controller)
         except (ValueError, AttributeError, ModuleNotFoundError) as error:
-            reason = _hidden_baselines(controller) or error
-            raise ValueError(f"controller must be {accepted}, got {written(controller)}: {reason}") from error
+            raise ValueError(f"controller must be {accepted}, got {written(controller)}: {error}") from error
     if callable(found):
         try:
             found = found()

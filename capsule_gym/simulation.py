@@ -33,9 +33,6 @@ MOST_ENVS = 2**24
 # The arrays of a simulation's episodes, which a copy takes over; the copy binds them to the core itself.
 COPIED_ATTRIBUTES = ("world", "observations", "_keys", "_episodes", "_due")
 
-# Keys of a change of the plant within an episode.
-CHANGE = ("t", "M", "mu")
-
 
 def check_seed(seed: Any, accepted: str = "an integer in [0, 2**128) or None", count: int = 1) -> int:
     """An environment's seed as an int; `count` environments get seeds from this one on.
@@ -271,12 +268,16 @@ class Simulation:
             starts[: Row.M] = resets.check_state(state, count).T
 
         # Nothing above changes the environments, so a reset that raises an error leaves them unchanged.
-        if self._changes or schedules:
-            self._plan(rows, schedules)
+        for i in rows.tolist() if self._changes else ():
+            self._changes.pop(i, None)
+            self._due[i] = math.inf
+        for i, schedule in zip(rows.tolist(), schedules, strict=False):
+            if schedule:
+                self._changes[i], self._due[i] = schedule, schedule[0][0]
         _core.call("begin_episodes", self._batch, count)
         self._everyone = False
         self.resets += 1
-        self._run(begin=True)
+        self.run(lambda first, last: self._advance(first, last, True))
 
     def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> None:
         """One agent step.
@@ -296,7 +297,7 @@ class Simulation:
         elif not self._everyone:
             self.world[:, Row.active] = 1.0
         self._everyone = active is None
-        self._run(begin=False)
+        self.run(lambda first, last: self._advance(first, last, False))
 
     def step_one(self, action: float) -> None:
         """`step` for a single environment, without the arrays."""
@@ -309,10 +310,6 @@ class Simulation:
             raise
         if broken >= 0:
             self._report(0)
-
-    def _run(self, begin: bool) -> None:
-        """Advances all environments."""
-        self.run(lambda first, last: self._advance(first, last, begin))
 
     def run(self, work: Callable[[int, int], int]) -> None:
         """Runs the core on all environments, distributed over the threads.
@@ -405,21 +402,13 @@ class Simulation:
         """The changes of one episode as (t, M, mu)."""
         accepted = "a list of dicts {'t': s, 'M': kg, 'mu': ..}, each later than the one before"
         schedule: list[tuple[float, float, float]] = []
-        for name, t, change in check_timed("options['changes']", changes, accepted, CHANGE):
+        for name, t, change in check_timed("options['changes']", changes, accepted, task.CHANGE):
             try:
                 self._check_plant(change["M"], change["mu"], self.capsule)
             except (TypeError, ValueError) as error:
                 raise type(error)(f"{name}: {error}") from None
             schedule.append((t, float(change["M"]), float(change["mu"])))
         return schedule
-
-    def _plan(self, rows: np.ndarray, schedules: list[list[tuple[float, float, float]]]) -> None:
-        """Replaces the scheduled changes of some environments."""
-        for n, i in enumerate(rows.tolist()):
-            self._changes.pop(i, None)
-            self._due[i] = math.inf
-            if schedules and schedules[n]:
-                self._changes[i], self._due[i] = schedules[n], schedules[n][0][0]
 
     def _apply_changes(self) -> None:
         """Applies the changes of M and mu that are due: at the first agent step that starts at or after t."""
