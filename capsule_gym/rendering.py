@@ -132,8 +132,6 @@ class Renderer:
         self._pixels = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
         self._frame = pygame.image.frombuffer(self._pixels, (WIDTH, HEIGHT), "RGB")
         self._text = lru_cache(TEXTS)(self._draw_text)
-        self._draw_background()
-        self._background = self._canvas.copy()
         self._window: Any = None
         if mode == "human":
             pygame.display.init()
@@ -178,7 +176,10 @@ class Renderer:
                 self.close()
         if self.closed:
             return None
-        self._canvas.blit(self._background, (0, 0))
+        self._canvas.fill(WHITE)
+        self._box(0, HEADER, WIDTH, 1, HAIRLINE)
+        self._box(0, HEADER + 1, WIDTH, FLOOR - HEADER - 1, PAPER)
+        self._box(0, FLOOR, WIDTH, RULER, FLOOR_FILL)
         self._draw_floor(x)
         if ghost is not None:
             self._draw_ghost(*ghost, x)
@@ -200,18 +201,6 @@ class Renderer:
         if self._window is not None:
             self._window = None
             self._pygame.display.quit()
-
-    def _draw_background(self) -> None:
-        """Draws what all frames have in common."""
-        self._box(0, 0, WIDTH, HEIGHT, WHITE)
-        for column, (label, _, unit) in enumerate((*FIGURES, ("CONTACT", 0, ""))):
-            left = COLUMN * column
-            self._write(label, 16, GREY, left + 24, 26)
-            self._write(unit, 19, GREY, left + VALUE_RIGHT + 6, VALUE_BASELINE)
-            self._box(left + COLUMN, 16, 1, HEADER - 32, HAIRLINE)
-        self._box(0, HEADER, WIDTH, 1, HAIRLINE)
-        self._box(0, HEADER + 1, WIDTH, FLOOR - HEADER - 1, PAPER)
-        self._box(0, FLOOR, WIDTH, RULER, FLOOR_FILL)
 
     def _draw_floor(self, x: float) -> None:
         """Draws the ruler with the platform at x in the middle, and the inside of the shell."""
@@ -274,10 +263,14 @@ class Renderer:
         """Draws the numbers, right-aligned, so that no digit moves when another appears, and stick or slip."""
         mean = x / time if time > 0.0 else 0.0
         values = (time, 100.0 * x, 100.0 * x_dot, 100.0 * mean, torque)
-        for column, (value, (label, decimals, _)) in enumerate(zip(values, FIGURES, strict=True)):
-            colour, right = TORQUE if label == "TORQUE" else INK, COLUMN * column + VALUE_RIGHT
-            self._write(_number(value, decimals), 32, colour, right, VALUE_BASELINE, "topright")
+        for column, (value, (label, decimals, unit)) in enumerate(zip(values, FIGURES, strict=True)):
+            left, colour = COLUMN * column, TORQUE if label == "TORQUE" else INK
+            self._write(label, 16, GREY, left + 24, 26)
+            self._write(_number(value, decimals), 32, colour, left + VALUE_RIGHT, VALUE_BASELINE, "topright")
+            self._write(unit, 19, GREY, left + VALUE_RIGHT + 6, VALUE_BASELINE)
+            self._box(left + COLUMN, 16, 1, HEADER - 32, HAIRLINE)
         contact, colour = ("STICK", STICK) if x_dot == 0.0 else ("SLIP", SLIP)
+        self._write("CONTACT", 16, GREY, COLUMN * len(FIGURES) + 24, 26)
         self._write(contact, 32, colour, COLUMN * len(FIGURES) + 24, VALUE_BASELINE)
 
     def _box(
