@@ -5,6 +5,7 @@ To train with another algorithm, pass it the environments that `make_env(config,
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import pkgutil
 from collections.abc import Mapping
@@ -27,13 +28,13 @@ from agents.training.config import (
     Config,
     OffPolicyConfig,
     OnPolicyConfig,
-    PPOConfig,
     RunError,
     SACConfig,
     TQCConfig,
 )
 from capsule_gym.config import EnvConfig
 from capsule_gym.observation import observation_entries
+from capsule_gym.parameters import Disturbances
 from capsule_gym.sb3 import AsymmetricPolicy, CapsuleSB3VecEnv, FixedScale
 from capsule_gym.tasks import velocity
 
@@ -81,29 +82,29 @@ def make_env(config: Config, seed: int) -> VecNormalize:
     A wrong argument of the environment raises a TypeError or ValueError that names it.
     """
     kwargs = config.env_kwargs()
-    # Only for training: policies are selected with `residual_limit`, on the commands of the task.
+    # Only for training: policies are selected with `residual_limit`, and the task's commands and sensors.
     if config.training_limit is not None:
         kwargs["residual_limit"] = config.training_limit
     if config.command_range:
         if config.env_task != "velocity":
             raise ValueError(f"command_range must be None in {config.env}, which has no commands")
         kwargs["task"] = velocity.with_commands(*config.command_range)
+    if config.latency_range is not None:
+        disturbances = Disturbances.named(config.disturbances) or Disturbances()
+        kwargs["disturbances"] = dataclasses.replace(disturbances, latency=config.latency_range)
     steps = max(1, round((config.episode_seconds or config.horizon) / config.control_dt))
-    privileged = isinstance(config, PPOConfig) and config.privileged
     venv: VecEnv
     if config.wrapper:
-        if privileged:
-            raise RunError("--privileged must not be given with --wrapper, which sees one environment at a time")
         venv = DummyVecEnv([lambda: wrapped_env(config, kwargs, steps)] * config.num_envs)
         if not isinstance(venv.observation_space, gym.spaces.Box) or not isinstance(venv.action_space, gym.spaces.Box):
             raise RunError(f"--wrapper must leave observations and actions Box, got {venv.observation_space}")
         venv.seed(seed)
     else:
-        venv = CapsuleSB3VecEnv(config.num_envs, seed, privileged=privileged, max_episode_steps=steps, **kwargs)
+        venv = CapsuleSB3VecEnv(config.num_envs, seed, privileged=config.asymmetric, max_episode_steps=steps, **kwargs)
     env = VecNormalize(venv, norm_reward=config.algo == "ppo", gamma=config.gamma)
     if config.observation_scale is not None:
         statistics: Any = env.obs_rms
-        observed = statistics["policy"] if privileged else statistics
+        observed = statistics["policy"] if config.asymmetric else statistics
         factors = np.ones(observed.mean.shape)
         of = dict(zip(("theta", "theta_dot", "x_dot"), config.observation_scale, strict=True))
         of |= {"theta_d": of["theta"], "theta_d_dot": of["theta_dot"]}
@@ -111,7 +112,7 @@ def make_env(config: Config, seed: int) -> VecNormalize:
         for i, name in zip(range(len(factors)), observation_entries(EnvConfig(**kwargs)), strict=False):
             factors[i] = of.get(name.partition(" ")[0], 1.0)
         fixed: Any = FixedScale(factors)
-        env.obs_rms = {**statistics, "policy": fixed} if privileged else fixed
+        env.obs_rms = {**statistics, "policy": fixed} if config.asymmetric else fixed
     return env
 
 
@@ -147,7 +148,7 @@ def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
     if config.algo == "recurrent-ppo":
         policy = "MlpLstmPolicy"
         network |= {"lstm_hidden_size": config.hidden, "enable_critic_lstm": False}
-    elif isinstance(config, PPOConfig) and config.privileged:
+    elif config.asymmetric:
         policy = AsymmetricPolicy
     elif isinstance(config, TQCConfig):
         kwargs["top_quantiles_to_drop_per_net"] = config.dropped_quantiles

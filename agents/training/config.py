@@ -94,6 +94,8 @@ class Config:
     static_ratio: float | None = None
     """Static over kinetic friction coefficient of the floor; None for the environment's default."""
     disturbances: Annotated[Literal["none", "real"], _option("disturbances")] = "none"
+    latency_range: tuple[float, float] | None = None
+    """Ends of the range of the sensors' latency in training, s; None for that of the disturbances."""
     observe_parameters: Annotated[bool, _option("observe_parameters")] = EnvConfig.observe_parameters
     observe_estimates: Annotated[bool, _option("observe_estimates")] = EnvConfig.observe_estimates
     stack_size: Annotated[Count, _option("stack_size")] = 1
@@ -150,6 +152,11 @@ class Config:
         return kwargs
 
     @property
+    def asymmetric(self) -> bool:
+        """Whether the critic observes more than the actor."""
+        return False
+
+    @property
     def env_task(self) -> str:
         """The environment's argument `task`."""
         return next(name for name, (env_id, _) in TASKS.items() if env_id == self.env)
@@ -203,7 +210,12 @@ class PPOConfig(OnPolicyConfig):
     algo: ClassVar[Algorithm] = "ppo"
 
     privileged: bool = False
-    """The critic also observes the true plant and, where sensors are disturbed, the true state."""
+    """The critic also observes the true plant and, where sensors are disturbed, the true state; not under wrappers."""
+
+    @property
+    def asymmetric(self) -> bool:
+        """Whether the critic observes more than the actor."""
+        return self.privileged and not self.wrapper
 
 
 @dataclass(frozen=True, kw_only=True)
