@@ -203,7 +203,7 @@ def _check_pair(name: str, value: Any, accepted: str, **limits: Any) -> tuple[fl
     return low, high
 
 
-# Limit of `elementary.exp`.
+# Limit of the exponential in the core.
 LARGEST_RATIO = 1e300
 Range = tuple[float, float]
 
