@@ -22,16 +22,13 @@ from capsule_gym.rendering import FRAME_SECONDS, Renderer, write_gif
 from capsule_gym.task import HORIZON, Termination
 
 PROG = "python -m capsule_gym.demo"
-# The scripted policies of `baselines`, which include control laws, and the names of all policies.
-SCRIPTED: dict[str, Any] = import_module("baselines.policies").SCRIPTED
-NAMES = [*SCRIPTED, *policy_names()]
 TERMINATIONS = "the time is up", "the ball met the platform", "the capsule left the floor", "the motion was lost"
 # The action of a held key: 1.0 would end the episode in a third of a second.
 STRENGTH = 0.4
 
 
 class Keyboard:
-    """The policy "keyboard": the arrow keys, or A and D, of the window apply the torque."""
+    """A policy with the attributes of `capsule_gym.Policy` for the arrow keys, or A and D, of the window."""
 
     name = "keyboard"
     env_kwargs: dict[str, Any] = {}  # noqa: RUF012 (read only)
@@ -49,14 +46,17 @@ class Keyboard:
         return act
 
 
+# The scripted policies, which include control laws, and the names of all policies.
+SCRIPTED: dict[str, Any] = {**import_module("baselines.policies").SCRIPTED, Keyboard.name: Keyboard()}
+NAMES = [*SCRIPTED, *policy_names()]
+
+
 def find_policy(name_or_path: str) -> Any:
     """Finds a scripted or trained policy, one of its runs ("residual-ppo/seed-2"), or a policy file or run by its path.
 
     Raises:
         ValueError: if there is no such policy, or its file is broken.
     """
-    if name_or_path == Keyboard.name:
-        return Keyboard()
     if name_or_path in SCRIPTED:
         return SCRIPTED[name_or_path]
     if name_or_path in pretrained() or Path(name_or_path).exists():
@@ -105,7 +105,9 @@ class Episode:
 
 @dataclass(frozen=True, kw_only=True)
 class Args:
-    """Shows an episode of a policy, or your own with the arrow keys: in a window, or with -o as a GIF in a file.
+    """Shows an episode of a policy: in a window, or with -o as a GIF in a file.
+
+    The policy keyboard takes the arrow keys, or A and D.
 
     Examples:
       python -m capsule_gym.demo direct-ppo
@@ -118,8 +120,7 @@ class Args:
         Positional[str],
         arg(
             metavar="NAME_OR_PATH",
-            help=f"{', '.join(NAMES)}; one run as NAME/seed-0; the path of a policy file or of a run's folder; or "
-            "keyboard, which takes the arrow keys or A and D.",
+            help=f"{', '.join(NAMES)}; one run as NAME/seed-0; or the path of a policy file or of a run's folder.",
         ),
     ]
     rival: Annotated[str | None, arg(metavar="NAME_OR_PATH", help="A second policy, shown as an outline.")] = None
