@@ -156,7 +156,7 @@ class CapsuleSB3VecEnv(VecEnv):
 
 
 class FixedScale(RunningMeanStd):
-    """Fixed factors of the observations for SB3's `VecNormalize`: `env.obs_rms = FixedScale(factors)`.
+    """Statistics with which `VecNormalize` multiplies observations by fixed factors: `env.obs_rms = FixedScale(f)`.
 
     Running statistics would magnify `stick`, which is almost constant. `VecNormalize.training = False` would also stop
     the normalisation of rewards.
