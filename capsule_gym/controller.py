@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import pkgutil
 import re
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -233,7 +234,14 @@ def find_controller(controller: str | Controller | Callable[[], Controller] | No
         try:
             found = pkgutil.resolve_name(controller)
         except (ValueError, AttributeError, ModuleNotFoundError) as error:
-            raise ValueError(f"controller must be {accepted}, got {written(controller)}: {error}") from error
+            reason, other = str(error), sys.modules.get("baselines")
+            if is_own(controller) and other is not None and not hasattr(other, "LAWS"):
+                reason = (
+                    f"{list(other.__path__)} hides the package `baselines` of capsule-gym (OpenAI Baselines has the same "
+                    "name); uninstall that one, install capsule-gym into a virtual environment without it, or start "
+                    "Python elsewhere"
+                )
+            raise ValueError(f"controller must be {accepted}, got {written(controller)}: {reason}") from error
     if callable(found):
         try:
             found = found()
