@@ -237,8 +237,8 @@ def find_controller(controller: str | Controller | Callable[[], Controller] | No
             reason, other = str(error), sys.modules.get("baselines")
             if is_own(controller) and other is not None and not hasattr(other, "LAWS"):
                 reason = (
-                    f"{list(other.__path__)} hides the package `baselines` of capsule-gym (OpenAI Baselines is named so, "
-                    "too); uninstall that one, install capsule-gym into a virtual environment without it, or start "
+                    f"{list(other.__path__)} hides the package `baselines` of capsule-gym (OpenAI Baselines has its "
+                    "name); uninstall that one, install capsule-gym into a virtual environment without it, or start "
                     "Python elsewhere"
                 )
             raise ValueError(f"controller must be {accepted}, got {written(controller)}: {reason}") from error
