@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -92,29 +92,16 @@ def _check_range(name: str, value: Any) -> tuple[float, float]:
     return check_number(name, theta, accepted, 0.0, largest), check_number(name, theta_dot, accepted, 0.0, fastest)
 
 
+def _option(default: Any, check: Check) -> Any:
+    """A field with its check, which returns the value to keep or raises an error that names the option.
+
+    An option whose default is None accepts None, too.
+    """
+    return field(default=default, metadata={"check": check})
+
+
 _check_step = _number(SHORTEST_STEP, LONGEST_STEP, "s")
-# The check of each option: it returns the value to keep, or raises a TypeError or ValueError that names the option. An
-# option whose default is None accepts None, too. `find_controller` checks the controller.
-_CHECKS: dict[str, Check] = {
-    "residual_limit": _number(0.0, LARGEST_TORQUE, "N m"),
-    "total_torque": check_flag,
-    "torque_limit": _number(0.0, LARGEST_TORQUE, "N m", open_low=True),
-    "randomization": partial(_check_object, kind=Randomization),
-    "disturbances": partial(_check_object, kind=Disturbances),
-    "capsule": partial(_check_object, kind=Capsule),
-    "observe_parameters": check_flag,
-    "observe_estimates": check_flag,
-    "stack_size": partial(check_count, most=LARGEST_STACK),
-    "energy_weight": _number(0.0, LARGEST_COST, "cm/J"),
-    "termination_penalty": _number(0.0, LARGEST_COST, "cm"),
-    "initial_noise": _number(0.0, 0.5, "rad"),
-    "initial_range": _check_range,
-    "control_dt": _check_step,
-    "physics_dt": _check_step,
-    "threads": check_count,
-    "render_mode": partial(check_choice, choices=RENDER_MODES, accepted=f"None or one of {RENDER_MODES}"),
-    "task": _check_task,
-}
+_check_mode = partial(check_choice, choices=RENDER_MODES, accepted=f"None or one of {RENDER_MODES}")
 
 
 def _advice(name: str, known: Iterable[str]) -> str:
@@ -138,32 +125,34 @@ class EnvConfig:
         ValueError: if an option is out of range.
     """
 
+    # `find_controller` checks it.
     controller: str | Controller | Callable[[], Controller] | None = None
-    residual_limit: float | None = None
-    total_torque: bool = False
-    torque_limit: float = task.TORQUE_LIMIT
-    randomization: str | Randomization = "paper"
-    disturbances: str | Disturbances = "none"
-    capsule: Capsule | None = None
-    observe_parameters: bool = False
-    observe_estimates: bool = False
-    stack_size: int = 1
-    energy_weight: float = task.ENERGY_WEIGHT
-    termination_penalty: float = task.TERMINATION_PENALTY
-    initial_noise: float = 0.0
-    initial_range: tuple[float, float] | None = None
-    control_dt: float = task.CONTROL_DT
-    physics_dt: float | None = None
-    threads: int = 1
-    render_mode: str | None = None
-    task: str | Task = "speed"
+    residual_limit: float | None = _option(None, _number(0.0, LARGEST_TORQUE, "N m"))
+    total_torque: bool = _option(False, check_flag)
+    torque_limit: float = _option(task.TORQUE_LIMIT, _number(0.0, LARGEST_TORQUE, "N m", open_low=True))
+    randomization: str | Randomization = _option("paper", partial(_check_object, kind=Randomization))
+    disturbances: str | Disturbances = _option("none", partial(_check_object, kind=Disturbances))
+    capsule: Capsule | None = _option(None, partial(_check_object, kind=Capsule))
+    observe_parameters: bool = _option(False, check_flag)
+    observe_estimates: bool = _option(False, check_flag)
+    stack_size: int = _option(1, partial(check_count, most=LARGEST_STACK))
+    energy_weight: float = _option(task.ENERGY_WEIGHT, _number(0.0, LARGEST_COST, "cm/J"))
+    termination_penalty: float = _option(task.TERMINATION_PENALTY, _number(0.0, LARGEST_COST, "cm"))
+    initial_noise: float = _option(0.0, _number(0.0, 0.5, "rad"))
+    initial_range: tuple[float, float] | None = _option(None, _check_range)
+    control_dt: float = _option(task.CONTROL_DT, _check_step)
+    physics_dt: float | None = _option(None, _check_step)
+    threads: int = _option(1, check_count)
+    render_mode: str | None = _option(None, _check_mode)
+    task: str | Task = _option("speed", _check_task)
 
     def __init__(self, **options: Any) -> None:
         defaults = {each.name: each.default for each in fields(self)}
+        checks = {each.name: each.metadata.get("check") for each in fields(self)}
         if unknown := sorted(set(options) - set(defaults)):
             raise TypeError(f"got an unexpected keyword argument {written(unknown[0])}{_advice(unknown[0], defaults)}")
         given = {**defaults, **find_task(options.get("task", "speed")).defaults, **options}
         for name, value in given.items():
-            if name in _CHECKS and not (value is None and defaults[name] is None):
-                value = _CHECKS[name](name, value)
+            if (check := checks[name]) and not (value is None and defaults[name] is None):
+                value = check(name, value)
             object.__setattr__(self, name, value)

@@ -49,15 +49,15 @@ class CoreLaw:
         if name not in _core.LAWS:
             raise ValueError(f"name must be one of {', '.join(_core.LAWS)}, got {written(name)}")
         items = [item.partition(":") for item in _core.LAWS[name][0].split()]
-        counts = {key: int(count or 1) for key, _, count in items}
+        counts, numbers = {key: int(count or 1) for key, _, count in items}, []
         if counts.keys() != constants.keys():
             raise TypeError(f"the law {name!r} takes the constants {', '.join(counts)}, got {', '.join(constants)}")
-        values = {key: np.ravel(np.asarray(constants[key], np.float64)) for key in counts}
         for key, count in counts.items():
-            if values[key].size != count or np.isnan(values[key]).any():
+            numbers += (given := np.ravel(np.asarray(constants[key], np.float64))).tolist()
+            if given.size != count or np.isnan(given).any():
                 raise ValueError(f"{key} must be {count} numbers, got {written(constants[key])}")
         object.__setattr__(self, "name", name)
-        object.__setattr__(self, "constants", tuple(np.concatenate([*values.values(), []]).tolist()))
+        object.__setattr__(self, "constants", tuple(numbers))
 
     @property
     def number(self) -> int:

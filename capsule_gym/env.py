@@ -15,7 +15,6 @@ from capsule_gym import task
 from capsule_gym.checks import check_count, written
 from capsule_gym.config import RENDER_MODES, EnvConfig
 from capsule_gym.layout import Row
-from capsule_gym.observation import observation_bounds
 from capsule_gym.parameters import CONSTANTS, DISTURBANCES
 from capsule_gym.rendering import Renderer
 from capsule_gym.settings import SPEED
@@ -25,7 +24,11 @@ Value = TypeVar("Value")
 RESET_OPTIONS = ("M", "mu", "state", "changes", "capsule", "disturbances")
 # Constants: looking them up in `Row` takes a tenth of a step.
 _STATE, _X_DOT, _REWARD, _TERMINATION = slice(Row.theta, Row.M), Row.x_dot, Row.reward, Row.termination
-_M, _MU, _TORQUE, _LAW_TORQUE, _NORMAL_FORCE, _ENERGY, _PROGRESS, _ENERGY_COST, _FAILURE = range(Row.M, Row.reward)
+_SHOWN = slice(Row.M, Row.reward)
+_INFO = (
+    *("state", "stick", "M", "mu", "torque", "law_torque", "normal_force", "energy"),
+    *("reward_progress", "reward_energy", "reward_termination", "termination"),
+)
 _FIRST = np.zeros(1, np.int64)
 # Entries of a task's info that are places on the floor, m; renderings mark them.
 _PLACES = ("goal", "target")
@@ -354,20 +357,7 @@ def describe(values: Any, state: np.ndarray, termination: Any) -> dict[str, Any]
     `values` are the first rows of `Row`: a list of floats for one environment, shape (n, num_envs) for a batch, with the
     state of shape (num_envs, 4) and the terminations, int64.
     """
-    return {
-        "state": state,
-        "stick": values[_X_DOT] == 0.0,
-        "M": values[_M],
-        "mu": values[_MU],
-        "torque": values[_TORQUE],
-        "law_torque": values[_LAW_TORQUE],
-        "normal_force": values[_NORMAL_FORCE],
-        "energy": values[_ENERGY],
-        "reward_progress": values[_PROGRESS],
-        "reward_energy": values[_ENERGY_COST],
-        "reward_termination": values[_FAILURE],
-        "termination": termination,
-    }
+    return dict(zip(_INFO, (state, values[_X_DOT] == 0.0, *values[_SHOWN], termination), strict=True))
 
 
 def add_task(info: dict[str, Any], own: task.Task, memory: Any) -> None:
@@ -385,7 +375,7 @@ def name_drawn(drawn: Sequence[Value]) -> tuple[dict[str, Value], dict[str, Valu
 
 def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Box]:
     """The action and the observation space of one environment."""
-    low, high = observation_bounds(simulation.options)
+    low, high = np.array(list(simulation.entries.values()), np.float32).T
     return spaces.Box(-1.0, 1.0, (1,), np.float32), spaces.Box(low, high, dtype=np.float32)
 
 

@@ -14,11 +14,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from capsule_gym.checks import check_integer, check_number, nearest, written
+from capsule_gym.checks import check_integer, check_number, check_timed, nearest, written
 from capsule_gym.config import find_task
 from capsule_gym.files import canonical_hash
 from capsule_gym.parameters import CONSTANTS, NOMINAL, Capsule, Disturbances
-from capsule_gym.task import HORIZON, LARGEST_STATE, START_THETA, TASKS, THETA_LIMIT
+from capsule_gym.task import CHANGE, HORIZON, LARGEST_STATE, START_THETA, TASKS, THETA_LIMIT
 
 SET_NAMES = ("nominal", "paper", "wide", "extrapolation", "drift")
 # Sets of the speed task with another capsule than the paper's, and of the other tasks.
@@ -147,15 +147,10 @@ def _parse_plant(where: str, value: Any, task: str) -> PlantSpec:
     largest, accepted = math.nextafter(THETA_LIMIT, 0.0), f"an angle in rad within {THETA_LIMIT:.4g} of 0"
     theta = check_number(f"{where}.theta", entry.get("theta", START_THETA), accepted, -largest, largest)
     seed = check_integer(f"{where}.seed", entry["seed"], "an integer in [0, 2**128)", 0, 2**128 - 1)
-    given, changes, t = entry.get("changes", []), [], 0.0
-    if not isinstance(given, list):
-        raise ValueError(f"{where}.changes must be a list of changes, got {written(given)}")
-    accepted = f"a number of seconds within (0, {HORIZON:g}), later than the change before"
-    for j, change in enumerate(given):
-        name = f"{where}.changes[{j}]"
-        change = _fields(name, change, ("t", "M", "mu"))
-        t = check_number(f"{name}.t", change["t"], accepted, t, math.nextafter(HORIZON, 0.0), open_low=True)
-        changes.append({**change, "t": t})
+    changes, accepted = [], f"a number of seconds within (0, {HORIZON:g})"
+    for name, t, change in check_timed(f"{where}.changes", entry.get("changes", []), "a list of changes", CHANGE):
+        check_number(f"{name}['t']", t, accepted, 0.0, math.nextafter(HORIZON, 0.0), open_low=True)
+        changes.append({**_fields(name, change, CHANGE), "t": t})
     goal, farthest = entry.get("goal"), LARGEST_STATE[2]
     if goal is not None:
         goal = check_number(f"{where}.goal", goal, f"a number of m within {farthest:g} of 0", -farthest, farthest)

@@ -22,7 +22,7 @@ from capsule_gym.controller import CoreLaw, find_controller
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, load_set
 from capsule_gym.files import write_atomically
 from capsule_gym.layout import Row
-from capsule_gym.observation import observation_names
+from capsule_gym.observation import observation_entries
 from capsule_gym.parameters import Capsule, Disturbances
 from capsule_gym.policy import load_policy
 from capsule_gym.settings import make_settings
@@ -109,7 +109,7 @@ class Exported:
         law_inputs += [f"row[{n}]" for n in range(law.reference.shape[1] if law else 0)]
         fused = re.sub(r"\b(fused|moderate)\b", r"NAME_\1", _core.FUSED.replace("__builtin_", ""))
         column = int(self.header.get("law_torque", -1))
-        names = observation_names(replace(self.options, stack_size=1))
+        names = list(observation_entries(replace(self.options, stack_size=1)))
         return self._render(
             "policy.h.jinja",
             single,

@@ -15,7 +15,7 @@ from capsule_gym._core import ESTIMATES
 from capsule_gym.checks import check_count
 from capsule_gym.config import EnvConfig
 from capsule_gym.elementary import log
-from capsule_gym.observation import observation_names
+from capsule_gym.observation import observation_entries
 from capsule_gym.parameters import Capsule
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def make_header(options: EnvConfig, *, identifies: bool, observes_energy_weight:
     `network` are the header's `layers`, `relu`, `tanh_squashing`, `clip` and `outputs_torque`.
     """
     capsule = options.capsule or Capsule()
-    entries = observation_names(options)
+    entries = list(observation_entries(options))
     header = {
         **network,
         "inputs": len(input_names(entries, identifies, observes_energy_weight)),

@@ -56,7 +56,7 @@ CONSTANTS = (
     *("viscous", "stribeck_speed", "slope", "motor_friction"),
 )
 # The smallest values of those that are not 0.
-SMALLEST_CONSTANTS = {**dict.fromkeys(("M", "m", "l", "g", "backward_ratio"), SMALLEST), "static_ratio": 1.0}
+SMALLEST_OF = {**dict.fromkeys(("M", "m", "l", "g", "backward_ratio"), SMALLEST), "static_ratio": 1.0}
 
 
 # Numbers by which the core divides where they are not 0.
@@ -79,9 +79,9 @@ def from_fields(kind: type[Kind], argument: str, values: dict[str, Any]) -> Kind
         raise type(error)(f"{argument}: {error}") from None
 
 
-def _check_size(name: str, value: Any, smallest: float) -> float:
+def _check_size(name: str, value: Any, low: float, high: float = LARGEST) -> float:
     """Returns a constant of the plant as a float; outside its range a force might not be finite."""
-    return check_number(name, value, f"a finite number from {smallest:g} to {LARGEST:g}", smallest, LARGEST)
+    return check_number(name, value, f"a finite number from {low:g} to {high:g}", low, high)
 
 
 def check_divisor(field: str, name: str, number: float) -> float:
@@ -143,14 +143,10 @@ class Capsule:
 
     def __post_init__(self) -> None:
         for name in ("M", "mu", *CONSTANTS):
-            whose, value = f"Capsule.{name}", getattr(self, name)
-            if name == "slope":
-                accepted = f"a finite number (rad) from -{LARGEST_SLOPE} to {LARGEST_SLOPE}"
-                value = check_number(whose, value, accepted, -LARGEST_SLOPE, LARGEST_SLOPE)
-            else:
-                value = check_divisor(name, whose, _check_size(whose, value, SMALLEST_CONSTANTS.get(name, 0.0)))
+            low, high = (-LARGEST_SLOPE, LARGEST_SLOPE) if name == "slope" else (SMALLEST_OF.get(name, 0.0), LARGEST)
             # Narrow types of numpy would reduce the precision of all derived quantities.
-            object.__setattr__(self, name, value)
+            value = _check_size(f"Capsule.{name}", getattr(self, name), low, high)
+            object.__setattr__(self, name, check_divisor(name, f"Capsule.{name}", value))
         check_choice("Capsule.normal_force", self.normal_force, ("newton", "paper"), "'newton' or 'paper'")
         self.check_plant(self.M, self.mu)
 
@@ -236,7 +232,7 @@ def _check_pair(name: str, value: Any, accepted: str, **limits: Any) -> tuple[fl
     return low, high
 
 
-# Limit of `elementary.exp`.
+# Limit of the exponential in the core.
 LARGEST_RATIO = 1e300
 Range = tuple[float, float]
 
@@ -319,11 +315,7 @@ class Randomization:
             every = product(*(getattr(self, name) for name in self.drawn))
             return [replace(capsule, M=M, mu=mu, **dict(zip(self.drawn, values, strict=True))) for values in every]
         except ValueError as error:
-            raise ValueError(f"{self!r}: {error}") from None
-
-    def __repr__(self) -> str:
-        given = [f"{each.name}={getattr(self, each.name)!r}" for each in fields(self) if getattr(self, each.name)]
-        return f"Randomization({', '.join(given)})"
+            raise ValueError(f"Randomization({self}): {error}") from None
 
     def __str__(self) -> str:
         if self == Randomization():

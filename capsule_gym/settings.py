@@ -52,10 +52,7 @@ def divide(name: str, whole: float, part_name: str, part: float) -> int:
     """The whole number of times that `part` fits into `whole`, both in seconds; a ValueError if it does not."""
     ratio = whole / part
     if ratio > MOST_SUBSTEPS:
-        raise ValueError(
-            f"{part_name} must divide {name}={whole!r} s at most {MOST_SUBSTEPS} times, got {part!r} s, which does "
-            f"{ratio:.6g} times"
-        )
+        raise ValueError(f"{part_name} must divide {name}={whole!r} s at most {MOST_SUBSTEPS} times, got {part!r} s")
     count = round(ratio)
     if count < 1 or abs(count * part - whole) > 1e-9 * whole:
         raise ValueError(f"{part_name} must divide {name}={whole!r} s a whole number of times, got {part!r} s")

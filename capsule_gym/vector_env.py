@@ -316,7 +316,11 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def _per_row(self, name: str, values: Any, rows: np.ndarray) -> Any:
         """One value per environment to be reset, from one for all or one for each of the batch."""
         if name == "state":
-            return self._states(values, rows)
+            try:
+                array = np.asarray(values) if isinstance(values, (Sequence, np.ndarray)) else np.zeros(0)
+            except ValueError:  # rows of several lengths, which raise an error with the other invalid states
+                return values
+            return array[rows] if array.ndim == 2 and len(array) == self.num_envs else values
         accepted = f"options[{name!r}] must have one entry per environment ({self.num_envs})"
         if not isinstance(values, (Sequence, np.ndarray)) or (isinstance(values, np.ndarray) and values.ndim == 0):
             if name == "changes":
@@ -326,22 +330,14 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise ValueError(f"{accepted}, got {len(values)}")
         return [values[i] for i in rows]
 
-    def _states(self, states: Any, rows: np.ndarray) -> Any:
-        """The states of the environments to be reset, from one for all or one for each of the batch."""
-        try:
-            array = np.asarray(states) if isinstance(states, (Sequence, np.ndarray)) else None
-        except ValueError:  # rows of several lengths, which raise an error with the other invalid states
-            return states
-        return states if array is None or array.ndim != 2 or len(array) != self.num_envs else array[rows]
-
 
 def _find_mode(mode: AutoresetMode | str) -> AutoresetMode:
     """The autoreset mode with this name or value."""
-    for candidate in AutoresetMode:
-        if mode is candidate or (isinstance(mode, str) and mode in (candidate.name, candidate.value)):
-            return candidate
-    names = [candidate.name for candidate in AutoresetMode]
-    raise ValueError(f"autoreset_mode must be an AutoresetMode or one of {names}, got {written(mode)}")
+    modes = {name: each for each in AutoresetMode for name in (each.name, each.value)}
+    if not isinstance(mode, AutoresetMode) and not (isinstance(mode, str) and mode in modes):
+        names = list(AutoresetMode.__members__)
+        raise ValueError(f"autoreset_mode must be an AutoresetMode or one of {names}, got {written(mode)}")
+    return mode if isinstance(mode, AutoresetMode) else modes[mode]
 
 
 def _masked(values: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:

@@ -20,7 +20,8 @@ from hypothesis.extra import numpy as arrays
 from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Disturbances, Randomization
 from capsule_gym.config import EnvConfig
 from capsule_gym.parameters import DIVISORS
-from capsule_gym.simulation import CHANGE, MOST_ENVS
+from capsule_gym.simulation import MOST_ENVS
+from capsule_gym.task import CHANGE
 
 # numpy may warn of imaginary parts, and of numbers beyond float32, before an action is refused.
 pytestmark = [

@@ -11,7 +11,6 @@ import pytest
 from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv
 from capsule_gym._core import CELLS
 from capsule_gym.network import act, write_inputs
-from capsule_gym.observation import observation_names
 from capsule_gym.task import CONTROL_DT
 from tests.capsule_gym.test_network import make_header, make_layers, make_network
 
@@ -139,7 +138,7 @@ def test_a_policy_acts_on_the_estimates_of_its_own_environment(n):
 def test_an_environment_shows_the_estimates_of_a_filter_of_its_observations(count, options):
     steps = 150
     env = CapsuleVectorEnv(count, max_episode_steps=40, autoreset_mode="SAME_STEP", observe_estimates=True, **options)
-    names = observation_names(env.simulation.options)
+    names = list(env.simulation.entries)
     first = names.index("M_estimate")
     header = make_header(make_layers((7, 1)), observed=3, identifies=1.0, dt=env.simulation.options.control_dt)
     rng = np.random.default_rng(count)
