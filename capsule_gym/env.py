@@ -173,7 +173,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     | `initial_range` | `None` | half widths (rad, rad/s) of uniform distributions around 0 of the initial theta and theta_dot; None starts at rest at -pi/3 |
     | `control_dt` | `0.02` | agent step, s |
     | `physics_dt` | 2 ms, with a controller 1 ms | step of the fourth-order integrator, s; at most a million steps per agent step |
-    | `threads` | `1` | number of threads that step a batch, each at least 64 environments; results do not depend on it |
+    | `threads` | `1` | number of threads that step a batch, each at least 128 environments; results do not depend on it |
     | `render_mode` | `None` | "human" or, also of a batch, "rgb_array" |
     | `task` | `"speed"` | the task: speed, goal, velocity, or what `velocity.with_commands` returns |
 

@@ -56,7 +56,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         max_episode_steps: agent steps until truncation; None takes the task's, and -1 is none.
         autoreset_mode: an `AutoresetMode` or its name, "NEXT_STEP", "SAME_STEP" or "DISABLED".
         render_mode: None or "rgb_array".
-        **options: the other arguments of `CapsuleEnv`, and `threads`: number of threads, each for at least 64
+        **options: the other arguments of `CapsuleEnv`, and `threads`: number of threads, each for at least 128
             environments; results do not depend on it.
 
     Raises:

@@ -51,8 +51,9 @@
 #define PLANT_ROW(name) ROW(plant_##name)
 #define DRAWN(name) ROW(drawn_##name)
 
-// Environments of a block in a batch. One environment alone is a block of one lane, so that its rows lie side by side.
-constexpr int LANES = 64;
+// Environments of a block in a batch: those with an event in a substep fill whole registers, and the rows of a step fit
+// into a cache. One environment alone is a block of one lane, so that its rows lie side by side.
+constexpr int LANES = 128;
 constexpr int MOST_CELLS = 256;  // largest number of cells in the memory of a law
 
 template <int N> struct Block {

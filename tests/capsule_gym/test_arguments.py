@@ -19,6 +19,7 @@ from hypothesis.extra import numpy as arrays
 
 from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Disturbances, Randomization
 from capsule_gym.config import EnvConfig
+from capsule_gym.layout import LANES
 from capsule_gym.parameters import DIVISORS
 from capsule_gym.simulation import MOST_ENVS
 from capsule_gym.task import CHANGE
@@ -177,7 +178,7 @@ ARGUMENTS = {
     "physics_dt": st.sampled_from([1e-3, 5e-4]),
 }
 BATCH_ARGUMENTS = {
-    "num_envs": st.sampled_from([1, 2, 65]),
+    "num_envs": st.sampled_from([1, 2, LANES + 1]),
     "threads": st.integers(1, 3),
     "max_episode_steps": st.sampled_from([1, 7, 1650]),
     "autoreset_mode": st.sampled_from(["NEXT_STEP", "SAME_STEP", "DISABLED"]),

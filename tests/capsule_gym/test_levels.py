@@ -14,12 +14,12 @@ import pytest
 
 from capsule_gym import CapsuleVectorEnv, _core
 from capsule_gym.controller import find_controller
-from capsule_gym.layout import ROWS
+from capsule_gym.layout import LANES, ROWS
 from capsule_gym.parameters import REAL
 from capsule_gym.task import TASKS
 from tests.capsule_gym.fakes import EPISODE_ROWS
 
-SIZES = (1, 3, 64, 65, 130)
+SIZES = (1, 3, LANES, LANES + 1, 2 * LANES + 2)
 STEPS = 30
 ROUGH = replace(REAL, push=(0.0, 0.5), theta_resolution=0.001, torque_resolution=0.01)
 CASES: dict[str, dict[str, Any]] = {
@@ -54,7 +54,7 @@ def test_bits_do_not_depend_on_level_batch_and_threads(kwargs, select_level):
     for level in _core.LEVELS:
         select_level(level)
         # The slowest level, without fused instructions, in a small and a large batch.
-        for n in SIZES if level == _core.LEVELS[0] else (3, 65):
+        for n in SIZES if level == _core.LEVELS[0] else (3, LANES + 1):
             assert episode(n, 1 + n % 2, **kwargs) == expected[:n], (level, n)
 
 

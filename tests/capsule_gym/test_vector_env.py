@@ -18,6 +18,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import baselines
 from capsule_gym import Capsule, CapsuleVectorEnv
+from capsule_gym.layout import LANES
 from capsule_gym.task import ENV_ID, METRICS, TASKS, Termination
 from tests.capsule_gym.fakes import picky_controller
 
@@ -67,7 +68,7 @@ def assert_same_infos(ours, theirs, rows=slice(None)):
 
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
 @pytest.mark.parametrize("kwargs", VARIANTS)
-@pytest.mark.parametrize(("n", "threads"), [(1, 1), (66, 2)])
+@pytest.mark.parametrize(("n", "threads"), [(1, 1), (LANES + 2, 2)])
 def test_batch_equals_single_environments_across_resets(mode, kwargs, n, threads):
     horizon = 40
     batch = CapsuleVectorEnv(n, max_episode_steps=horizon, autoreset_mode=mode, threads=threads, **kwargs)
@@ -204,7 +205,7 @@ LAWS = VARIANTS[1], VARIANTS[2], VARIANTS[3], VARIANTS[-1], {"controller": basel
 BATCHES = itertools.product((VARIANTS[1], VARIANTS[-1]), AutoresetMode)
 MADE = [
     *(partial(gym.make, max_episode_steps=60, **kwargs) for kwargs in LAWS),
-    *(partial(gym.make_vec, num_envs=66, max_episode_steps=30, autoreset_mode=mode, threads=2, **kwargs)
+    *(partial(gym.make_vec, num_envs=LANES + 2, max_episode_steps=30, autoreset_mode=mode, threads=2, **kwargs)
       for kwargs, mode in BATCHES),
 ]  # fmt: skip
 
@@ -217,7 +218,7 @@ def test_a_copy_goes_on_with_the_episodes_bit_for_bit_and_on_its_own(make_copy, 
         with pytest.raises(gym.error.ResetNeeded):
             each.unwrapped.step(np.zeros(env.action_space.shape, np.float32))
     changes = [{"t": 0.05, "M": 0.5, "mu": 0.01}, {"t": 0.4, "M": 0.6, "mu": 0.02}]
-    env.reset(seed=4, options={"changes": changes if isinstance(env, gym.Env) else [changes] * 66})
+    env.reset(seed=4, options={"changes": changes if isinstance(env, gym.Env) else [changes] * (LANES + 2)})
     # A batch is copied just after its first episodes have ended, an environment in the middle of one, and the reverse.
     for steps in (30, 60, 10):
         play(env, 0, steps)
