@@ -180,13 +180,14 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if not self._started:
             raise gym.error.ResetNeeded("call reset() before step(): some environment has no running episode")
         array = as_actions(actions)
-        if array is None or array.shape != (self.num_envs, 1) or not np.isfinite(array).all():
+        # `count_nonzero` takes a fifth of the time of `any` and `all`.
+        if array is None or array.shape != (self.num_envs, 1) or np.count_nonzero(np.isfinite(array)) < self.num_envs:
             raise ValueError(
                 f"actions must be finite numbers, clipped to [-1, 1], of shape ({self.num_envs}, 1), got "
                 f"{written(actions)}"
             )
         simulation = self.simulation
-        active = ~self._ended if self._ended.any() else None
+        active = ~self._ended if np.count_nonzero(self._ended) else None
         if active is not None and self.autoreset_mode is AutoresetMode.NEXT_STEP:
             simulation.reset(np.flatnonzero(self._ended))
         simulation.step(array[:, 0], active)
