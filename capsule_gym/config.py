@@ -105,6 +105,7 @@ _CHECKS: dict[str, Check] = {
     "threads": check_count,
     "render_mode": partial(check_choice, choices=RENDER_MODES, accepted=f"None or one of {RENDER_MODES}"),
     "task": _found_by(find_task),
+    "goal_env": check_flag,
 }
 
 
@@ -137,6 +138,7 @@ class EnvConfig:
     threads: int = 1
     render_mode: str | None = None
     task: str | Task = "speed"
+    goal_env: bool = False
 
     def __init__(self, **options: Any) -> None:
         defaults = {each.name: each.default for each in fields(self)}
@@ -149,3 +151,7 @@ class EnvConfig:
             if name in _CHECKS and not (value is None and defaults[name] is None):
                 value = _CHECKS[name](name, value)
             object.__setattr__(self, name, value)
+        if self.goal_env and (name := find_task(self.task).name) != "goal":
+            raise ValueError(
+                f"goal_env must be False for the task {name!r}, whose reward has no goal to replace, got True"
+            )

@@ -14,6 +14,8 @@ constexpr double AT_REST = 2.0;  // stands for the phase of a platform at rest u
 // |theta_dot| + |x_dot| (rad/s, m/s) at an event, such as the end of an episode, beyond which the motion counts as
 // lost.
 constexpr double RATE_LIMIT = 1e4;
+// The cost of a step is 1 where less than this share of the weight presses on the floor, or of pi/2 remains.
+constexpr double MARGIN = 0.1;
 
 // Reasons for the termination of an episode: the ball meets the platform, the platform leaves the floor, the integrator
 // cannot resolve the motion.
@@ -35,9 +37,10 @@ template <class T, int N> struct Step {
   Block<N>& b;
   const int n;
   float* const observations;
-  // The state that the law observes; behind the rows its memory, its line of the reference, and the task's memory.
+  // The state that the law observes; behind the rows its memory, its line of the reference, and the task's memory. A
+  // varied plant has a second one with measured values; the first is the one that the law observes.
   const double* const seen;
-  double *const memory, *const line, *const task;
+  double *const memory, *const line, *const task, *const read_task;
   Disturbed<T, N> disturbed;
   // Lanes with an event in the present substep.
   int events[N], count = 0;
@@ -45,8 +48,10 @@ template <class T, int N> struct Step {
   Step(const Batch& batch, Block<N>& block, int n, float* observations)
       : batch(batch), q(*batch.settings), b(block), n(n), observations(observations),
         seen(q.law_reads != 0.0 ? b.read_theta : b.theta), memory((double*)(&block + 1)),
-        line(memory + batch.memory_size * N), task(line + batch.reference_size * N),
-        disturbed{q, block, task + batch.task_size * N, n} {}
+        line(memory + batch.memory_size * N),
+        task(line + (batch.reference_size + (q.law_reads != 0.0 ? batch.task_size : 0)) * N),
+        read_task(line + (batch.reference_size + (q.law_reads != 0.0 ? 0 : batch.task_size)) * N),
+        disturbed{q, block, line + (batch.reference_size + 2 * batch.task_size) * N, n} {}
 
   // One agent step, or with `begin` the first call of the law in an episode.
   void run(bool begin) {
@@ -78,6 +83,7 @@ template <class T, int N> struct Step {
       PUT(action, clip(GET(action), T(1.0)));
       PUT(mass_ratio, m / (GET(M) + m));
       PUT(before_x, GET(x));
+      if (q.varied != 0.0) PUT(read_before_x, GET(read_x));
       PUT(energy, select(active, T(0.0), GET(energy)));
       // The smallest of the step; at the start of an episode the weight, which `begin_episodes` has written.
       if (!begin) PUT(normal_force, select(active, T(INFINITE), GET(normal_force)));
@@ -323,9 +329,9 @@ template <class T, int N> struct Step {
 #undef TASK
   }
 
-  template <class S, class Task> INLINE typename Task::template Memory<S> read_task(int j) const {
+  template <class S, class Task> INLINE typename Task::template Memory<S> load_task(const double* from, int j) const {
     typename Task::template Memory<S> m;
-    for (int r = 0; r < Task::ROWS; r++) ((S*)&m)[r] = load<S>(task + r * N + j);
+    for (int r = 0; r < Task::ROWS; r++) ((S*)&m)[r] = load<S>(from + r * N + j);
     return m;
   }
 
@@ -334,9 +340,12 @@ template <class T, int N> struct Step {
       using Task = decltype(kind);
       for (int j = 0; j < n; j++) {
         if (b.active[j] == 0.0) continue;
-        auto m = read_task<double, Task>(j);
+        auto m = load_task<double, Task>(task, j);
         Task::begin(b.x[j], m);
-        for (int r = 0; r < Task::ROWS; r++) task[r * N + j] = ((double*)&m)[r];
+        for (int r = 0; r < Task::ROWS; r++) {
+          task[r * N + j] = ((double*)&m)[r];
+          if (q.varied != 0.0) read_task[r * N + j] = ((double*)&m)[r];
+        }
       }
     });
   }
@@ -355,12 +364,18 @@ template <class T, int N> struct Step {
         gravity = sqrt(g * g + downhill * downhill);
       }
       T moved = GET(x) - GET(before_x), energy = GET(energy);
-      auto m = read_task<T, Task>(j);
-      T gain = Task::reward(GET(x), GET(x_dot), moved, dt, m);
       // Where the law has failed it can be called again with the same arguments.
       auto renews = active & (abs(GET(law_torque)) < INFINITE);
-      for (int r = 0; r < Task::ROWS; r++)
-        store<T>(task + r * N + j, select(renews, ((T*)&m)[r], load<T>(task + r * N + j)));
+      auto renew = [&](double* memory, T x, T x_dot, T moved, double rest) {
+        auto m = load_task<T, Task>(memory, j);
+        T gain = Task::reward(x, x_dot, moved, dt, rest, m);
+        for (int r = 0; r < Task::ROWS; r++)
+          store<T>(memory + r * N + j, select(renews, ((T*)&m)[r], load<T>(memory + r * N + j)));
+        return gain;
+      };
+      T gain = renew(task, GET(x), GET(x_dot), moved, 0.0);
+      if (varied && Task::ROWS > 0)
+        renew(read_task, GET(read_x), GET(read_x_dot), GET(read_x) - GET(read_before_x), q.stick_threshold);
       T energy_cost = -q.energy_weight * energy;
       T penalty = select(GET(termination) != 0.0, T(-q.termination_penalty), T(0.0));
       PUT(reward, select(active, gain + energy_cost + penalty, T(0.0)));
@@ -370,8 +385,10 @@ template <class T, int N> struct Step {
       PUT(steps, GET(steps) + share);
       PUT(episode_energy, GET(episode_energy) + share * energy);
       PUT(weight_distance, GET(weight_distance) + share * (mass * gravity) * moved);
-      T smallest = min(GET(smallest_normal_ratio), GET(normal_force) / (mass * g));
+      T ratio = GET(normal_force) / (mass * g), smallest = min(GET(smallest_normal_ratio), ratio);
       PUT(smallest_normal_ratio, select(active, smallest, GET(smallest_normal_ratio)));
+      auto close = (ratio < MARGIN) | (abs(GET(theta)) > (1.0 - MARGIN) * THETA_LIMIT) | (GET(termination) != 0.0);
+      PUT(cost, select(active, select(close, T(1.0), T(0.0)), GET(cost)));
     }
   }
 
@@ -389,7 +406,7 @@ template <class T, int N> struct Step {
       *next++ = (float)clip(reads ? b.read_theta[j] : b.theta[j], THETA_LIMIT);
       *next++ = (float)clip(reads ? b.read_theta_dot[j] : b.theta_dot[j], THETA_DOT_BOUND);
       *next++ = (float)clip(x_dot, X_DOT_BOUND);
-      *next++ = abs(x_dot) <= q.stick_threshold ? 1.0f : 0.0f;
+      *next++ = abs(x_dot) <= (reads ? q.stick_threshold : 0.0) ? 1.0f : 0.0f;
       *next++ = begin ? 0.0f : (float)b.action[j];
       if (q.with_reference != 0.0) {
         auto [sin, cos] = sincos(2.0 * PI * (b.clock[j] / (double)batch.reference_rows));
@@ -398,7 +415,7 @@ template <class T, int N> struct Step {
         *next++ = (float)sin, *next++ = (float)cos, *next++ = (float)b.law_torque[j];
       }
       if (q.with_parameters != 0.0) *next++ = (float)b.M[j], *next++ = (float)b.mu[j];
-      Task::observe(next, read_task<double, Task>(j));
+      if (q.with_task != 0.0) Task::observe(next, load_task<double, Task>(reads ? read_task : task, j));
       if (begin)
         for (int entry = entries; entry < all; entry++) out[entry] = out[entry - entries];
     }
