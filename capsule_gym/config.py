@@ -152,6 +152,4 @@ class EnvConfig:
                 value = _CHECKS[name](name, value)
             object.__setattr__(self, name, value)
         if self.goal_env and (name := find_task(self.task).name) != "goal":
-            raise ValueError(
-                f"goal_env must be False for the task {name!r}, whose reward has no goal to replace, got True"
-            )
+            raise ValueError(f"goal_env must be False for the task {name!r}, got True")

@@ -94,6 +94,12 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
     - `reward_energy`: -`energy_weight` times the energy of this step, the integral of |u theta_dot|, in J;
     - `reward_termination`: -`termination_penalty` if the episode terminates, else 0.
 
+    ## Cost
+
+    `info["cost"]` is the cost of a constrained problem, as in Safety-Gymnasium: 1.0 in a step that terminates the episode
+    or leaves less than a tenth of a margin: |theta| > 0.9 pi/2 at its end, or a normal force below 0.1 of the weight at
+    any time in it; else 0.0. It is true with disturbances, too, and not part of the reward.
+
     ## Starting State
 
     theta = -pi/3, at rest, x = 0. `initial_noise` adds uniform noise to theta; `initial_range` draws theta and
@@ -115,6 +121,9 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
     3. Termination "diverged": the integrator cannot resolve the motion (a result that is not finite, or an event above
        |theta_dot| + |x_dot| = 1e4). The environment keeps the last state before.
     4. Truncation: after 1650 steps, 33 s.
+
+    An episode cannot go on after a termination: the impacts of the ball on the platform, and of the platform on the floor
+    after its flight, are outside the model.
 
     `env.unwrapped.episode_metrics()` returns the metrics of the episode so far. `copy.deepcopy` and `pickle` copy the
     episode; the copy continues bit for bit. A pickle stores the argument `controller`, which must be picklable: an
@@ -208,7 +217,7 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
         self._reading = self.simulation.world[0, Row.read_theta : Row.late_theta, 0]
         self._bind_drawn()
         simulation = self.simulation
-        self._observe = self.simulation.observations[0].copy
+        self._observe: Callable[[], Any] = simulation.observations[0].copy
         if simulation.options.goal_env:
             self._observe = lambda: {name: part[0] for name, part in simulation.observe().items()}
         self._step = self.simulation.step_one

@@ -21,8 +21,8 @@ class CapsuleSB3VecEnv(VecEnv):
 
     It replaces `make_vec_env("capsule_gym:CapsuleStickSlip-v0", n_envs=num_envs)`. The info of an environment is empty
     except at the end of an episode. There it contains "terminal_observation", "TimeLimit.truncated", "episode" with the
-    return "r" and the length "l" as in SB3's `Monitor`, and "metrics" (`capsule_gym.task.Metrics`, and the task's). With
-    `goal_env=True` it also contains the terms of the reward that `HerReplayBuffer(copy_info_dict=True)` needs.
+    return "r" and the length "l" as in SB3's `Monitor`, and "metrics" (`capsule_gym.task.Metrics`, and the task's).
+    With `goal_env=True` every info contains the terms that `HerReplayBuffer(copy_info_dict=True)` adds to a reward.
 
     Args:
         num_envs: number of environments.
@@ -78,10 +78,9 @@ class CapsuleSB3VecEnv(VecEnv):
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if self.batch.simulation.options.goal_env:
             last = info["final_info"] if dones.any() else info
-            names = "reward_energy", "reward_termination"
-            infos = [
-                {name: float((last if dones[i] else info)[name][i]) for name in names} for i in range(self.num_envs)
-            ]
+            for name in ("reward_energy", "reward_termination"):
+                for own, value in zip(infos, np.where(dones, last[name], info[name]), strict=True):
+                    own[name] = float(value)
         if dones.any():
             metrics = info["final_info"]["metrics"]
             for i in np.flatnonzero(dones):
@@ -112,7 +111,7 @@ class CapsuleSB3VecEnv(VecEnv):
         raise AttributeError(f"cannot set {attr_name!r}: the environments of a batch share their settings")
 
     def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
-        """Calls `compute_reward`; other methods raise an AttributeError: a batch has no objects for its environments."""
+        """Calls `compute_reward`; other methods raise an AttributeError, since a batch has no separate environments."""
         if method_name == "compute_reward":
             return [self.batch.compute_reward(*args, **kwargs)] * len(list(self._get_indices(indices)))
         raise AttributeError(f"cannot call {method_name!r} of one environment: call it of the attribute `batch`")

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capsule_gym import layout, task
+from capsule_gym import layout
 from capsule_gym.config import DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, MOST_SUBSTEPS, EnvConfig, find_task
 from capsule_gym.controller import Controller, CoreLaw
 from capsule_gym.parameters import SENSORS, Capsule, Disturbances, Randomization
