@@ -9,6 +9,7 @@ PLANT_FUNCTIONS: list[str]
 ELEMENTARY_FUNCTIONS: list[str]
 LAWS: dict[str, tuple[str, int, int]]
 TASKS: dict[str, tuple[str, int]]
+ESTIMATES: dict[str, tuple[float, float]]
 LANES: int
 HISTORY_ROWS: int
 MOST_CELLS: int

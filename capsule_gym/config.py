@@ -95,6 +95,7 @@ _CHECKS: dict[str, Check] = {
     "disturbances": _found_by(Disturbances.named),
     "capsule": _check_capsule,
     "observe_parameters": check_flag,
+    "observe_estimates": check_flag,
     "stack_size": partial(check_count, most=LARGEST_STACK),
     "energy_weight": _number(0.0, LARGEST_COST, "cm/J"),
     "termination_penalty": _number(0.0, LARGEST_COST, "cm"),
@@ -128,6 +129,7 @@ class EnvConfig:
     disturbances: str | Disturbances = "none"
     capsule: Capsule | None = None
     observe_parameters: bool = False
+    observe_estimates: bool = False
     stack_size: int = 1
     energy_weight: float = task.ENERGY_WEIGHT
     termination_penalty: float = task.TERMINATION_PENALTY

@@ -15,7 +15,7 @@ from capsule_gym import task
 from capsule_gym.checks import check_count, written
 from capsule_gym.config import RENDER_MODES, EnvConfig
 from capsule_gym.layout import Row
-from capsule_gym.observation import observation_bounds, observation_names
+from capsule_gym.observation import observation_bounds
 from capsule_gym.parameters import CONSTANTS, DISTURBANCES
 from capsule_gym.rendering import Renderer
 from capsule_gym.settings import SPEED
@@ -80,11 +80,15 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
     | 7 | sine of the phase of the reference cycle | -1 | 1 | with a controller |
     | 8 | cosine of that phase | -1 | 1 | with a controller |
     | 9 | present torque of the control law (N m) | -torque_limit | torque_limit | with a controller |
-    | last two | M (kg), mu | 0 | 4 Capsule.M, 1; or the limits of `randomization` and `capsule`, if larger | `observe_parameters=True` |
+    | next two | M (kg), mu | 0 | 4 Capsule.M, 1; or the limits of `randomization` and `capsule`, if larger | `observe_parameters=True` |
+    | next two | estimates of M (kg) and log(mu) | 0.15, -7 | 2, 0 | `observe_estimates=True` |
+    | next two | standard deviations of these estimates | 0 | 0.2, 1.5 | `observe_estimates=True` |
 
     With `stack_size=n` the observations of the n - 1 previous steps follow, the newest first; after a reset all n are
     the first observation. The position x is not observed, since the reward does not depend on it; `info["state"]`
-    contains it. With `observe_parameters=True`, `reset(options=..)` accepts M and mu only within these bounds.
+    contains it. With `observe_parameters=True`, `reset(options=..)` accepts M and mu only within these bounds. The
+    estimates are those of an extended Kalman filter over the observed theta, theta_dot and x_dot, which begins with the
+    same prior in every episode and assumes the m, l and g of `capsule`.
 
     ## Rewards
 
@@ -167,7 +171,8 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
     | `randomization` | `"paper"` | distribution of the plant, drawn at every reset: "none": the capsule's own M and mu; "paper": M in [0.45, 0.55] kg, mu in [0.009, 0.011]; "wide": M in [0.35, 0.75] kg, mu log-uniform in [0.005, 0.3]; "broad": M in [0.25, 1.2] kg, mu log-uniform in [0.002, 0.6]; "sticky": M in [0.35, 0.75] kg, mu in [0.2, 0.6]; "real": M in [0.45, 0.55] kg, mu in [0.009, 0.011], m in [0.1242, 0.1518], l in [0.27, 0.33], k in [0.324, 0.396], c in [0.08307, 0.10153]; "real-wide": M in [0.35, 0.75] kg, mu log-uniform in [0.005, 0.3], m in [0.1242, 0.1518], l in [0.27, 0.33], k in [0.324, 0.396], c in [0.08307, 0.10153]; or a `Randomization` |
     | `disturbances` | `"none"` | imperfect sensors and motor: "none"; "real": noise, bias and drift of the sensors, 5 to 15 ms of latency, lag and friction of the motor; or a `Disturbances` |
     | `capsule` | `Capsule()` | the plant's constants |
-    | `observe_parameters` | `False` | whether the observation ends with M and mu |
+    | `observe_parameters` | `False` | whether the observation contains M and mu |
+    | `observe_estimates` | `False` | whether the observation contains online estimates of M and log(mu), and their standard deviations |
     | `stack_size` | `1` | number of observations, the newest first, that one observation stacks |
     | `energy_weight` | `0.1` | weight of the energy in the reward, cm/J |
     | `termination_penalty` | `10` | penalty of a termination in the reward, cm |
@@ -398,11 +403,7 @@ def name_drawn(drawn: Sequence[Value]) -> tuple[dict[str, Value], dict[str, Valu
 
 def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Space[Any]]:
     """The action and the observation space of one environment."""
-    settings = simulation.settings
-    entries = simulation.task.entries if settings.with_task else {}
-    names = observation_names(settings.with_reference, settings.with_parameters, entries)
-    plants = simulation.capsule, simulation.randomization
-    low, high = observation_bounds(*plants, settings.torque_limit, entries, names, settings.stack_size)
+    low, high = observation_bounds(simulation.options)
     action, observation = spaces.Box(-1.0, 1.0, (1,), np.float32), spaces.Box(low, high, dtype=np.float32)
     if not simulation.options.goal_env:
         return action, observation

@@ -35,6 +35,7 @@ class StepSettings(NamedTuple):
     termination_penalty: float
     with_reference: bool
     with_parameters: bool
+    with_estimates: bool
     with_task: bool = True
     stack_size: int = 1
     # Disturbances: number of states in the history, whether law and agent observe the sensors, the sensors that exist,
@@ -110,6 +111,7 @@ def make_settings(options: EnvConfig, controller: Controller | None) -> StepSett
         termination_penalty=options.termination_penalty,
         with_reference=controller is not None,
         with_parameters=options.observe_parameters,
+        with_estimates=options.observe_estimates,
         with_task=not options.goal_env,
         stack_size=options.stack_size,
     )

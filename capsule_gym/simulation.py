@@ -134,8 +134,8 @@ class Simulation:
         # A law that observes the sensors observes the memory with measured values, which then comes first.
         self.task_row = self._law_end + self.settings.law_reads * self.task.rows
         self.task_end = self.task_row + self.task.rows
-        memories = 2 if self.settings.history else 1
-        rows = self._law_end + memories * self.task.rows + layout.HISTORY_ROWS * self.settings.history
+        memories, filter_rows = 2 if self.settings.history else 1, _core.CELLS if options.observe_estimates else 0
+        rows = self._law_end + memories * self.task.rows + layout.HISTORY_ROWS * self.settings.history + filter_rows
         tables = [resets.draw_table(self.task_end - len(self.task.draws), resets.Stream.task, self.task.draws)]
         if self.settings.history:
             own = [getattr(self.randomization, name) or getattr(self.capsule, name) for name in CONSTANTS]
@@ -143,12 +143,9 @@ class Simulation:
             draws = [task.Draw(*ends(each)) for each in ranges]
             tables.append(resets.draw_table(Row.drawn_m, resets.Stream.variation, draws))
         self.draw_table = np.concatenate(tables)
-        switches = self.settings.with_reference, self.settings.with_parameters
-        entries = self.task.entries if self.settings.with_task else ()
-        names = observation_names(*switches, entries, options.stack_size)
         try:
             self.world = native.aligned_zeros((blocks, rows, self.lanes))
-            self.observations = np.zeros((self.num_envs, len(names)), np.float32)
+            self.observations = np.zeros((self.num_envs, len(observation_names(options))), np.float32)
         except MemoryError as error:
             raise ValueError(f"num_envs must fit into memory, got {self.num_envs}: {error}") from None
         self._keys = np.zeros((self.num_envs, 2), np.uint64)

@@ -156,7 +156,7 @@ def describe_settings(options: EnvConfig) -> dict[str, Any]:
     return {
         **packed,
         **_common(capsule, options.disturbances),
-        "entries": len(observation_names(law is not None, options.observe_parameters, own.entries, options.stack_size)),
+        "entries": len(observation_names(options)),
         "control_dt": options.control_dt,
         "steps": round(own.episode_steps * task.CONTROL_DT / options.control_dt),
     }

@@ -8,7 +8,8 @@
 // An iterated extended Kalman filter estimates M and log(mu) with their covariance from such pairs of observations. The
 // covariance grows a little with every pair and is reset where a pair contradicts the estimate, since M and mu can
 // change during an episode. For a capsule with another friction coefficient backwards, or with the paper's normal
-// force, the balance is approximate. The filter is part of a policy or a law, not of the environment.
+// force, the balance is approximate. The filter is part of a policy, of a law, or of an environment that shows the
+// estimates.
 #pragma once
 #include "elementary.hpp"
 
@@ -74,4 +75,11 @@ template <class C> inline void identify(Identification& f, double theta, double 
 
 // The standard deviation of an estimate from its variance, which rounding may have made negative.
 INLINE double deviation(double variance) { return sqrt(max(0.0, variance)); }
+
+// Writes M in kg, log(mu) and their standard deviations; returns the end of what is written.
+inline float* write_estimates(const Identification& f, float* next) {
+  *next++ = (float)f.M, *next++ = (float)f.log_mu;
+  *next++ = (float)deviation(f.P_MM), *next++ = (float)deviation(f.P_ff);
+  return next;
+}
 }  // namespace LEVEL

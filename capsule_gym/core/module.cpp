@@ -210,6 +210,10 @@ int fill(PyObject* module) {
 #define REAL(name) add(#name, PyFloat_FromDouble(portable::name));
   REAL(THETA_LIMIT) REAL(THETA_DOT_BOUND) REAL(X_DOT_BOUND) REAL(MOTOR_WIDTH) REAL(MOTOR_SLOPE)
   REAL(ERROR_BOUND) REAL(TOLERANCE) REAL(HOLD) REAL(TIME_TOLERANCE) REAL(SPEED_BOUND) REAL(SETTLING) REAL(MEASURED)
+  using I = portable::Identification;
+  add("ESTIMATES", Py_BuildValue("{s(dd)s(dd)s(dd)s(dd)}", "M_estimate", I::LOW_M, I::HIGH_M, "log_mu_estimate",
+                                 I::LOW_LOG_MU, I::HIGH_LOG_MU, "M_deviation", 0.0, I::DEVIATION_M,
+                                 "log_mu_deviation", 0.0, I::DEVIATION_LOG_MU));
 #define WHOLE(name, value) add(#name, PyLong_FromLongLong((long long)(value)));
   WHOLE(LANES, LANES) WHOLE(HISTORY_ROWS, HISTORY_ROWS) WHOLE(MOST_CELLS, MOST_CELLS) WHOLE(PADDING, portable::PADDING)
   WHOLE(COMMANDS, portable::COMMANDS) WHOLE(CELLS, portable::WIDTH<portable::Identification>)

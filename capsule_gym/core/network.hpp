@@ -143,8 +143,7 @@ inline void write_inputs(const Header& header, const float* observations, long l
     for (int k = 0; k < header.observed; k++) *inputs++ = observed[k];
     if (header.identifies != 0.0) {
       identify(memory[i], observed[0], observed[1], observed[2], header);
-      *inputs++ = (float)memory[i].M, *inputs++ = (float)memory[i].log_mu;
-      *inputs++ = (float)deviation(memory[i].P_MM), *inputs++ = (float)deviation(memory[i].P_ff);
+      inputs = write_estimates(memory[i], inputs);
     }
     if (header.observes_energy_weight != 0.0) *inputs++ = (float)header.log_energy_weight;
   }

@@ -51,7 +51,7 @@ template <class T, int N> struct Step {
         line(memory + batch.memory_size * N),
         task(line + (batch.reference_size + (q.law_reads != 0.0 ? batch.task_size : 0)) * N),
         read_task(line + (batch.reference_size + (q.law_reads != 0.0 ? 0 : batch.task_size)) * N),
-        disturbed{q, block, line + (batch.reference_size + 2 * batch.task_size) * N, n} {}
+        disturbed{q, block, line + (batch.reference_size + (q.varied != 0.0 ? 2 : 1) * batch.task_size) * N, n} {}
 
   // One agent step, or with `begin` the first call of the law in an episode.
   void run(bool begin) {
@@ -392,6 +392,17 @@ template <class T, int N> struct Step {
     }
   }
 
+  // Updates the estimates of M and mu with an observation, and writes them to it; returns the end of what is written.
+  NOINLINE float* estimate(int j, const float* observed, float* next) {
+    double* cells = disturbed.entry((int)q.history) + j;
+    Identification f;
+    for (int r = 0; r < WIDTH<Identification>; r++) ((double*)&f)[r] = cells[r * N];
+    struct { double m, l, g, dt; } nominal = {q.m, q.l, q.g, q.law_steps * q.physics_steps * q.physics_dt};
+    identify(f, observed[0], observed[1], observed[2], nominal);
+    for (int r = 0; r < WIDTH<Identification>; r++) cells[r * N] = ((double*)&f)[r];
+    return write_estimates(f, next);
+  }
+
   // Writes the entries in the order of `observation_names`.
   template <class Task> NOINLINE void observe(bool begin) {
     int entries = (int)batch.entries / (int)q.stack_size, all = (int)batch.entries;
@@ -415,6 +426,7 @@ template <class T, int N> struct Step {
         *next++ = (float)sin, *next++ = (float)cos, *next++ = (float)b.law_torque[j];
       }
       if (q.with_parameters != 0.0) *next++ = (float)b.M[j], *next++ = (float)b.mu[j];
+      if (q.with_estimates != 0.0) next = estimate(j, out, next);
       if (q.with_task != 0.0) Task::observe(next, load_task<double, Task>(reads ? read_task : task, j));
       if (begin)
         for (int entry = entries; entry < all; entry++) out[entry] = out[entry - entries];

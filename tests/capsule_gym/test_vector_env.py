@@ -25,7 +25,7 @@ VARIANTS = [
     {"controller": "baselines:adaptive", "residual_limit": 3.0, "observe_parameters": True},
     {"controller": "baselines:gait", "total_torque": True, "residual_limit": 0.5},
     {"disturbances": "real", "randomization": "real-wide"},
-    {"task": "goal"},
+    {"task": "goal", "observe_estimates": True},
     {"task": "velocity", "controller": "baselines:gait", "disturbances": "real", "observe_parameters": True},
 ]
 
