@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from capsule_gym import _core, task
 from capsule_gym.checks import check_choice, check_count, check_flag, check_name, check_number, nearest, written
-from capsule_gym.parameters import LONGEST_STEP, SHORTEST_STEP, SMALLEST, Capsule, Disturbances, Randomization
+from capsule_gym.parameters import (
+    LONGEST_STEP,
+    SHORTEST_STEP,
+    SMALLEST,
+    Capsule,
+    Disturbances,
+    Randomization,
+    from_fields,
+)
 from capsule_gym.task import Task
 
 if TYPE_CHECKING:
@@ -58,18 +66,18 @@ def find_task(value: Any) -> Task:
     return found
 
 
-def _found_by(find: Callable[[Any], Any]) -> Check:
-    """A check of a value that `find` resolves; the value itself is kept unchanged."""
-
-    def check(name: str, value: Any) -> Any:
-        find(value)
-        return value
-
-    return check
+def _check_task(name: str, value: Any) -> Any:
+    find_task(value)
+    return value
 
 
-def _check_capsule(name: str, value: Any) -> Capsule:
-    if not isinstance(value, Capsule):
+def _check_object(name: str, value: Any, kind: Any) -> Any:
+    """Checks a `Capsule`, a `Randomization` or a `Disturbances`, or makes it of the dict that JSON contains instead."""
+    if isinstance(value, dict):
+        return from_fields(kind, name, value)
+    if kind is not Capsule:
+        kind.named(value)
+    elif not isinstance(value, Capsule):
         raise TypeError(f"{name} must be a Capsule or None, got {written(value)}")
     return value
 
@@ -91,9 +99,9 @@ _CHECKS: dict[str, Check] = {
     "residual_limit": _number(0.0, LARGEST_TORQUE, "N m"),
     "total_torque": check_flag,
     "torque_limit": _number(0.0, LARGEST_TORQUE, "N m", open_low=True),
-    "randomization": _found_by(Randomization.named),
-    "disturbances": _found_by(Disturbances.named),
-    "capsule": _check_capsule,
+    "randomization": partial(_check_object, kind=Randomization),
+    "disturbances": partial(_check_object, kind=Disturbances),
+    "capsule": partial(_check_object, kind=Capsule),
     "observe_parameters": check_flag,
     "observe_estimates": check_flag,
     "stack_size": partial(check_count, most=LARGEST_STACK),
@@ -105,9 +113,19 @@ _CHECKS: dict[str, Check] = {
     "physics_dt": _check_step,
     "threads": check_count,
     "render_mode": partial(check_choice, choices=RENDER_MODES, accepted=f"None or one of {RENDER_MODES}"),
-    "task": _found_by(find_task),
+    "task": _check_task,
     "goal_env": check_flag,
 }
+
+
+def _advice(name: str, known: Iterable[str]) -> str:
+    """The end of the message for an unknown option: where a quantity of this name is set, or a similar option."""
+    if name in ("M", "mu"):
+        return f"; every reset draws it from randomization=Randomization({name}=(low, high)), or options[{name!r}]"
+    for kind in (Capsule, Disturbances):
+        if name in (each.name for each in fields(kind)):
+            return f"; it is set with {kind.__name__.lower()}={kind.__name__}({name}=..)"
+    return nearest(name, known)
 
 
 @dataclass(frozen=True, kw_only=True, init=False)
@@ -145,9 +163,7 @@ class EnvConfig:
     def __init__(self, **options: Any) -> None:
         defaults = {each.name: each.default for each in fields(self)}
         if unknown := sorted(set(options) - set(defaults)):
-            raise TypeError(
-                f"EnvConfig got an unexpected keyword argument {unknown[0]!r}{nearest(unknown[0], defaults)}"
-            )
+            raise TypeError(f"got an unexpected keyword argument {written(unknown[0])}{_advice(unknown[0], defaults)}")
         given = {**defaults, **find_task(options.get("task", "speed")).defaults, **options}
         for name, value in given.items():
             if name in _CHECKS and not (value is None and defaults[name] is None):

@@ -224,7 +224,7 @@ def is_own(controller: str | None) -> bool:
 def _hidden_baselines(controller: str) -> str:
     """Advice where an import string names a law of this package, but `baselines` is another package; "" otherwise."""
     module = sys.modules.get("baselines")
-    if not is_own(controller) or module is None or hasattr(module, "LAWS"):
+    if not is_own(controller) or module is None or "baselines.laws" in sys.modules:
         return ""
     return (
         f"{list(module.__path__)} hides the package `baselines` of capsule-gym (OpenAI Baselines has the same name); "
@@ -243,7 +243,11 @@ def find_controller(controller: str | Controller | Callable[[], Controller] | No
     found: Any = controller
     if isinstance(controller, str):
         try:
-            found = pkgutil.resolve_name(controller)
+            if is_own(controller):
+                # Not an attribute of `baselines`: OpenAI Baselines in the same folder replaces its __init__.py.
+                found = pkgutil.resolve_name("baselines.laws:find_law")(controller.partition(":")[2])
+            else:
+                found = pkgutil.resolve_name(controller)
         except (ValueError, AttributeError, ModuleNotFoundError) as error:
             reason = _hidden_baselines(controller) or error
             raise ValueError(f"controller must be {accepted}, got {written(controller)}: {reason}") from error
@@ -252,8 +256,10 @@ def find_controller(controller: str | Controller | Callable[[], Controller] | No
             found = found()
         except (TypeError, ValueError) as error:
             kind = TypeError if isinstance(error, TypeError) else ValueError
-            raise kind(f"controller must be {accepted}, got {controller!r}, whose call fails: {error}") from error
+            raise kind(
+                f"controller must be {accepted}, got {written(controller)}, whose call fails: {error}"
+            ) from error
     if found is not None and not isinstance(found, Controller):
-        given = "" if found is controller else f", which gives {found!r}"
+        given = "" if found is controller else f", which gives {written(found)}"
         raise TypeError(f"controller must be {accepted}, got {written(controller)}{given}")
     return found

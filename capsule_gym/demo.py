@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -13,7 +14,7 @@ from typing import Annotated, Any
 
 from gymnasium.error import DependencyNotInstalled
 
-from capsule_gym.checks import check_number, nearest
+from capsule_gym.checks import check_number, nearest, written
 from capsule_gym.command_line import Count, Positional, arg, check_output, parse, refuse
 from capsule_gym.env import CapsuleEnv, shown_state
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, FURTHER_SET_NAMES, SET_NAMES, PlantSpec, load_set
@@ -42,11 +43,11 @@ def find_policy(name_or_path: str) -> Any:
     """
     if name_or_path in SCRIPTED:
         return SCRIPTED[name_or_path]
-    if name_or_path in pretrained() or Path(name_or_path).exists():
+    if name_or_path in pretrained() or os.path.exists(name_or_path):
         return load_policy(name_or_path)
     raise ValueError(
         f"a policy must be one of {', '.join(NAMES)}, or the path of a policy file or of a run's folder, got "
-        f"{name_or_path!r}{nearest(name_or_path, NAMES)}"
+        f"{written(name_or_path)}{nearest(name_or_path, NAMES)}"
     )
 
 

@@ -129,7 +129,7 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
     An episode cannot go on after a termination: the impacts of the ball on the platform, and of the platform on the floor
     after its flight, are outside the model.
 
-    `env.unwrapped.episode_metrics()` returns the metrics of the episode so far. `copy.deepcopy` and `pickle` copy the
+    `env.unwrapped.episode_metrics(horizon)` returns the metrics of the episode so far. `copy.deepcopy` and `pickle` copy the
     episode; the copy continues bit for bit. A pickle stores the argument `controller`, which must be picklable: an
     import string or a function of a module.
 
@@ -197,9 +197,9 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
     def __init__(self, *, render_mode: str | None = None, **options: Any) -> None:
         self.simulation = make_simulation(1, EnvConfig(render_mode=render_mode, **options))
         self.render_mode = render_mode
-        self.metadata = {**type(self).metadata, "render_fps": round(1.0 / self.simulation.options.control_dt)}
+        self.metadata = {**type(self).metadata, "render_fps": frames_per_second(self.simulation)}
         self.action_space, self.observation_space = make_spaces(self.simulation)
-        self._running = False
+        self._running = self._seeded = False
         self._bind()
 
     def __getstate__(self) -> dict[str, Any]:
@@ -246,10 +246,12 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
                 torque that is not finite.
         """
         seed = None if seed is None else check_seed(seed)
-        fresh = seed is not None or self._np_random is None
         super().reset(seed=seed)
-        if fresh:
+        # Reading `np_random` seeds the generator, but not the simulation.
+        if seed is not None or not self._seeded:
+            _ = self.np_random
             self.simulation.seed(0, self.np_random_seed)
+            self._seeded = True
         if options is None:
             self.simulation.reset(_FIRST)
         else:
@@ -284,7 +286,9 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
         plain = type(action) is np.ndarray and action.dtype.char == "f"
         array = action if plain else as_actions(action)
         if array is None or array.shape != (1,) or not math.isfinite(value := array.item()):
-            raise ValueError(f"action must be one finite number of shape (1,) in [-1, 1], got {written(action)}")
+            raise ValueError(
+                f"action must be one finite number, clipped to [-1, 1], of shape (1,), got {written(action)}"
+            )
         self._step(value)
         values = self._rows.tolist()
         self._running = values[_TERMINATION] == 0.0
@@ -315,13 +319,15 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
         """`Simulation.compute_reward`, only with `goal_env=True`: libraries recognise goal environments by it."""
         return goal_reward(self.simulation)
 
-    def episode_metrics(self, horizon: int | None = None) -> dict[str, float]:
+    def episode_metrics(self, horizon: int | None) -> dict[str, float]:
         """The metrics of the episode so far: those of `capsule_gym.task.Metrics`, and those of the task.
 
         Args:
-            horizon: agent steps of a whole episode, over which `mean_speed` is computed; None for those of the task.
+            horizon: agent steps of a whole episode, `env.spec.max_episode_steps`, since gymnasium's `TimeLimit` truncates:
+                the mean speed of an episode that failed is over all of them. None, without a limit, takes the elapsed
+                time.
         """
-        steps = self.simulation.task.episode_steps if horizon is None else check_count("horizon", horizon)
+        steps = None if horizon is None else check_count("horizon", horizon)
         return {name: float(value[0]) for name, value in self.simulation.metrics(_FIRST, steps).items()}
 
     def render(self) -> np.ndarray | None:
@@ -354,8 +360,13 @@ def make_simulation(num_envs: int, config: EnvConfig) -> Simulation:
 
 def make_renderer(simulation: Simulation, mode: str) -> Renderer:
     """The renderer of an environment or a batch; a window shows one frame per agent step in real time."""
-    fps = round(1.0 / simulation.options.control_dt)
-    return Renderer(simulation.capsule, mode, fps, simulation.settings.torque_limit)
+    return Renderer(simulation.capsule, mode, frames_per_second(simulation), simulation.settings.torque_limit)
+
+
+def frames_per_second(simulation: Simulation) -> float:
+    """The frames per second of real time, one frame per agent step; an int if it is whole, and within what ffmpeg accepts."""
+    fps = min(max(1.0 / simulation.options.control_dt, 0.01), 1000.0)
+    return round(fps) if math.isclose(fps, round(fps)) else fps
 
 
 def describe(values: Any, state: np.ndarray, termination: Any, cost: Any) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import cached_property
@@ -165,7 +166,7 @@ def _parse_plant(where: str, value: Any, task: str) -> PlantSpec:
             Capsule(M=entry["M"], mu=entry["mu"], **capsule)
         except (TypeError, ValueError) as error:
             raise ValueError(f"{where}.capsule: {error}") from None
-    return PlantSpec(entry["M"], entry["mu"], seed, tuple(changes), theta, goal, capsule)
+    return PlantSpec(entry["M"], entry["mu"], seed, tuple(changes), theta, goal, capsule or None)
 
 
 def parse_set(content: Any) -> EvaluationSet:
@@ -187,7 +188,7 @@ def parse_set(content: Any) -> EvaluationSet:
         raise ValueError(f"set.task must be one of {sorted(TASKS)}, got {written(task)}")
     name = entry["name"]
     if not isinstance(name, str) or not name.strip():
-        raise ValueError(f"set.name must be a string that is not empty, got {name!r}")
+        raise ValueError(f"set.name must be a string that is not empty, got {written(name)}")
     capsule = entry.get("capsule")
     if capsule is not None:
         capsule = Capsule(**_fields("set.capsule", capsule, (), [each.name for each in fields(Capsule)]))
@@ -198,7 +199,7 @@ def parse_set(content: Any) -> EvaluationSet:
     Disturbances.named(disturbances)
     plants = entry["plants"]
     if not isinstance(plants, list) or not plants:
-        raise ValueError(f"set.plants must be a list of at least one plant, got {plants!r}")
+        raise ValueError(f"set.plants must be a list of at least one plant, got {written(plants)}")
     parsed = tuple(_parse_plant(f"set.plants[{i}]", plant, task) for i, plant in enumerate(plants))
     if len({plant.goal is None for plant in parsed}) > 1:
         raise ValueError("set.plants must have a goal each, or none must have one")
@@ -219,12 +220,13 @@ def load_set(name_or_path: str | Path) -> EvaluationSet:
     frozen = next((folder for folder in FOLDERS if folder.is_dir()), FOLDERS[-1])
     names = SET_NAMES + FURTHER_SET_NAMES + TASK_SET_NAMES
     path = frozen / f"{name_or_path}.json" if name_or_path in names else Path(name_or_path)
-    if not path.is_file():
+    # Unlike the methods of Path, this function accepts names that no file can have.
+    if not os.path.isfile(path):
         raise ValueError(
-            f"set must be one of {', '.join(names)}, or the path of a JSON file, got {str(name_or_path)!r}"
+            f"set must be one of {', '.join(names)}, or the path of a JSON file, got {written(str(name_or_path))}"
             f"{nearest(str(name_or_path), names)}"
         )
     try:
         return parse_set(json.loads(path.read_text(encoding="utf-8")))
-    except (TypeError, ValueError) as error:
+    except (OSError, RecursionError, TypeError, ValueError) as error:
         raise ValueError(f"{path} is not an evaluation set: {error}") from error

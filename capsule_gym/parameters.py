@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields, replace
 from itertools import product
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeVar
 
 from capsule_gym import _core
-from capsule_gym.checks import check_choice, check_flag, check_name, check_number, written
+from capsule_gym.checks import check_choice, check_flag, check_name, check_number, nearest, written
 
+Kind = TypeVar("Kind", "Capsule", "Randomization", "Disturbances")
 NormalForce = Literal["newton", "paper"]
 
 # Range of a plant's constants, in SI units, within which every force and acceleration is finite.
@@ -58,9 +59,36 @@ CONSTANTS = (
 SMALLEST_CONSTANTS = {**dict.fromkeys(("M", "m", "l", "g", "backward_ratio"), SMALLEST), "static_ratio": 1.0}
 
 
+# Numbers by which the core divides where they are not 0.
+DIVISORS = (
+    *("stribeck_speed", "lag", "torque_resolution"),
+    *("theta_resolution", "theta_dot_resolution", "x_dot_resolution"),
+)
+
+
+def from_fields(kind: type[Kind], argument: str, values: dict[str, Any]) -> Kind:
+    """The object with these fields, which JSON contains instead of it; raises the errors of its fields."""
+    names = [each.name for each in fields(kind)]
+    for name in values:
+        if name not in names:
+            similar = nearest(str(name), names)
+            raise ValueError(f"{argument} must have fields out of {names}, got {written(name)}{similar}")
+    try:
+        return kind(**values)
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"{argument}: {error}") from None
+
+
 def _check_size(name: str, value: Any, smallest: float) -> float:
     """Returns a constant of the plant as a float; outside its range a force might not be finite."""
     return check_number(name, value, f"a finite number from {smallest:g} to {LARGEST:g}", smallest, LARGEST)
+
+
+def check_divisor(field: str, name: str, number: float) -> float:
+    """Returns the value of a field; a ValueError if the core divides by it and the quotient might overflow."""
+    if field in DIVISORS and 0.0 < number < SMALLEST:
+        raise ValueError(f"{name} must be 0 or at least {SMALLEST:g}, got {number!r}")
+    return number
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,7 +148,7 @@ class Capsule:
                 accepted = f"a finite number (rad) from -{LARGEST_SLOPE} to {LARGEST_SLOPE}"
                 value = check_number(whose, value, accepted, -LARGEST_SLOPE, LARGEST_SLOPE)
             else:
-                value = _check_size(whose, value, SMALLEST_CONSTANTS.get(name, 0.0))
+                value = check_divisor(name, whose, _check_size(whose, value, SMALLEST_CONSTANTS.get(name, 0.0)))
             # Narrow types of numpy would reduce the precision of all derived quantities.
             object.__setattr__(self, name, value)
         check_choice("Capsule.normal_force", self.normal_force, ("newton", "paper"), "'newton' or 'paper'")
@@ -395,7 +423,10 @@ class Disturbances:
             accepted = f"a number from {low:g} to {high:g}, or a pair (low, high) of such numbers with low <= high"
             value, whose = getattr(self, name), f"Disturbances.{name}"
             check = _check_pair if isinstance(value, (tuple, list)) else check_number
-            object.__setattr__(self, name, check(whose, value, accepted, low=low, high=high))
+            checked = check(whose, value, accepted, low=low, high=high)
+            for end in checked if isinstance(checked, tuple) else (checked,):
+                check_divisor(name, whose, end)
+            object.__setattr__(self, name, checked)
         names = self.unmeasured
         if not isinstance(names, (tuple, list)) or not all(isinstance(name, str) and name in SENSORS for name in names):
             raise ValueError(f"Disturbances.unmeasured must be a tuple of names out of {SENSORS}, got {written(names)}")

@@ -115,7 +115,7 @@ class Renderer:
         self,
         capsule: Capsule,
         mode: str,
-        fps: int,
+        fps: float,
         torque_limit: float,
         title: str = ENV_ID,
         on_key: Callable[[str, bool], None] | None = None,

@@ -11,17 +11,21 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
-from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.policies import MultiInputActorCriticPolicy
-from stable_baselines3.common.running_mean_std import RunningMeanStd
-from stable_baselines3.common.torch_layers import MlpExtractor
-from stable_baselines3.common.vec_env import VecEnv
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
-from torch import Tensor, nn
 
 from capsule_gym.checks import check_flag, written
 from capsule_gym.parameters import DISTURBANCES, Disturbances
 from capsule_gym.vector_env import CapsuleVectorEnv
+
+try:
+    from stable_baselines3.common.monitor import Monitor
+    from stable_baselines3.common.policies import MultiInputActorCriticPolicy
+    from stable_baselines3.common.running_mean_std import RunningMeanStd
+    from stable_baselines3.common.torch_layers import MlpExtractor
+    from stable_baselines3.common.vec_env import VecEnv
+    from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
+    from torch import Tensor, nn
+except ImportError as error:
+    raise ImportError('capsule_gym.sb3 needs Stable-Baselines3: pip install "capsule-gym[sb3]"') from error
 
 # A critic observes the logarithm of mu, which may be 0.
 LEAST_MU = 1e-3
@@ -30,10 +34,11 @@ LEAST_MU = 1e-3
 class CapsuleSB3VecEnv(VecEnv):
     """The native batch as a `VecEnv` of Stable-Baselines3, without a Python loop over environments.
 
-    It replaces `make_vec_env("capsule_gym:CapsuleStickSlip-v0", n_envs=num_envs)`. The info of an environment is empty
-    except at the end of an episode. There it contains "terminal_observation", "TimeLimit.truncated", "episode" with the
-    return "r" and the length "l" as in SB3's `Monitor`, and "metrics" (`capsule_gym.task.Metrics`, and the task's).
-    With `goal_env=True` every info contains the terms that `HerReplayBuffer(copy_info_dict=True)` adds to a reward.
+    It replaces `make_vec_env("capsule_gym:CapsuleStickSlip-v0", n_envs=num_envs)`. The info of an environment is empty,
+    and the same dict at every step, except at the end of an episode. There it contains "terminal_observation",
+    "TimeLimit.truncated", "episode" with the return "r" and the length "l" as in SB3's `Monitor`, and "metrics"
+    (`capsule_gym.task.Metrics`, and the task's). With `goal_env=True` every info contains the terms that
+    `HerReplayBuffer(copy_info_dict=True)` adds to a reward.
 
     Args:
         num_envs: number of environments.
@@ -58,6 +63,8 @@ class CapsuleSB3VecEnv(VecEnv):
         if privileged and self.batch.simulation.options.goal_env:
             raise ValueError("privileged must be False with goal_env=True, got True")
         self._actions: np.ndarray | None = None
+        # Creating empty infos at every step takes longer than what SB3 does with them.
+        self._no_infos: list[dict[str, Any]] = [{} for _ in range(self.batch.num_envs)]
         self._returns = np.zeros(num_envs)
         self._lengths = np.zeros(num_envs, np.int64)
         space: gym.spaces.Space[Any] = self.batch.single_observation_space
@@ -117,18 +124,19 @@ class CapsuleSB3VecEnv(VecEnv):
         dones = terminated | truncated
         self._returns += rewards
         self._lengths += 1
-        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        infos = self._no_infos
         if self.batch.simulation.options.goal_env:
-            last = info["final_info"] if dones.any() else info
+            last, infos = info["final_info"] if dones.any() else info, [{} for _ in range(self.num_envs)]
             for name in ("reward_energy", "reward_termination"):
                 for own, value in zip(infos, np.where(dones, last[name], info[name]), strict=True):
                     own[name] = float(value)
         if dones.any():
+            infos = infos.copy()
             metrics = info["final_info"]["metrics"]
             final = self._with_critic(info["final_obs"], info["final_info"])
             for i in np.flatnonzero(dones):
                 last = {name: part[i] for name, part in final.items()} if isinstance(final, dict) else final[i]
-                infos[i] |= {
+                infos[i] = infos[i] | {
                     "terminal_observation": last,
                     "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
                     "episode": {"r": float(self._returns[i]), "l": int(self._lengths[i])},
@@ -166,7 +174,9 @@ class CapsuleSB3VecEnv(VecEnv):
 
 
 class FixedScale(RunningMeanStd):
-    """Statistics with which SB3's `VecNormalize` multiplies observations by fixed factors: `env.obs_rms = FixedScale(f)`.
+    """Statistics with which SB3's `VecNormalize` multiplies an observation by fixed factors.
+
+    Assign it to `env.obs_rms`, or to its entry "policy" where observations are dicts.
 
     Running statistics would magnify `stick`, which is almost constant. `VecNormalize.training = False` would also stop
     the normalisation of rewards.

@@ -21,7 +21,16 @@ from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.controller import CoreLaw, bind_law, find_controller
 from capsule_gym.layout import LANES, Row
 from capsule_gym.observation import observation_names, parameter_bounds
-from capsule_gym.parameters import CONSTANTS, DISTURBANCES, LARGEST, NOMINAL, Capsule, Disturbances, Randomization
+from capsule_gym.parameters import (
+    CONSTANTS,
+    DISTURBANCES,
+    LARGEST,
+    NOMINAL,
+    Capsule,
+    Disturbances,
+    Randomization,
+    check_divisor,
+)
 from capsule_gym.settings import DEFAULTS, NO_CONTROLLER, SPEED, check_step, count_rows, ends, make_settings
 
 # Upper limit of the keys of an episode's noise; floats represent all whole numbers up to it exactly.
@@ -283,7 +292,9 @@ class Simulation:
             IndexError: if there is no such environment.
         """
         for name in ("capsule", "disturbances"):
-            if options.get(name) and not self.settings.history:
+            # An empty dict sets nothing.
+            given = any(not isinstance(value, dict) or value for value in options.get(name, ()))
+            if given and not self.settings.history:
                 raise ValueError(
                     f"options[{name!r}] needs an environment with disturbances other than 'none', or with a "
                     "Randomization of constants besides M and mu"
@@ -493,8 +504,9 @@ class Simulation:
                         settings = self.settings
                         high = (settings.history - 1) * settings.physics_steps * settings.physics_dt
                     in_words = f"a number from {low:g} to {high:g}"
-                    number = check_number(f"options[{name!r}][{key!r}]", value, in_words, low, high)
-                    drawn[first + names.index(key), n] = number
+                    whose = f"options[{name!r}][{key!r}]"
+                    number = check_number(whose, value, in_words, low, high)
+                    drawn[first + names.index(key), n] = check_divisor(key, whose, number)
             first += len(names)
         return drawn
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -12,7 +14,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from capsule_gym.checks import check_count, written
+from capsule_gym.checks import check_integer, written
 from capsule_gym.config import EnvConfig
 from capsule_gym.env import (
     RESET_OPTIONS,
@@ -20,6 +22,7 @@ from capsule_gym.env import (
     as_actions,
     check_options,
     describe,
+    frames_per_second,
     goal_reward,
     make_renderer,
     make_simulation,
@@ -51,7 +54,7 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
 
     Args:
         num_envs: number of environments.
-        max_episode_steps: agent steps until truncation; None takes the task's.
+        max_episode_steps: agent steps until truncation; None takes the task's, and -1 is none.
         autoreset_mode: an `AutoresetMode` or its name, "NEXT_STEP", "SAME_STEP" or "DISABLED".
         render_mode: None or "rgb_array".
         **options: the other arguments of `CapsuleEnv`, and `threads`: number of threads, each for at least 64
@@ -86,16 +89,19 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         self.autoreset_mode = _find_mode(autoreset_mode)
         self.simulation = make_simulation(num_envs, config)
         steps = self.simulation.task.episode_steps if max_episode_steps is None else max_episode_steps
-        self.max_episode_steps = check_count("max_episode_steps", steps)
+        accepted = "an integer >= 1, or -1 for no limit"
+        if (count := check_integer("max_episode_steps", steps, accepted, -1, sys.maxsize)) == 0:
+            raise ValueError(f"max_episode_steps must be {accepted}, got 0")
+        self.max_episode_steps = None if count == -1 else count
         self.num_envs = self.simulation.num_envs
         self.render_mode = render_mode
-        fps = round(1.0 / self.simulation.options.control_dt)
+        fps = frames_per_second(self.simulation)
         self.metadata = {**type(self).metadata, "render_fps": fps, "autoreset_mode": self.autoreset_mode}
         self.single_action_space, self.single_observation_space = make_spaces(self.simulation)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self._ended = np.zeros(self.num_envs, np.bool_)
-        self._started = False
+        self._started = self._seeded = False
         self._renderer: Renderer | None = None
         self._spec: EnvSpec | None = None
         self._everyone = np.ones(self.num_envs, np.bool_)
@@ -110,6 +116,12 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
     def __getstate__(self) -> dict[str, Any]:
         """The state of the episodes, without the frames."""
         return {**vars(self), "_renderer": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        # A copied array can be written to, and the copied simulation counts its resets from 0 on.
+        self._everyone.flags.writeable = False
+        self._masks, self._drawn_at = {}, -1
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -138,8 +150,8 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         own = self.simulation.task.options
         options = check_options(options, (*RESET_OPTIONS, *own, "reset_mask"))
         mask = self._check_mask(options.get("reset_mask"))
-        self._seed(seed)
         rows = np.flatnonzero(mask)
+        self._seed(seed, rows)
         given = {
             name: self._per_row(name, options[name], rows)
             for name in (*RESET_OPTIONS, *own)
@@ -171,7 +183,8 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         array = as_actions(actions)
         if array is None or array.shape != (self.num_envs, 1) or not np.isfinite(array).all():
             raise ValueError(
-                f"actions must be finite, in [-1, 1] and of shape ({self.num_envs}, 1), got {written(actions)}"
+                f"actions must be finite numbers, clipped to [-1, 1], of shape ({self.num_envs}, 1), got "
+                f"{written(actions)}"
             )
         simulation = self.simulation
         active = ~self._ended if self._ended.any() else None
@@ -182,7 +195,8 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         shown = simulation.rows(0, Row.start_x)
         rewards = shown[Row.reward].copy()
         terminated = shown[Row.termination] != 0.0
-        truncated = shown[Row.steps] >= self.max_episode_steps
+        limit = math.inf if self.max_episode_steps is None else self.max_episode_steps
+        truncated = shown[Row.steps] >= limit
         if active is not None:
             terminated, truncated = terminated & active, truncated & active
         ended = terminated | truncated
@@ -197,7 +211,7 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
             # An environment whose episode has ended keeps reporting its termination, as in its last step.
             self._ended |= ended
             terminated = (shown[Row.termination] != 0.0) & self._ended
-            truncated = (shown[Row.steps] >= self.max_episode_steps) & self._ended
+            truncated = (shown[Row.steps] >= limit) & self._ended
         return simulation.observe(), rewards, terminated, truncated, info
 
     @property
@@ -206,7 +220,10 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         return goal_reward(self.simulation)
 
     def episode_metrics(self) -> dict[str, np.ndarray]:
-        """The metrics of the running episodes, each of shape (num_envs,), defined by `task.Metrics` and the task."""
+        """The metrics of the running episodes, each of shape (num_envs,), defined by `task.Metrics` and the task.
+
+        A whole episode takes `max_episode_steps`, or without a limit the elapsed time.
+        """
         return self.simulation.metrics(np.arange(self.num_envs), self.max_episode_steps)
 
     def render(self) -> tuple[np.ndarray, ...] | None:
@@ -269,12 +286,13 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         simulation.reset(rows)
         info |= self._info(simulation.rows(0, Row.start_x), self._everyone)
 
-    def _seed(self, seed: int | Sequence[int | None] | None) -> None:
-        """Distributes the seeds: with a seed s, environment i gets s + i."""
+    def _seed(self, seed: int | Sequence[int | None] | None, rows: np.ndarray) -> None:
+        """Gives seeds to the environments `rows`, the first time to all: with a seed s, environment i gets s + i."""
         n = self.num_envs
         last = f"2**128 - {n - 1}" if n > 1 else "2**128"
         accepted = f"an integer in [0, {last}), None, or a sequence of {n} integers in [0, 2**128) or None"
-        fresh = self._np_random is None
+        # Reading `np_random` seeds the generator, but no environment.
+        fresh = first_time = not self._seeded
         given: list[int | None] = [None] * n
         if seed is not None and isinstance(seed, (Sequence, np.ndarray)):
             if (isinstance(seed, np.ndarray) and seed.ndim != 1) or len(seed) != n:
@@ -287,7 +305,9 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         _ = self.np_random
         first = self.np_random_seed
         assert first is not None
-        for i, own in enumerate(given):
+        self._seeded = True
+        for i in range(n) if first_time else rows.tolist():
+            own = given[i]
             if own is not None or fresh:
                 self.simulation.seed(i, first + i if own is None else own)
 

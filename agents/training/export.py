@@ -15,9 +15,9 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
-from agents.evaluation.policies import Policy as EvaluatedPolicy
-from agents.evaluation.policies import wrap_policy
 from agents.training.config import BEST, MODEL, NORMALISATION, Config, RecurrentPPOConfig, read_config
+from baselines.evaluation.policies import Policy as EvaluatedPolicy
+from baselines.evaluation.policies import wrap_policy
 from capsule_gym import Policy, load_policy
 from capsule_gym.files import write_atomically
 from capsule_gym.policy import POLICY

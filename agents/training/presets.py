@@ -35,7 +35,8 @@ DIRECT_RECURRENT: dict[str, Any] = {
 }
 SETTINGS: dict[tuple[Task, Algorithm], dict[str, Any]] = {
     ("residual", "ppo"): {**PPO, "total_torque": True},
-    ("direct", "ppo"): PPO,
+    # From the default start, where a failure costs more, every direct torque of the tried seeds learnt wide swings.
+    ("direct", "ppo"): {**PPO, "initial_range": None, "termination_penalty": 30.0},
     ("residual", "sac"): OFF_POLICY,
     ("direct", "sac"): {**DIRECT_OFF_POLICY, "target_entropy": -3.0},
     ("residual", "td3"): {**OFF_POLICY, "action_noise": 0.2},
@@ -88,8 +89,9 @@ LARGE_BATCHES: dict[str, Any] = {"n_steps": 128, "batch_size": 4096, "learning_r
 ON_PREDICTION = _vary(
     ON_GAIT,
     {"controller": "baselines:gait_predictive", "disturbances": "real", "randomization": "real-wide"},
-    {**LARGE_BATCHES, "residual_limit": 1.0, "total_steps": 6_000_000, "termination_penalty": 100.0},
-    {"evaluate_every": 500_000, "evaluation_episodes": 512},
+    {**LARGE_BATCHES, "residual_limit": 1.0, "total_steps": 2_000_000, "termination_penalty": 100.0},
+    # Without latencies from 0 on, one of five seeds failed where the sensors have none.
+    {"latency_range": (0.0, 0.015), "privileged": True, "evaluate_every": 250_000, "evaluation_episodes": 512},
 )
 FRUGAL = PPOConfig(task="direct", controller=None, num_envs=256, n_steps=64)
 # Keys are the names of the folders in agents/checkpoints; each run sets its own seed. The committed policies are those
@@ -107,7 +109,7 @@ ROWS: dict[str, Config] = {
         {**LARGE_BATCHES, "total_steps": 8_000_000, "termination_penalty": 50.0, "evaluate_every": 1_000_000},
     ),
     "residual-real": _vary(ON_PREDICTION, {"randomization": "real"}),
-    "residual-real-wide": _vary(ON_PREDICTION, {"termination_penalty": 400.0}),
+    "residual-real-wide": ON_PREDICTION,
     "direct-real": _vary(
         FRUGAL,
         {"disturbances": "real", "randomization": "real", "stack_size": 8, "hidden": 128, "batch_size": 4096},

@@ -43,7 +43,7 @@ def test_an_episode_is_the_environments_and_stands_still_at_its_end():
     assert episode.speed == "direct-ppo 0.00 cm/s" and episode.end is None
     episode.advance(2.0 * HORIZON)
     assert episode.end is Termination.none and episode.time == pytest.approx(HORIZON)
-    assert episode.speed == f"direct-ppo {episode.env.episode_metrics()['mean_speed']:.2f} cm/s"
+    assert episode.speed == f"direct-ppo {episode.env.episode_metrics(1650)['mean_speed']:.2f} cm/s"
     last, time = episode.state(), episode.time
     episode.advance(3.0 * HORIZON)
     assert (episode.state(), episode.time) == (last, time)

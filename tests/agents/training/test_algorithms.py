@@ -19,12 +19,12 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
 import train as command_line
-from agents.evaluation.episodes import evaluate
 from agents.training.algorithms import CLASSES, make_env, make_model, make_noise
 from agents.training.config import RunError, TD3Config
 from agents.training.export import export, load_best, recurrent_policy, save
 from agents.training.loop import begin, train
 from agents.training.presets import PRESETS
+from baselines.evaluation.episodes import evaluate
 from capsule_gym import load_policy
 from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec
 from capsule_gym.files import to_json
@@ -221,13 +221,9 @@ def test_a_wrapper_of_ones_own_is_trusted_before_it_is_resumed(tmp_path, capsys)
 
 
 def test_training_has_commands_sensors_and_a_limit_of_its_own():
-    limits = {
-        "residual_limit": 1.0,
-        "training_limit": 1.2,
-        "command_range": (0.15, 0.16),
-        "latency_range": (0.0, 0.001),
-    }
-    config = small("direct", "ppo", env="CapsuleVelocity-v0", disturbances="real", **limits)
+    ranges = {"command_range": (0.15, 0.16), "latency_range": (0.0, 0.001)}
+    limits = {"residual_limit": 1.0, "training_limit": 1.2}
+    config = small("direct", "ppo", env="CapsuleVelocity-v0", disturbances="real", **limits, **ranges)
     venv: Any = make_env(config, 0).venv
     commands = venv.batch.reset(seed=0)[1]["command"]
     assert 0.15 <= commands.min() < commands.max() <= 0.16

@@ -15,10 +15,10 @@ import pytest
 import train
 from agents.distillation.config import STUDENTS
 from agents.distillation.dagger import HIDDEN
-from agents.evaluation.policies import CHECKPOINTS, checkpoint_names, find_candidate
 from agents.training.algorithms import make_noise
 from agents.training.config import CONFIG, RANGES, Environment, PPOConfig, read_config
 from agents.training.presets import PRESETS, ROWS
+from baselines.evaluation.policies import CHECKPOINTS, checkpoint_names, find_candidate
 from capsule_gym.config import EnvConfig
 from capsule_gym.env import DOCS
 from capsule_gym.parameters import RANDOMIZATIONS
