@@ -145,6 +145,7 @@ class EnvConfig:
     threads: int = _option(1, check_count)
     render_mode: str | None = _option(None, _check_mode)
     task: str | Task = _option("speed", _check_task)
+    goal_env: bool = _option(False, check_flag)
 
     def __init__(self, **options: Any) -> None:
         defaults = {each.name: each.default for each in fields(self)}
@@ -156,3 +157,5 @@ class EnvConfig:
             if (check := checks[name]) and not (value is None and defaults[name] is None):
                 value = check(name, value)
             object.__setattr__(self, name, value)
+        if self.goal_env and (name := find_task(self.task).name) != "goal":
+            raise ValueError(f"goal_env must be False for the task {name!r}, got True")

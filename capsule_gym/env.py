@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, SupportsFloat, TypeVar
 
 import gymnasium as gym
@@ -18,7 +18,7 @@ from capsule_gym.layout import Row
 from capsule_gym.parameters import CONSTANTS, DISTURBANCES
 from capsule_gym.rendering import Renderer
 from capsule_gym.settings import SPEED
-from capsule_gym.simulation import Simulation, check_seed
+from capsule_gym.simulation import GOAL_BOUND, Simulation, check_seed
 
 Value = TypeVar("Value")
 RESET_OPTIONS = ("M", "mu", "state", "changes", "capsule", "disturbances")
@@ -27,16 +27,16 @@ _STATE, _X_DOT, _REWARD, _TERMINATION = slice(Row.theta, Row.M), Row.x_dot, Row.
 _SHOWN = slice(Row.M, Row.reward)
 _INFO = (
     *("state", "stick", "M", "mu", "torque", "law_torque", "normal_force", "energy"),
-    *("reward_progress", "reward_energy", "reward_termination", "termination"),
+    *("reward_progress", "reward_energy", "reward_termination", "termination", "cost"),
 )
 _FIRST = np.zeros(1, np.int64)
 # Entries of a task's info that are places on the floor, m; renderings mark them.
 _PLACES = ("goal", "target")
 # Attributes that a copy of an environment does not take over.
-_VIEWS = ("_rows", "_state", "_memory", "_reading", "_drawn", "_observation", "_step", "_renderer")
+_VIEWS = ("_rows", "_state", "_cost", "_memory", "_reading", "_drawn", "_observe", "_step", "_renderer")
 
 
-class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
+class CapsuleEnv(gym.Env[Any, np.ndarray]):
     """A capsule robot that moves by stick and slip, driven by a pendulum.
 
     ## Description
@@ -101,6 +101,12 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     - `reward_energy`: -`energy_weight` times the energy of this step, the integral of |u theta_dot|, in J;
     - `reward_termination`: -`termination_penalty` if the episode terminates, else 0.
 
+    ## Cost
+
+    `info["cost"]` is the cost of a constrained problem, as in Safety-Gymnasium: 1.0 in a step that terminates the episode
+    or leaves less than a tenth of a margin: |theta| > 0.9 pi/2 at its end, or a normal force below 0.1 of the weight at
+    any time in it; else 0.0. It is true with disturbances, too, and not part of the reward.
+
     ## Starting State
 
     theta = -pi/3, at rest, x = 0. `initial_noise` adds uniform noise to theta; `initial_range` draws theta and
@@ -123,6 +129,9 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
        |theta_dot| + |x_dot| = 1e4). The environment keeps the last state before.
     4. Truncation: after 1650 steps, 33 s.
 
+    An episode cannot go on after a termination: the impacts of the ball on the platform, and of the platform on the floor
+    after its flight, are outside the model.
+
     `env.unwrapped.episode_metrics(horizon)` returns the metrics of the episode so far. `copy.deepcopy` and `pickle` copy the
     episode; the copy continues bit for bit. A pickle stores the argument `controller`, which must be picklable: an
     import string or a function of a module.
@@ -142,6 +151,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     | `energy` | energy of the step, J |
     | `reward_progress`, `reward_energy`, `reward_termination` | terms of the reward |
     | `termination` | `capsule_gym.task.Termination`: 0 running, 1 "pendulum", 2 "contact", 3 "diverged" |
+    | `cost` | 1.0 if the step terminated the episode or came close to that, else 0.0; see "Cost" |
     | `reading` | last readings of theta, theta_dot, x, x_dot; only with disturbances or drawn constants |
     | `disturbances`, `capsule` | dicts of what the episode has drawn, as in the options of `reset`; only then |
 
@@ -176,6 +186,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     | `threads` | `1` | number of threads that step a batch, each at least 128 environments; results do not depend on it |
     | `render_mode` | `None` | "human" or, also of a batch, "rgb_array" |
     | `task` | `"speed"` | the task: speed, goal, velocity, or what `velocity.with_commands` returns |
+    | `goal_env` | `False` | only with the task "goal": observations with achieved and desired goals, for hindsight experience replay |
 
     Raises:
         TypeError: if an argument is of the wrong type.
@@ -206,13 +217,17 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         """Creates views of the only environment, since creating them takes a considerable part of a step."""
         self._rows = self.simulation.world[0, : Row.steps, 0]
         self._state = self._rows[_STATE]
+        self._cost = self.simulation.world[0, Row.cost]
         # Further entries of `info` in tasks other than speed.
         memory = self.simulation.world[0, self.simulation.task_row :, 0]
         self._memory = None if self.simulation.task is SPEED else memory
         # Further entries of `info` for varied plants.
         self._reading = self.simulation.world[0, Row.read_theta : Row.late_theta, 0]
         self._bind_drawn()
-        self._observation = self.simulation.observations[0]
+        simulation = self.simulation
+        self._observe: Callable[[], Any] = simulation.observations[0].copy
+        if simulation.options.goal_env:
+            self._observe = lambda: {name: part[0] for name, part in simulation.observe().items()}
         self._step = self.simulation.step_one
         self._renderer: Renderer | None = None
 
@@ -252,7 +267,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         self._running = True
         if self.render_mode == "human":
             self.render()
-        return self._observation.copy(), self._info(self._rows.tolist())
+        return self._observe(), self._info(self._rows.tolist())
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, SupportsFloat, bool, bool, dict[str, Any]]:
         """One agent step: `Step::run` in `capsule_gym/core/step.hpp`.
@@ -282,11 +297,12 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         self._running = values[_TERMINATION] == 0.0
         if self.render_mode == "human":
             self.render()
-        return self._observation.copy(), values[_REWARD], not self._running, False, self._info(values)
+        return self._observe(), values[_REWARD], not self._running, False, self._info(values)
 
     def _info(self, values: list[float]) -> dict[str, Any]:
         """The info of a reset or a step, from the first values of `Row`."""
-        info = describe(values, self._state.copy(), 0 if self._running else int(values[_TERMINATION]))
+        termination = 0 if self._running else int(values[_TERMINATION])
+        info = describe(values, self._state.copy(), termination, self._cost.item())
         if self._memory is not None:
             add_task(info, self.simulation.task, self._memory.tolist())
         if self._drawn:
@@ -300,6 +316,11 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         """Keeps the drawn values of the episode as dicts, which are copied faster than arrays."""
         drawn = self.simulation.world[0, Row.drawn_m : Row.key, 0]
         self._drawn = name_drawn(drawn.tolist()) if self.simulation.settings.history else ()
+
+    @property
+    def compute_reward(self) -> Callable[[Any, Any, Any], Any]:
+        """`Simulation.compute_reward`, only with `goal_env=True`: libraries recognise goal environments by it."""
+        return goal_reward(self.simulation)
 
     def episode_metrics(self, horizon: int | None) -> dict[str, float]:
         """The metrics of the episode so far: those of `capsule_gym.task.Metrics`, and those of the task.
@@ -351,13 +372,13 @@ def frames_per_second(simulation: Simulation) -> float:
     return round(fps) if math.isclose(fps, round(fps)) else fps
 
 
-def describe(values: Any, state: np.ndarray, termination: Any) -> dict[str, Any]:
+def describe(values: Any, state: np.ndarray, termination: Any, cost: Any) -> dict[str, Any]:
     """The info of a reset or a step in the speed task.
 
     `values` are the first rows of `Row`: a list of floats for one environment, shape (n, num_envs) for a batch, with the
-    state of shape (num_envs, 4) and the terminations, int64.
+    state of shape (num_envs, 4), the terminations, int64, and the costs.
     """
-    return dict(zip(_INFO, (state, values[_X_DOT] == 0.0, *values[_SHOWN], termination), strict=True))
+    return dict(zip(_INFO, (state, values[_X_DOT] == 0.0, *values[_SHOWN], termination, cost), strict=True))
 
 
 def add_task(info: dict[str, Any], own: task.Task, memory: Any) -> None:
@@ -367,16 +388,27 @@ def add_task(info: dict[str, Any], own: task.Task, memory: Any) -> None:
         info[name] = memory[place]
 
 
+def goal_reward(simulation: Simulation) -> Callable[[Any, Any, Any], Any]:
+    """The function `compute_reward`; an AttributeError without `goal_env`."""
+    if not simulation.options.goal_env:
+        raise AttributeError("compute_reward needs goal_env=True")
+    return simulation.compute_reward
+
+
 def name_drawn(drawn: Sequence[Value]) -> tuple[dict[str, Value], dict[str, Value]]:
     """The constants of the plant and the disturbances by their names, from the rows `drawn_m` to `push` of `Row`."""
     constants = dict(zip(CONSTANTS, drawn, strict=False))
     return constants, dict(zip(DISTURBANCES, drawn[len(CONSTANTS) :], strict=True))
 
 
-def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Box]:
+def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Space[Any]]:
     """The action and the observation space of one environment."""
     low, high = np.array(list(simulation.entries.values()), np.float32).T
-    return spaces.Box(-1.0, 1.0, (1,), np.float32), spaces.Box(low, high, dtype=np.float32)
+    action, observation = spaces.Box(-1.0, 1.0, (1,), np.float32), spaces.Box(low, high, dtype=np.float32)
+    if not simulation.options.goal_env:
+        return action, observation
+    goals = {name: spaces.Box(-GOAL_BOUND, GOAL_BOUND, (2,), np.float64) for name in ("achieved_goal", "desired_goal")}
+    return action, spaces.Dict({"observation": observation, **goals})
 
 
 def as_actions(actions: Any) -> np.ndarray | None:

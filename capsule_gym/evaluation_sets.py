@@ -95,7 +95,7 @@ class EvaluationSet:
         capsule = self.capsule or find_task(self.task).defaults.get("capsule")
         disturbances = self.disturbances
         if disturbances == "none" and any(plant.capsule for plant in self.plants):
-            disturbances = Disturbances(stick_threshold=0.0)
+            disturbances = Disturbances(stick_threshold=0.0, x_noise=0.0)
         return {"task": self.task, "capsule": capsule, **EPISODE_SETTINGS, "disturbances": disturbances}
 
     @cached_property

@@ -35,5 +35,6 @@ def observation_entries(options: EnvConfig) -> dict[str, tuple[float, float]]:
     if options.observe_estimates:
         # From the online filter (`capsule_gym/core/identification.hpp`).
         entries |= ESTIMATES
-    entries |= find_task(options.task).entries
+    if not options.goal_env:
+        entries |= find_task(options.task).entries
     return entries | {f"{name} {n}": entries[name] for n in range(1, options.stack_size) for name in entries}

@@ -343,7 +343,7 @@ RANDOMIZATIONS = {
 
 # Largest sizes of disturbances (SI units), and the longest latency, s, whose states each environment remembers.
 LARGEST_DISTURBANCE, LONGEST_LATENCY = 1e3, 0.5
-# The sensors; the position has none.
+# The sensors that always exist, unless they are `unmeasured`.
 SENSORS = ("theta", "theta_dot", "x_dot")
 
 Draws = float | Range
@@ -355,8 +355,8 @@ class Disturbances:
 
     A pair (low, high) of numbers is a range from which every episode draws uniformly. The control law and the agent
     both observe the sensors. Sensors are read at every call of the control law or, without one, at every agent step.
-    The position has no sensor: the law's x is the integral of the measured x_dot. The observation's `stick` is 1 where
-    the measured |x_dot| is at most `stick_threshold`.
+    The measured x is the integral of the measured x_dot or, where `x_noise` is given, the reading of a sensor. The
+    observation's `stick` is 1 where the measured |x_dot| is at most `stick_threshold`.
 
     Attributes:
         theta_noise, theta_dot_noise, x_dot_noise: standard deviations of the sensors' white noise, rad, rad/s and m/s;
@@ -375,6 +375,7 @@ class Disturbances:
         unmeasured: any of "theta", "theta_dot" and "x_dot"; their readings are 0.
         controls: which controller observes the sensors: "both", "law" or "agent"; the other one observes the state.
         stick_threshold: largest measured |x_dot| that counts as stick, m/s.
+        x_noise: standard deviation of the white noise of a sensor of x, m; None if there is none.
 
     Raises:
         TypeError: if a field is of the wrong type.
@@ -406,6 +407,7 @@ class Disturbances:
     unmeasured: tuple[str, ...] = ()
     controls: Literal["both", "law", "agent"] = "both"
     stick_threshold: float = 0.01
+    x_noise: float | None = None
 
     def __post_init__(self) -> None:
         for name in DISTURBANCES:
@@ -425,6 +427,10 @@ class Disturbances:
         accepted = f"a number of m/s from 0 to {LARGEST_DISTURBANCE:g}"
         number = check_number("Disturbances.stick_threshold", self.stick_threshold, accepted, 0.0, LARGEST_DISTURBANCE)
         object.__setattr__(self, "stick_threshold", number)
+        if self.x_noise is not None:
+            accepted = f"None or a number of m from 0 to {LARGEST_DISTURBANCE:g}"
+            number = check_number("Disturbances.x_noise", self.x_noise, accepted, 0.0, LARGEST_DISTURBANCE)
+            object.__setattr__(self, "x_noise", number)
 
     @staticmethod
     def limits(name: str) -> tuple[float, float]:
@@ -442,7 +448,7 @@ class Disturbances:
         return REAL if check_name("disturbances", name, cls, ("none", "real")) == "real" else None
 
 
-DISTURBANCES = tuple(each.name for each in fields(Disturbances))[:-3]
+DISTURBANCES = tuple(each.name for each in fields(Disturbances))[:-4]
 """The fields of `Disturbances` that are numbers or ranges."""
 
 REAL = Disturbances(

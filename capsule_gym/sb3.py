@@ -37,7 +37,8 @@ class CapsuleSB3VecEnv(VecEnv):
     It replaces `make_vec_env("capsule_gym:CapsuleStickSlip-v0", n_envs=num_envs)`. The info of an environment is empty,
     and the same dict at every step, except at the end of an episode. There it contains "terminal_observation",
     "TimeLimit.truncated", "episode" with the return "r" and the length "l" as in SB3's `Monitor`, and "metrics"
-    (`capsule_gym.task.Metrics`, and the task's).
+    (`capsule_gym.task.Metrics`, and the task's). With `goal_env=True` every info contains the terms that
+    `HerReplayBuffer(copy_info_dict=True)` adds to a reward.
 
     Args:
         num_envs: number of environments.
@@ -59,6 +60,8 @@ class CapsuleSB3VecEnv(VecEnv):
     def __init__(self, num_envs: int, seed: int | None = None, *, privileged: bool = False, **env_kwargs: Any) -> None:
         self.privileged = check_flag("privileged", privileged)
         self.batch = CapsuleVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **env_kwargs)
+        if privileged and self.batch.simulation.options.goal_env:
+            raise ValueError("privileged must be False with goal_env=True, got True")
         self._actions: np.ndarray | None = None
         # Creating empty infos at every step takes longer than what SB3 does with them.
         self._no_infos: list[dict[str, Any]] = [{} for _ in range(self.batch.num_envs)]
@@ -99,7 +102,7 @@ class CapsuleSB3VecEnv(VecEnv):
         self._lengths[:] = 0
         return self._with_critic(observations, info)
 
-    def _with_critic(self, observations: np.ndarray, info: dict[str, Any]) -> VecEnvObs:
+    def _with_critic(self, observations: Any, info: dict[str, Any]) -> VecEnvObs:
         """The observations, with those of the critic from an info of the batch if privileged."""
         if not self.privileged:
             return observations
@@ -122,13 +125,18 @@ class CapsuleSB3VecEnv(VecEnv):
         self._returns += rewards
         self._lengths += 1
         infos = self._no_infos
+        if self.batch.simulation.options.goal_env:
+            last, infos = info["final_info"] if dones.any() else info, [{} for _ in range(self.num_envs)]
+            for name in ("reward_energy", "reward_termination"):
+                for own, value in zip(infos, np.where(dones, last[name], info[name]), strict=True):
+                    own[name] = float(value)
         if dones.any():
             infos = infos.copy()
             metrics = info["final_info"]["metrics"]
             final = self._with_critic(info["final_obs"], info["final_info"])
             for i in np.flatnonzero(dones):
                 last = {name: part[i] for name, part in final.items()} if isinstance(final, dict) else final[i]
-                infos[i] = {
+                infos[i] = infos[i] | {
                     "terminal_observation": last,
                     "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
                     "episode": {"r": float(self._returns[i]), "l": int(self._lengths[i])},
@@ -155,7 +163,9 @@ class CapsuleSB3VecEnv(VecEnv):
         raise AttributeError(f"cannot set {attr_name!r}: the environments of a batch share their settings")
 
     def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
-        """Raises an AttributeError, since a batch has no objects for its environments."""
+        """Calls `compute_reward`; other methods raise an AttributeError: a batch has no separate environments."""
+        if method_name == "compute_reward":
+            return [self.batch.compute_reward(*args, **kwargs)] * len(list(self._get_indices(indices)))
         raise AttributeError(f"cannot call {method_name!r} of one environment: call it of the attribute `batch`")
 
     def env_is_wrapped(self, wrapper_class: type[gym.Wrapper], indices: VecEnvIndices = None) -> list[bool]:

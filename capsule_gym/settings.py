@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capsule_gym import layout, task
+from capsule_gym import layout
 from capsule_gym.config import DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, MOST_SUBSTEPS, EnvConfig, find_task
 from capsule_gym.controller import Controller, CoreLaw
 from capsule_gym.parameters import SENSORS, Capsule, Disturbances, Randomization
@@ -36,15 +36,18 @@ class StepSettings(NamedTuple):
     with_reference: bool
     with_parameters: bool
     with_estimates: bool
+    with_task: bool = True
     stack_size: int = 1
     # Disturbances: number of states in the history, whether law and agent observe the sensors, the sensors that exist,
-    # and the measured velocity up to which the observation's `stick` is 1.
+    # the noise of that of x, and the measured speed up to which the platform counts as at rest.
     history: int = 0
     law_reads: bool = False
     agent_reads: bool = False
     with_theta: bool = True
     with_theta_dot: bool = True
     with_x_dot: bool = True
+    with_x: bool = False
+    x_noise: float = 0.0
     stick_threshold: float = 0.0
 
 
@@ -106,6 +109,7 @@ def make_settings(options: EnvConfig, controller: Controller | None) -> StepSett
         with_reference=controller is not None,
         with_parameters=options.observe_parameters,
         with_estimates=options.observe_estimates,
+        with_task=not options.goal_env,
         stack_size=options.stack_size,
     )
     if disturbed is None:
@@ -114,7 +118,9 @@ def make_settings(options: EnvConfig, controller: Controller | None) -> StepSett
         history=round(ends(disturbed.latency)[1] / law_dt) + 1,
         law_reads=controller is not None and disturbed.controls != "agent",
         agent_reads=disturbed.controls != "law",
-        stick_threshold=0.0 if disturbed.controls == "law" else disturbed.stick_threshold,
+        with_x=disturbed.x_noise is not None,
+        x_noise=disturbed.x_noise or 0.0,
+        stick_threshold=disturbed.stick_threshold,
         **{f"with_{name}": name not in disturbed.unmeasured for name in SENSORS},
     )
 
@@ -124,7 +130,7 @@ def ends(value: float | tuple[float, float]) -> tuple[float, float]:
     return value if isinstance(value, tuple) else (value, value)
 
 
-def count_rows(controller: Controller | None, own: task.Task = SPEED) -> int:
-    """The rows of `Simulation.world` down to the task's memory: `Row`, the law's memory, its line of the reference."""
+def count_rows(controller: Controller | None) -> int:
+    """The rows of `Simulation.world` before the task's memory: `Row`, the law's memory, its line of the reference."""
     acting = controller or NO_CONTROLLER
-    return layout.ROWS + len(acting.memory) + acting.reference.shape[1] + own.rows
+    return layout.ROWS + len(acting.memory) + acting.reference.shape[1]

@@ -27,6 +27,9 @@ from capsule_gym.settings import DEFAULTS, NO_CONTROLLER, check_step, count_rows
 # Upper limit of the keys of an episode's noise; floats represent all whole numbers up to it exactly.
 LARGEST_KEY = 2.0**53
 
+# Bound of an achieved or a desired goal, m and m/s.
+GOAL_BOUND = 1e7
+
 # Largest number of environments in a batch: some 15 GB.
 MOST_ENVS = 2**24
 
@@ -51,8 +54,9 @@ class Simulation:
         controller: the law inside the step, or None.
         settings: the options as the core reads them.
         world: shape (blocks, rows, lanes): environment i is lane i % lanes of block i // lanes, and `lanes` is LANES
-            or, for a single environment, 1. The rows are those of `capsule_gym.layout`; those of the task's memory are
-            `task_row` to `task_end`. `row`, `rows` and `columns` read it by environments.
+            or, for a single environment, 1. The rows are those of `capsule_gym.layout`; those of the task's memory, of
+            varied plants that with true values, are `task_row` to `task_end`. `row`, `rows` and `columns` read it by
+            environments.
         observations: shape (num_envs, entries), float32, of the present state.
         entries: the bounds of the observation's entries by name, in order.
         arrays: the arrays that the core reads, by name; among them `settings`, in the order of `_core.SETTINGS`.
@@ -90,10 +94,12 @@ class Simulation:
             check_step(stiffest, corner.M, corner.mu, self.settings)
         self.lanes = 1 if self.num_envs == 1 else LANES
         blocks = -(-self.num_envs // self.lanes)
-        self.task_end = count_rows(self.controller, self.task)
-        self.task_row = self.task_end - self.task.rows
-        filter_rows = _core.CELLS if options.observe_estimates else 0
-        rows = self.task_end + layout.HISTORY_ROWS * self.settings.history + filter_rows
+        self._law_end = count_rows(self.controller)
+        # A law that observes the sensors observes the memory with measured values, which then comes first.
+        self.task_row = self._law_end + self.settings.law_reads * self.task.rows
+        self.task_end = self.task_row + self.task.rows
+        memories, filter_rows = 2 if self.settings.history else 1, _core.CELLS if options.observe_estimates else 0
+        rows = self._law_end + memories * self.task.rows + layout.HISTORY_ROWS * self.settings.history + filter_rows
         tables = [resets.draw_table(self.task_end - len(self.task.draws), resets.Stream.task, self.task.draws)]
         if self.settings.history:
             own = [getattr(self.randomization, name) or getattr(self.capsule, name) for name in CONSTANTS]
@@ -360,7 +366,7 @@ class Simulation:
         law, reads_task = self.controller.law, self.controller.task is not None
         if not isinstance(law, CoreLaw):
             # Compiled code catches the law's exceptions. The arguments are still those of the call that has failed.
-            first, last = layout.ROWS + len(self.memory), self.task_end if reads_task else self.task_row
+            first, last = layout.ROWS + len(self.memory), self._law_end + reads_task * self.task.rows
             memory, row = (tuple(part.tolist()) for part in (column[layout.ROWS : first], column[first:last]))
             getattr(law, "py_func", law)(*state.values(), memory, row)
         raise ValueError(
@@ -384,6 +390,47 @@ class Simulation:
         """
         seconds = horizon * self.options.control_dt if horizon else None
         return episode_metrics(self.columns(rows)[: self.task_end], seconds, self.task)
+
+    def observe(self) -> Any:
+        """A copy of the observations; with `goal_env` a dict with the achieved and the desired goals beside them."""
+        if not self.options.goal_env:
+            return self.observations.copy()
+        x, x_dot = (Row.read_x, Row.read_x_dot) if self.settings.agent_reads else (Row.x, Row.x_dot)
+        goal = self.row(self.task_row + self.task.fields.index("goal"))
+        goals = {"achieved_goal": (self.row(x), self.row(x_dot)), "desired_goal": (goal, np.zeros(self.num_envs))}
+        bounded = {name: np.clip(np.stack(each, 1), -GOAL_BOUND, GOAL_BOUND) for name, each in goals.items()}
+        return {"observation": self.observations.copy(), **bounded}
+
+    def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
+        """The rewards of steps that end with these goals, for environments with `goal_env=True`.
+
+        With the info of a step, the result is its reward, bit for bit, unless the achieved goal is a measured one.
+        Terms that an info lacks count as 0: an empty one gives `reward_goal` alone.
+
+        Args:
+            achieved_goal: x (m) and x_dot (m/s) of the platform, shape (.., 2).
+            desired_goal: those that are desired. The platform rests where both x_dot are equal; a measured one may
+                differ by `Disturbances.stick_threshold`.
+            info: dict of `reward_energy` and `reward_termination`, numbers or arrays, or a sequence of such dicts.
+
+        Returns:
+            The reward, a float; or float64 of shape (..) for several goals.
+
+        Raises:
+            ValueError: if a goal has another shape.
+        """
+        for name, goal in (("achieved_goal", achieved_goal), ("desired_goal", desired_goal)):
+            if np.shape(goal)[-1:] != (2,):
+                raise ValueError(f"{name} must be of shape (.., 2), x in m and x_dot in m/s, got {written(goal)}")
+        settings = self.settings
+        error, x_dot = np.moveaxis(np.subtract(desired_goal, achieved_goal, dtype=np.float64), -1, 0)
+        rest = settings.stick_threshold if settings.agent_reads else 0.0
+        (rate,) = native.evaluate("goal_rate", error, np.abs(x_dot) <= rest)
+        rewards = settings.law_steps * settings.physics_steps * settings.physics_dt * rate
+        for term in ("reward_energy", "reward_termination"):
+            given = info.get(term, 0.0) if isinstance(info, dict) else [one.get(term, 0.0) for one in info]
+            rewards = rewards + np.asarray(given)
+        return rewards if rewards.ndim else float(rewards)
 
     def close(self) -> None:
         """Ends the threads."""

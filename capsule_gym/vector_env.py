@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -23,6 +23,7 @@ from capsule_gym.env import (
     check_options,
     describe,
     frames_per_second,
+    goal_reward,
     make_renderer,
     make_simulation,
     make_spaces,
@@ -35,7 +36,7 @@ from capsule_gym.settings import SPEED
 from capsule_gym.simulation import check_seed
 
 
-class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
     """N independent `CapsuleEnv`, stepped together by the compiled core.
 
     `gym.make_vec("CapsuleStickSlip-v0", num_envs=N)` creates one. Spaces, rewards, info and random draws are those of
@@ -160,7 +161,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._ended[rows] = False
         # The mask of the first reset need not name every environment; one that has not begun has no mass.
         self._started = self._started or bool(self.simulation.row(Row.M).all())
-        return self.simulation.observations.copy(), self._info(self.simulation.rows(0, Row.start_x), mask)
+        return self.simulation.observe(), self._info(self.simulation.rows(0, Row.start_x), mask)
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """One agent step of every environment.
@@ -212,7 +213,12 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._ended |= ended
             terminated = (shown[Row.termination] != 0.0) & self._ended
             truncated = (shown[Row.steps] >= limit) & self._ended
-        return simulation.observations.copy(), rewards, terminated, truncated, info
+        return simulation.observe(), rewards, terminated, truncated, info
+
+    @property
+    def compute_reward(self) -> Callable[[Any, Any, Any], Any]:
+        """As `CapsuleEnv.compute_reward`."""
+        return goal_reward(self.simulation)
 
     def episode_metrics(self) -> dict[str, np.ndarray]:
         """The metrics of the running episodes, each of shape (num_envs,), defined by `task.Metrics` and the task.
@@ -241,7 +247,8 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def _info(self, rows: np.ndarray, mask: np.ndarray) -> dict[str, Any]:
         """The infos of the environments that the mask selects, from the first rows of `Row`."""
         simulation = self.simulation
-        info = describe(rows, rows[Row.theta : Row.M].T, rows[Row.termination].astype(np.int64))
+        terminations, costs = rows[Row.termination].astype(np.int64), simulation.row(Row.cost)
+        info = describe(rows, rows[Row.theta : Row.M].T, terminations, costs)
         if simulation.task is not SPEED:
             add_task(info, simulation.task, simulation.rows(simulation.task_row, simulation.task_end))
         if simulation.settings.history:
@@ -272,8 +279,10 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             metrics[name][rows] = values
         info["final_info"] = _masked({**info, "metrics": metrics}, ended)
         info["final_obs"] = np.full(self.num_envs, None, dtype=object)
+        last = simulation.observe()
         for i in rows:
-            info["final_obs"][i] = simulation.observations[i].copy()
+            one = {name: part[i].copy() for name, part in last.items()} if isinstance(last, dict) else last[i].copy()
+            info["final_obs"][i] = one
         info["_final_obs"] = info["_final_info"] = ended
         simulation.reset(rows)
         info |= self._info(simulation.rows(0, Row.start_x), self._everyone)

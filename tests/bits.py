@@ -135,6 +135,9 @@ def subjects() -> Iterator[Subject]:
     yield Subject(
         "law gait_predictive disturbed", {**varied, "controller": "baselines:gait_predictive"}, random_actions(0.05)
     )
+    for name, own in (("goal", shaken), ("velocity", replace(shaken, x_noise=0.001))):
+        law = {"task": name, "disturbances": own, "controller": f"baselines:{name}_pulses"}
+        yield Subject(f"law {name}_pulses disturbed", law, random_actions(0.05))
     for name in baselines.__all__:
         yield Subject(f"law {name}", {"controller": f"baselines:{name}"}, random_actions(0.05))
     # On a light platform, the bits differ from those of the law without a filter.

@@ -46,7 +46,9 @@ export interface Disturbances {
   unmeasured?: ("theta" | "theta_dot" | "x_dot")[];
   /** m/s. */
   stick_threshold?: number;
-  [name: string]: number | [number, number] | string | string[] | undefined;
+  /** Noise of a sensor of x, m; null for none. */
+  x_noise?: number | null;
+  [name: string]: number | [number, number] | string | string[] | null | undefined;
 }
 
 /** Initial conditions of an episode; omitted values are drawn or nominal. */

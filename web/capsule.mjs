@@ -132,6 +132,7 @@ function checkDisturbances(given) {
     throw new RangeError(`disturbances.unmeasured must be an array out of ${SENSORS.join(", ")}, got ${found.unmeasured}`);
   }
   checkNumber("disturbances.stick_threshold", found.stick_threshold, 0, 1e3);
+  if (found.x_noise !== null) checkNumber("disturbances.x_noise", found.x_noise, 0, 1e3);
   return found;
 }
 
@@ -150,11 +151,12 @@ function packSettings(settings, capsule, disturbed) {
   const packed = Float64Array.from(disturbed ? settings.disturbed : settings.ideal);
   CONSTANTS.forEach((name, n) => { if (name in SETTING) packed[SETTING[name]] = capsule[n]; });
   if (!disturbed) return packed;
-  const { controls, unmeasured, latency, stick_threshold } = disturbed;
+  const { controls, unmeasured, latency, x_noise, stick_threshold } = disturbed;
   packed[SETTING.history] = rounded([latency].flat().at(-1) / periodOf(packed)) + 1;
   packed[SETTING.law_reads] = packed[SETTING.with_reference] && controls !== "agent";
   packed[SETTING.agent_reads] = controls !== "law";
-  packed[SETTING.stick_threshold] = controls === "law" ? 0 : stick_threshold;
+  [packed[SETTING.with_x], packed[SETTING.x_noise]] = [x_noise !== null, x_noise ?? 0];
+  packed[SETTING.stick_threshold] = stick_threshold;
   for (const name of SENSORS) packed[SETTING[`with_${name}`]] = !unmeasured.includes(name);
   return packed;
 }
@@ -650,14 +652,17 @@ async function prepare(controller, task, settings, given, driver) {
   const { law, constants: numbers, table, memory } = CONTROLLERS[controller];
   const disturbed = checkDisturbances(given.disturbances ?? settings.disturbances);
   const packed = packSettings(settings, given.capsule ?? settings.capsule, disturbed);
-  const memoryRow = CORE.rows.length + memory.length + table.columns;
+  const lawEnd = CORE.rows.length + memory.length + table.columns;
+  const length = TASKS[task].memory.length;
+  // A law that observes the sensors observes the memory with measured values, which then comes first.
+  const memoryRow = lawEnd + packed[SETTING.law_reads] * length;
   const kind = {
     task, disturbed, settings: packed, law, constants: readArray(numbers), memory, memoryRow, reference: readArray(table),
     columns: table.columns, table: drawTable(task, memoryRow, given.capsule ?? settings.capsule, disturbed),
   };
   const network = networkOf(driver);
   const filter = packed[SETTING.with_estimates] ? CORE.cells : 0;
-  const rows = memoryRow + TASKS[task].memory.length + CORE.history_rows * packed[SETTING.history] + filter;
+  const rows = lawEnd + (disturbed ? 2 : 1) * length + CORE.history_rows * packed[SETTING.history] + filter;
   const placed = await place({
     world: [Float64Array, rows],
     settings: [Float64Array, packed.length],

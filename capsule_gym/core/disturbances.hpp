@@ -61,7 +61,7 @@ template <class T, int N> struct Disturbed {
       b.readings[j] = b.motor[j] = 0.0;
       for (int i = 0; i < (int)q.history; i++) {
         double* state = entry(i) + j;
-        state[0] = b.theta[j], state[N] = b.theta_dot[j], state[2 * N] = b.x_dot[j];
+        state[0] = b.theta[j], state[N] = b.theta_dot[j], state[2 * N] = b.x_dot[j], state[3 * N] = b.x[j];
       }
     }
   }
@@ -98,13 +98,15 @@ template <class T, int N> struct Disturbed {
       int next = (int)b.cursor[0] + 1;
       b.cursor[0] = next < (int)q.history ? next : 0;
       double* here = entry((int)b.cursor[0]);
-      EACH store(here + j, GET(theta)), store(here + N + j, GET(theta_dot)), store(here + 2 * N + j, GET(x_dot));
+      EACH store(here + j, GET(theta)), store(here + N + j, GET(theta_dot)), store(here + 2 * N + j, GET(x_dot)),
+          store(here + 3 * N + j, GET(x));
     }
     if (!begins && !last && q.with_reference == 0.0) return;
     for (int j = 0; j < n; j++) {
       int place = (int)b.cursor[0] - (int)b.delay[j];
       const double* state = entry(place < 0 ? place + (int)q.history : place) + j;
       b.late_theta[j] = state[0], b.late_theta_dot[j] = state[N], b.late_x_dot[j] = state[2 * N];
+      b.late_x[j] = state[3 * N];
     }
     double pause = time_between_readings();
     EACH {
@@ -126,7 +128,9 @@ template <class T, int N> struct Disturbed {
   }
       SENSOR(theta, white_0, slow_0) SENSOR(theta_dot, white_1, slow_1) SENSOR(x_dot, white_2, slow_2)
 #undef SENSOR
-      PUT(read_x, select(active, GET(read_x) + min(count, T(1.0)) * pause * GET(read_x_dot), GET(read_x)));
+      T x = GET(read_x) + min(count, T(1.0)) * pause * GET(read_x_dot);
+      if (q.with_x != 0.0) x = GET(late_x) + q.x_noise * normals(word_of(key, count, 3)).first;
+      PUT(read_x, select(active, x, GET(read_x)));
       PUT(readings, select(active, count + 1.0, count));
     }
   }

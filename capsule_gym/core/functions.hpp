@@ -20,7 +20,7 @@ namespace LEVEL {
 #define CAPSULE_ELEMENTARY_FUNCTIONS(F)                                                                                \
   F(sincos, 1, 2, (sincos(a[0]))) F(exp, 1, 1, (exp(a[0]))) F(tanh, 1, 1, (tanh(a[0]))) F(log, 1, 1, (log(a[0])))      \
   F(normals, 1, 2, (normals(scramble(bits_of(a[0])))))                                                                 \
-  F(plant_at, 7, 2, (plant_at(a, a[5], a[6])))
+  F(plant_at, 7, 2, (plant_at(a, a[5], a[6]))) F(goal_rate, 2, 1, (Goal::rate(a[0], a[1])))
 
 // The most general plant: one compiled function serves all.
 using AnyPlant = Plant<double, Kind::extended>;

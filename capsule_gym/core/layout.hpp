@@ -27,6 +27,8 @@
   ROW(forward) ROW(backward) ROW(stuck) ROW(smallest_normal_ratio) ROW(largest_theta) ROW(largest_theta_dot)           \
   /* Row of the reference that the law has seen last. */                                                               \
   ROW(clock)                                                                                                           \
+  /* 1.0 where the last step came close to a termination. */                                                           \
+  ROW(cost)                                                                                                            \
   /* Input of the step: the action, and 1.0 where the environment takes part. */                                       \
   ROW(action) ROW(active)                                                                                              \
   /* Of the running step: m / (M + m), x at its start, the phase of the contact, how far the environment has stopped,  \
@@ -44,10 +46,12 @@
   ROW(cursor)                                                                                                          \
   /* The motor's torque, N m; the drift of each sensor. */                                                             \
   ROW(motor) ROW(drift_of_theta) ROW(drift_of_theta_dot) ROW(drift_of_x_dot)                                           \
-  /* The last reading, with the integral of its x_dot. */                                                              \
+  /* The last reading; x is the integral of its x_dot, or that of a sensor. */                                         \
   ROW(read_theta) ROW(read_theta_dot) ROW(read_x) ROW(read_x_dot)                                                      \
   /* The state that the next reading shows. */                                                                         \
-  ROW(late_theta) ROW(late_theta_dot) ROW(late_x_dot)
+  ROW(late_theta) ROW(late_theta_dot) ROW(late_x_dot) ROW(late_x)                                                      \
+  /* The measured x at the start of the agent step. */                                                                 \
+  ROW(read_before_x)
 #define PLANT_ROW(name) ROW(plant_##name)
 #define DRAWN(name) ROW(drawn_##name)
 
@@ -69,18 +73,18 @@ template <int N> struct Block {
 
 // Values of the row `halt`: under way; stopped in the present substep, with one call of the law left; and halted.
 constexpr double UNDER_WAY = 0.0, ENDING = 1.0, HALTED = 2.0;
-constexpr int HISTORY_ROWS = 3;  // rows of a state in the history: theta, theta_dot, x_dot
+constexpr int HISTORY_ROWS = 4;  // rows of a state in the history: theta, theta_dot, x_dot, x
 constexpr int FILTER_ROWS = sizeof(LEVEL::Identification) / sizeof(double);  // only with observed estimates
 
 // The settings of a step, SI units; conditions are 0.0 or 1.0.
 #define CAPSULE_SETTINGS(FIELD)                                                                                        \
   FIELD(torque_limit) FIELD(residual_limit) FIELD(total_torque) FIELD(physics_dt) FIELD(physics_steps)                 \
   FIELD(law_steps) FIELD(energy_weight) FIELD(termination_penalty) FIELD(with_reference) FIELD(with_parameters)        \
-  FIELD(with_estimates) FIELD(stack_size)                                                                                                    \
+  FIELD(with_estimates) FIELD(with_task) FIELD(stack_size)                                                             \
   /* Disturbances: number of states in the history, whether law and agent observe the sensors, the sensors that exist, \
-     and the measured speed up to which the observation's `stick` is 1. */                                             \
+     the noise of that of x, and the measured speed up to which the platform counts as at rest. */                     \
   FIELD(history) FIELD(law_reads) FIELD(agent_reads) FIELD(with_theta) FIELD(with_theta_dot) FIELD(with_x_dot)         \
-  FIELD(stick_threshold)                                                                                               \
+  FIELD(with_x) FIELD(x_noise) FIELD(stick_threshold)                                                                  \
   /* The plant: whether it is extended, and differs in more than M and mu; and its constants. */                       \
   FIELD(extended) FIELD(varied) FIELD(pivot_torque_on_contact) CAPSULE_PLANT(FIELD)
 
@@ -94,7 +98,8 @@ typedef void (*UserLaw)(void* data, double* block, double* torques, long long n)
 // Everything that belongs to the environments of a simulation: arrays, by their addresses, and their sizes.
 #define CAPSULE_BATCH(FIELD)                                                                                           \
   /* The blocks, each with the law's memory, its line of the reference, the task's memory, the history and the filter  \
-     of the estimates behind it. `lanes` is LANES or 1. */                                                                                         \
+     of the estimates behind it. A varied plant has two memories of the task, with true and with measured values; the  \
+     law observes the first. `lanes` is LANES or 1. */                                                                 \
   FIELD(double*, world) FIELD(long long, num_envs) FIELD(long long, lanes)                                             \
   /* Shape (num_envs, entries). */                                                                                     \
   FIELD(float*, observations) FIELD(long long, entries)                                                                \
@@ -119,7 +124,7 @@ struct Batch {
 
 // Doubles of a block of N environments.
 template <int N> constexpr long long block_size(const Batch& batch) {
-  long long rows = batch.memory_size + batch.reference_size + batch.task_size;
+  long long rows = batch.memory_size + batch.reference_size + (batch.settings->varied != 0.0 ? 2 : 1) * batch.task_size;
   long long history = HISTORY_ROWS * (long long)batch.settings->history;
   long long filter = batch.settings->with_estimates != 0.0 ? FILTER_ROWS : 0;
   return sizeof(Block<N>) / 8 + (rows + history + filter) * N;

@@ -14,6 +14,8 @@ constexpr double AT_REST = 2.0;  // stands for the phase of a platform at rest u
 // |theta_dot| + |x_dot| (rad/s, m/s) at an event, such as the end of an episode, beyond which the motion counts as
 // lost.
 constexpr double RATE_LIMIT = 1e4;
+// The cost of a step is 1 where less than this share of the weight presses on the floor, or of pi/2 remains.
+constexpr double MARGIN = 0.1;
 
 // Reasons for the termination of an episode: the ball meets the platform, the platform leaves the floor, the integrator
 // cannot resolve the motion.
@@ -46,7 +48,8 @@ template <class Task, class T, class Put, class PutEstimates>
 INLINE void put_entries(const Settings& q, const Observed<T>& o, const typename Task::template Memory<T>& memory,
                         Put put, PutEstimates put_estimates) {
   put(clip(o.theta, T(THETA_LIMIT))), put(clip(o.theta_dot, T(THETA_DOT_BOUND))), put(clip(o.x_dot, T(X_DOT_BOUND)));
-  put(select(abs(o.x_dot) <= q.stick_threshold, T(1.0), T(0.0))), put(o.action);
+  double rest = q.agent_reads != 0.0 ? q.stick_threshold : 0.0;
+  put(select(abs(o.x_dot) <= rest, T(1.0), T(0.0))), put(o.action);
   if (q.with_reference != 0.0) {
     auto [sin, cos] = sincos(2.0 * PI * o.phase);
     put(clip(o.theta_d, T(THETA_LIMIT))), put(clip(o.theta_d_dot, T(THETA_DOT_BOUND)));
@@ -54,6 +57,7 @@ INLINE void put_entries(const Settings& q, const Observed<T>& o, const typename 
   }
   if (q.with_parameters != 0.0) put(o.M), put(o.mu);
   if (q.with_estimates != 0.0) put_estimates();
+  if (q.with_task == 0.0) return;
   T own[Task::ENTRIES + 1];
   Task::observe(own, memory);
   for (int i = 0; i < Task::ENTRIES; i++) put(own[i]);
@@ -66,9 +70,10 @@ template <class T, int N> struct Step {
   Block<N>& b;
   const int n;
   float* const observations;
-  // The state that the law observes; behind the rows its memory, its line of the reference, and the task's memory.
+  // The state that the law observes; behind the rows its memory, its line of the reference, and the task's memory. A
+  // varied plant has a second one with measured values; the first is the one that the law observes.
   const double* const seen;
-  double *const memory, *const line, *const task;
+  double *const memory, *const line, *const task, *const read_task;
   Disturbed<T, N> disturbed;
   // Lanes with an event in the present substep.
   int events[N], count = 0;
@@ -76,8 +81,10 @@ template <class T, int N> struct Step {
   Step(const Batch& batch, Block<N>& block, int n, float* observations)
       : batch(batch), q(*batch.settings), b(block), n(n), observations(observations),
         seen(q.law_reads != 0.0 ? b.read_theta : b.theta), memory((double*)(&block + 1)),
-        line(memory + batch.memory_size * N), task(line + batch.reference_size * N),
-        disturbed{q, block, task + batch.task_size * N, n} {}
+        line(memory + batch.memory_size * N),
+        task(line + (batch.reference_size + (q.law_reads != 0.0 ? batch.task_size : 0)) * N),
+        read_task(line + (batch.reference_size + (q.law_reads != 0.0 ? 0 : batch.task_size)) * N),
+        disturbed{q, block, line + (batch.reference_size + (q.varied != 0.0 ? 2 : 1) * batch.task_size) * N, n} {}
 
   // One agent step, or with `begin` the first call of the law in an episode.
   void run(bool begin) {
@@ -109,6 +116,7 @@ template <class T, int N> struct Step {
       PUT(action, clip(GET(action), T(1.0)));
       PUT(mass_ratio, m / (GET(M) + m));
       PUT(before_x, GET(x));
+      if (q.varied != 0.0) PUT(read_before_x, GET(read_x));
       PUT(energy, select(active, T(0.0), GET(energy)));
       // The smallest of the step; at the start of an episode the weight, which `begin_episodes` has written.
       if (!begin) PUT(normal_force, select(active, T(INFINITE), GET(normal_force)));
@@ -350,9 +358,9 @@ template <class T, int N> struct Step {
 #undef TASK
   }
 
-  template <class S, class Task> INLINE typename Task::template Memory<S> read_task(int j) const {
+  template <class S, class Task> INLINE typename Task::template Memory<S> load_task(const double* from, int j) const {
     typename Task::template Memory<S> m;
-    for (int r = 0; r < Task::ROWS; r++) ((S*)&m)[r] = load<S>(task + r * N + j);
+    for (int r = 0; r < Task::ROWS; r++) ((S*)&m)[r] = load<S>(from + r * N + j);
     return m;
   }
 
@@ -361,9 +369,12 @@ template <class T, int N> struct Step {
       using Task = decltype(kind);
       for (int j = 0; j < n; j++) {
         if (b.active[j] == 0.0) continue;
-        auto m = read_task<double, Task>(j);
+        auto m = load_task<double, Task>(task, j);
         Task::begin(b.x[j], m);
-        for (int r = 0; r < Task::ROWS; r++) task[r * N + j] = ((double*)&m)[r];
+        for (int r = 0; r < Task::ROWS; r++) {
+          task[r * N + j] = ((double*)&m)[r];
+          if (q.varied != 0.0) read_task[r * N + j] = ((double*)&m)[r];
+        }
       }
     });
   }
@@ -382,12 +393,18 @@ template <class T, int N> struct Step {
         gravity = sqrt(g * g + downhill * downhill);
       }
       T moved = GET(x) - GET(before_x), energy = GET(energy);
-      auto m = read_task<T, Task>(j);
-      T gain = Task::reward(GET(x), GET(x_dot), moved, dt, m);
       // Where the law has failed it can be called again with the same arguments.
       auto renews = active & (abs(GET(law_torque)) < INFINITE);
-      for (int r = 0; r < Task::ROWS; r++)
-        store<T>(task + r * N + j, select(renews, ((T*)&m)[r], load<T>(task + r * N + j)));
+      auto renew = [&](double* memory, T x, T x_dot, T moved, double rest) {
+        auto m = load_task<T, Task>(memory, j);
+        T gain = Task::reward(x, x_dot, moved, dt, rest, m);
+        for (int r = 0; r < Task::ROWS; r++)
+          store<T>(memory + r * N + j, select(renews, ((T*)&m)[r], load<T>(memory + r * N + j)));
+        return gain;
+      };
+      T gain = renew(task, GET(x), GET(x_dot), moved, 0.0);
+      if (varied && Task::ROWS > 0)
+        renew(read_task, GET(read_x), GET(read_x_dot), GET(read_x) - GET(read_before_x), q.stick_threshold);
       T energy_cost = -q.energy_weight * energy;
       T penalty = select(GET(termination) != 0.0, T(-q.termination_penalty), T(0.0));
       PUT(reward, select(active, gain + energy_cost + penalty, T(0.0)));
@@ -397,8 +414,10 @@ template <class T, int N> struct Step {
       PUT(steps, GET(steps) + share);
       PUT(episode_energy, GET(episode_energy) + share * energy);
       PUT(weight_distance, GET(weight_distance) + share * (mass * gravity) * moved);
-      T smallest = min(GET(smallest_normal_ratio), GET(normal_force) / (mass * g));
+      T ratio = GET(normal_force) / (mass * g), smallest = min(GET(smallest_normal_ratio), ratio);
       PUT(smallest_normal_ratio, select(active, smallest, GET(smallest_normal_ratio)));
+      auto close = (ratio < MARGIN) | (abs(GET(theta)) > (1.0 - MARGIN) * THETA_LIMIT) | (GET(termination) != 0.0);
+      PUT(cost, select(active, select(close, T(1.0), T(0.0)), GET(cost)));
     }
   }
 
@@ -426,7 +445,7 @@ template <class T, int N> struct Step {
                                b.clock[j] / (double)batch.reference_rows, b.law_torque[j], b.M[j], b.mu[j]};
       float* next = out;
       put_entries<Task>(
-          q, seen, read_task<double, Task>(j), [&](double entry) { *next++ = (float)entry; },
+          q, seen, load_task<double, Task>(reads ? read_task : task, j), [&](double entry) { *next++ = (float)entry; },
           [&] { next = estimate(j, out, next); });
       if (begin)
         for (int entry = entries; entry < all; entry++) out[entry] = out[entry - entries];

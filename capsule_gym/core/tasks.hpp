@@ -1,6 +1,6 @@
 // The tasks. A task is a struct with the names of its memory, and functions for the start of an episode, the reward at
 // the end of an agent step, and its entries of the observation. The memory's last fields are the numbers that an
-// episode draws.
+// episode draws. The reward takes x, x_dot, the displacement in the step, the step, and the largest |x_dot| at rest.
 #pragma once
 #include "elementary.hpp"
 
@@ -20,7 +20,7 @@ struct Speed {
   template <class T> static INLINE void begin(T, Memory<T>&) {}
 
   // Centimetres of forward progress.
-  template <class T> static INLINE T reward(T, T, T moved, double, Memory<T>&) { return 100.0 * moved; }
+  template <class T> static INLINE T reward(T, T, T moved, double, double, Memory<T>&) { return 100.0 * moved; }
 
   template <class T> static INLINE void observe(T*, const Memory<T>&) {}
 };
@@ -45,19 +45,24 @@ struct Goal {
     memory = {x + displacement, displacement, 0.0, 0.0, 0.0, displacement};
   }
 
+  // The reward per second for an error and, 1.0 or 0.0, rest.
+  template <class T> static INLINE T rate(T error, T still) {
+    T size = abs(error), inside = select(size <= TOLERANCE, T(1.0), T(0.0));
+    T rate = 0.5 * decay(size / 0.1) + 0.5 * decay(size / 0.02);
+    return rate + (decay(size / 0.004) * (1.0 + still) + 2.0 * inside * still - size / 0.5);
+  }
+
   // The reward for the distance to the goal and for rest there.
-  template <class T> static INLINE T reward(T x, T x_dot, T moved, double dt, Memory<T>& memory) {
+  template <class T> static INLINE T reward(T x, T x_dot, T moved, double dt, double rest, Memory<T>& memory) {
     auto& [goal, error, time, held, reached, displacement] = memory;
     time = time + dt;
     error = goal - x;
-    T size = abs(error);
-    T still = select(x_dot == 0.0, T(1.0), T(0.0)), inside = select(size <= TOLERANCE, T(1.0), T(0.0));
-    T rate = 0.5 * decay(size / 0.1) + 0.5 * decay(size / 0.02);
-    rate = rate + (decay(size / 0.004) * (1.0 + still) + 2.0 * inside * still - size / 0.5);
-    // In stick for the whole step.
-    held = select((inside * still > 0.0) & (moved == 0.0), held + dt, T(0.0));
+    auto still = abs(x_dot) <= rest;
+    // In stick for the whole step. The noise of a measured position would hide it.
+    auto holds = still & (abs(error) <= TOLERANCE) & ((moved == 0.0) | (T(rest) > 0.0));
+    held = select(holds, held + dt, T(0.0));
     reached = select((reached == 0.0) & (held >= HOLD - TIME_TOLERANCE), time, reached);
-    return dt * rate;
+    return dt * rate(error, select(still, T(1.0), T(0.0)));
   }
 
   template <class T> static INLINE void observe(T* out, const Memory<T>& memory) {
@@ -101,7 +106,7 @@ struct Velocity {
   }
 
   // The reward for the distance to the target; moves the target, and changes the command when that is due.
-  template <class T> static INLINE T reward(T x, T, T moved, double dt, Memory<T>& m) {
+  template <class T> static INLINE T reward(T x, T, T moved, double dt, double, Memory<T>& m) {
     m.target = x + clip(m.target + m.command * dt - x, LEAD);
     m.error = m.target - x;
     T size = abs(m.error);

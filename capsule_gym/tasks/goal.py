@@ -17,6 +17,15 @@ The observation of `CapsuleStickSlip-v0`, followed by:
 | tanh(e / 2 cm) | -1 | 1 |
 | time for which the platform has been at rest within 2 mm of the goal (s) | 0 | 1 |
 
+With disturbances, e is the position of the goal minus the measured x, and the platform is at rest where the measured
+|x_dot| is at most `stick_threshold`. Reward, `info` and metrics are true.
+
+With `goal_env=True` an observation is a dict for hindsight experience replay: `observation`, that of
+`CapsuleStickSlip-v0`; `achieved_goal`, x and x_dot of the platform (m, m/s; float64, measured with disturbances); and
+`desired_goal`, the position of the goal and 0. `compute_reward(achieved_goal, desired_goal, info)` returns the rewards
+of one or many steps for other goals ([reference](api/environments.md)); its `info` adds the terms for energy and
+termination. A step whose x_dot is the desired one counts as rest.
+
 ## Rewards
 
 The sum of three terms, which `info` contains:

@@ -18,6 +18,9 @@ The observation of `CapsuleStickSlip-v0`, followed by:
 | tanh(e / 20 cm) | -1 | 1 |
 | velocity of the platform (m/s), filtered with a time constant of 0.25 s | -2 | 2 |
 
+With disturbances, the target of the observation, its error and the velocity follow from the measured x. Reward, `info`
+and metrics are true.
+
 ## Rewards
 
 The sum of three terms, which `info` contains:

@@ -8,7 +8,7 @@ from capsule_gym import Controller
 from capsule_gym.layout import Row
 
 # Inputs of a step, and values that every step overwrites; all other rows belong to the episode.
-SCRATCH = {"action", "active", "mass_ratio", "before_x", "slip", "elapsed", "halt", "cursor"} | {
+SCRATCH = {"action", "active", "mass_ratio", "before_x", "read_before_x", "slip", "elapsed", "halt", "cursor"} | {
     *("next_theta", "next_theta_dot", "next_x", "next_x_dot"),
     *("theta_ddot", "x_ddot", "first_normal_force", "least_normal_force"),
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -40,9 +41,20 @@ def run(env: CapsuleEnv, actions: np.ndarray, **reset: object) -> list[dict]:
     return infos
 
 
-@pytest.mark.parametrize("controller", [None, "baselines:gait"])
-def test_disturbances_of_size_zero_change_no_bit(controller):
-    plain, disturbed = CapsuleEnv(controller=controller), CapsuleEnv(controller=controller, disturbances=CLEAN)
+EXACT = replace(CLEAN, x_noise=0.0)
+
+
+@pytest.mark.parametrize(
+    ("task", "controller", "clean"),
+    [
+        ("speed", None, CLEAN),
+        ("speed", "baselines:gait", CLEAN),
+        ("goal", None, EXACT),
+        ("velocity", None, EXACT),
+    ],
+)
+def test_disturbances_of_size_zero_change_no_bit(task, controller, clean):
+    plain, disturbed = (CapsuleEnv(task=task, controller=controller, disturbances=each) for each in ("none", clean))
     actions = swing(300)
     for one, other in zip(run(plain, actions, seed=3), run(disturbed, actions, seed=3), strict=True):
         np.testing.assert_array_equal(one["state"], other["state"])
@@ -145,6 +157,74 @@ def test_the_law_integrates_the_velocity_that_it_reads():
     assert drift == pytest.approx(0.5 * 0.02 * (len(infos) - 1), abs=2e-3)
 
 
+def test_a_sensor_of_x_shows_a_late_x_with_its_noise():
+    batch = CapsuleVectorEnv(400, disturbances=Disturbances(x_noise=0.003, x_dot_bias=0.5, latency=0.04))
+    _, info = batch.reset(seed=0)
+    past, errors = [info["state"][:, 2]], [info["reading"][:, 2] - info["state"][:, 2]]
+    for actions in swing(30, 400):
+        _, _, _, _, info = batch.step(actions)
+        # At the end of an episode the next one begins.
+        errors.append((info["reading"][:, 2] - past[-2 if len(past) > 1 else -1])[info["reward_termination"] == 0.0])
+        past.append(info["state"][:, 2])
+    for one, other in pairwise(errors):
+        if len(one) == len(other) == 400:
+            assert stats.kstest(one / 0.003, "norm").pvalue > 1e-4 and abs(np.corrcoef(one, other)[0, 1]) < 0.25
+
+
+def reads_error(theta, theta_dot, x, x_dot, memory, reference):
+    """A torque that shows the error and the held time in the task's memory, and the difference of the positions."""
+    return 0.1 * reference[3] + 0.01 * reference[5] + 0.001 * (reference[2] - x), memory
+
+
+@pytest.mark.parametrize("x_noise", [None, 0.001])
+@pytest.mark.parametrize(("controls", "law", "agent"), [("both", 1, 1), ("law", 1, 0), ("agent", 0, 1)])
+def test_goals_are_seen_through_the_sensors(controls, law, agent, x_noise):
+    disturbances = replace(REAL, controls=controls, x_noise=x_noise, stick_threshold=0.05)
+    controller = Controller("reads_error", reads_error, np.zeros((1, 2)), task="goal")
+    env = CapsuleEnv(task="goal", controller=controller, disturbances=disturbances)
+    # The start is close to the goal and at rest, so that the truth and the readings both hold it for some time.
+    options = {"state": [0.0, 0.0, 2.0, 0.0], "goal": 0.001, "mu": 0.4}
+    infos = run(env, np.concatenate([np.zeros((20, 1, 1)), swing(100)]).astype(np.float32), seed=4, options=options)
+    held, last = np.zeros(2), 0.001 * np.ones(2)
+    for n, info in enumerate(infos):
+        seen = np.array([[info["state"][2], info["state"][3]], [info["reading"][2], info["reading"][3]]])
+        expected = 0.1 * last + 0.01 * held + 0.001 * (2.001 - seen[:, 0])
+        assert info["law_torque"] == pytest.approx(expected[law], abs=1e-12)
+        if n > 0:
+            last = 2.001 - seen[:, 0]
+            rests = np.abs(seen[:, 1]) <= (0.0, 0.05)
+            rests[0] &= info["state"][2] == infos[n - 1]["state"][2]
+            held = np.where(rests & (np.abs(last) <= 0.002), held + 0.02, 0.0)
+        entries = [last[agent], np.tanh(last[agent] / 0.02), min(1.0, held[agent])]
+        np.testing.assert_allclose(info["observation"][-3:], entries, rtol=1e-5, atol=1e-7)
+        # The info, and with it the reward, is true.
+        assert info["held"] == pytest.approx(held[0]) and info["error"] == pytest.approx(last[0])
+    assert np.ptp([info["observation"][-1] for info in infos]) > 0.02
+
+
+@pytest.mark.parametrize("x_noise", [None, 0.001])
+def test_velocities_are_seen_through_the_sensors(x_noise):
+    env = CapsuleEnv(task="velocity", disturbances=replace(REAL, x_noise=x_noise))
+    commands = [{"t": 0.0, "v": 0.05}, {"t": 0.4, "v": -0.1}]
+    target = speed = before = true_target = 0.0
+    differences = []
+    for n, info in enumerate(run(env, 0.5 * swing(100), seed=4, options={"commands": commands})):
+        x, entries = info["reading"][2], info["observation"][-3:]
+        if n > 0:
+            # The command before this step.
+            v = 0.05 if n <= 20 else -0.1
+            target = x if n == 20 else x + np.clip(target + 0.02 * v - x, -0.3, 0.3)
+            speed += ((x - before) / 0.02 - speed) * 0.02 / 0.27
+            true_x = info["state"][2]
+            true_target = true_x if n == 20 else true_x + np.clip(true_target + 0.02 * v - true_x, -0.3, 0.3)
+            assert info["error"] == pytest.approx(true_target - true_x, abs=1e-12)
+            expected = [np.tanh((target - x) / 0.05), np.tanh((target - x) / 0.2), np.clip(speed, -2.0, 2.0)]
+            np.testing.assert_allclose(entries, expected, rtol=1e-5, atol=1e-7)
+        before = x
+        differences.append(abs(target - x - true_target + info["state"][2]))
+    assert max(differences) > 1e-3 and len(differences) > 25
+
+
 def test_what_is_not_measured_reads_zero_and_rounded_readings_are_multiples():
     env = CapsuleEnv(disturbances=Disturbances(unmeasured=("x_dot",), theta_resolution=0.01, theta_dot_resolution=0.25))
     infos = run(env, swing(100), seed=4)
@@ -203,6 +283,7 @@ def reset(**options: object) -> None:
         (lambda: Disturbances(theta_bias=(1.0, 0.0)), r"Disturbances\.theta_bias must be .*, got \(1\.0, 0\.0\)"),
         (lambda: Disturbances(unmeasured=("x",)), r"Disturbances\.unmeasured must be .* got \('x',\)"),
         (lambda: Disturbances(controls="all"), r"Disturbances\.controls must be 'both', 'law' or 'agent', got 'all'"),
+        (lambda: Disturbances(x_noise=-1.0), r"Disturbances\.x_noise must be None or a number of m .*, got -1\.0"),
         (lambda: CapsuleEnv(disturbances="some"), r"disturbances must be a Disturbances or one of .*, got 'some'"),
         (lambda: Randomization(k=(2.0, 1.0)), r"Randomization\.k must be a pair .* got \(2\.0, 1\.0\)"),
         (lambda: CapsuleEnv(randomization=Randomization(m=(0.1, 40.0), mu=(0.5, 9.0))), r"Painleve"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import math
 import multiprocessing
 import pickle
@@ -46,7 +47,7 @@ def test_the_checkers_are_silent_and_every_info_has_the_form_of_the_first(kwargs
         env = gym.make(env_id, **kwargs).unwrapped
         check_env(env)
         check_sb3(gym.make(env_id, **kwargs))
-    space, seen, ended = env.observation_space, [], 0
+    space, seen, ended, costs = env.observation_space, [], 0, set()
     expected = layout(env.reset(seed=0)[1])
     assert all(np.issubdtype(dtype, np.number) or dtype == np.bool_ for _, dtype, _ in flatten(expected))
     assert (expected["state"][1:], expected["termination"][1:]) == ((np.float64, (4,)), (np.int64, ()))
@@ -58,11 +59,15 @@ def test_the_checkers_are_silent_and_every_info_has_the_form_of_the_first(kwargs
         assert space.contains(observation) and layout(info) == expected
         assert reward == sum(info[term] for term in task.reward_terms)
         assert info["reward_termination"] == (-env.simulation.options.termination_penalty if terminated else 0.0)
+        options = {**dataclasses.asdict(env.simulation.capsule), **info.get("capsule", {})}
+        light = info["normal_force"] < 0.1 * (info["M"] + options["m"]) * options["g"]
+        assert info["cost"] == float(terminated or light or abs(info["state"][0]) > 0.45 * math.pi)
+        costs.add((info["cost"], terminated))
         seen.append(observation)
         if terminated:
             ended += 1
             env.reset()
-    assert ended > 0
+    assert ended > 0 and expected["cost"] and costs == {(0.0, False), (1.0, False), (1.0, True)}
     # Clipping would show as values exactly on the bounds of the rates.
     largest = np.abs(np.array(seen)).max(axis=0)
     assert largest[1] < space.high[1] and largest[2] < space.high[2]

@@ -25,6 +25,7 @@ PLAIN = f"{EXAMPLES}/plain_sb3.py --steps 2048 --every 2048"
 # The required module, the command, and words that it prints at its end.
 PROGRAMS = {
     "sb3": ("stable_baselines3", f"{EXAMPLES}/sb3_ppo.py --steps 2048", "return of an episode"),
+    "sb3-her": ("stable_baselines3", f"{EXAMPLES}/sb3_her.py --steps 6528", "after: "),
     "sb3-direct": ("stable_baselines3", f"{PLAIN} direct", "2,048 steps:"),
     "sb3-residual": ("stable_baselines3", f"{PLAIN} residual", "2,048 steps:"),
     "rl-zoo": ("rl_zoo3", f"{ZOO} --algo ppo --conf-file {EXAMPLES}/rl_zoo.yml", "Saving to"),

@@ -1,5 +1,5 @@
 // Laws for the tasks `goal` and `velocity`: a gait towards the goal, then pulses whose size adapts to the floor, or
-// strokes on smooth floors. They read the goal's position and the exact position of the platform.
+// strokes on smooth floors. They read the positions of the goal and of the platform.
 #pragma once
 #include "../tasks.hpp"
 #include "gait.hpp"
