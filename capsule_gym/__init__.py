@@ -10,6 +10,7 @@ from capsule_gym.env import CapsuleEnv
 from capsule_gym.parameters import Capsule, Disturbances, Randomization
 from capsule_gym.policy import Policy, load_policy, policy_names
 from capsule_gym.task import ENV_ID, TASKS
+from capsule_gym.trajectory import Sensitivity, sensitivity
 from capsule_gym.vector_env import CapsuleVectorEnv
 
 __all__ = [
@@ -21,9 +22,11 @@ __all__ = [
     "Disturbances",
     "Policy",
     "Randomization",
+    "Sensitivity",
     "__version__",
     "load_policy",
     "policy_names",
+    "sensitivity",
 ]
 
 __version__ = "0.1.0"
