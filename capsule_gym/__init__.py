@@ -7,6 +7,7 @@ from gymnasium.envs.registration import register, registry
 
 from capsule_gym.controller import Controller
 from capsule_gym.env import CapsuleEnv
+from capsule_gym.identification import Excitation, Fit, identify, record
 from capsule_gym.parameters import Capsule, Disturbances, Randomization
 from capsule_gym.policy import Policy, load_policy, policy_names
 from capsule_gym.task import ENV_ID, TASKS
@@ -20,12 +21,16 @@ __all__ = [
     "CapsuleVectorEnv",
     "Controller",
     "Disturbances",
+    "Excitation",
+    "Fit",
     "Policy",
     "Randomization",
     "Sensitivity",
     "__version__",
+    "identify",
     "load_policy",
     "policy_names",
+    "record",
     "sensitivity",
 ]
 
