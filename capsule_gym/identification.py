@@ -50,7 +50,7 @@ SHORT, LONG, SHORTEST = 0.2, 0.8, 2.0
 GAP = 0.02
 # Starts of the fit: shares of the ranges of latency and mu; the best ones of the first fit begin the second.
 STARTS, KEPT = tuple((latency, mu) for latency in (0.2, 0.5, 0.8) for mu in (0.25, 0.7)), 2
-LARGEST_CHI2 = 1.2
+MOST_STEPS, LARGEST_CHI2 = 15, 1.2
 
 
 def read_log(log: Any) -> dict[str, np.ndarray]:
@@ -288,9 +288,11 @@ class _Problem:
         return whole[:, 0], whole[:, 1:]
 
     def fit(
-        self, unknowns: np.ndarray, segments: list[tuple[int, int]], joined: bool, most: int = 30
+        self, unknowns: np.ndarray, segments: list[tuple[int, int]], joined: bool, tolerance: float
     ) -> tuple[np.ndarray, float]:
-        """Minimises the sum of squares within the ranges; returns the unknowns and the sum.
+        """Minimises the sum of squares within the ranges, until a step reduces it by less than the tolerance.
+
+        Returns the unknowns and the sum.
 
         The method of Levenberg and Marquardt on the normal equations: `scipy.optimize.least_squares` decomposes the
         Jacobian of all readings in every step, which takes ten times as long.
@@ -298,7 +300,7 @@ class _Problem:
         from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
         count, damping = len(self.names), 1e-3
-        for _ in range(most):
+        for _ in range(MOST_STEPS):
             r, jacobian = self.residuals(unknowns, segments, joined)
             cost, gradient, normal = r @ r, jacobian.T @ r, jacobian.T @ jacobian
             shares = unknowns[:count]
@@ -321,7 +323,7 @@ class _Problem:
             else:
                 return unknowns, cost
             gain, damping, unknowns = cost - r @ r, max(damping / 10.0, 1e-9), trial
-            if gain < 1e-2:
+            if gain < tolerance:
                 return unknowns, r @ r
         return unknowns, r @ r
 
@@ -410,7 +412,7 @@ class Fit:
         disturbances: latency, lag, biases, noise and drift of the rig, as estimated.
         chi2: chi-square per degree of freedom of the residuals' dependence on torques and motion: about 1 where the
             model explains the log; above 1.2 a warning is issued.
-        ends: sums of squares at which the fits from the best starts have ended, the best first.
+        ends: sums of squares at which the fits from the best starts have ended, the best first; one if they agree.
         widths: standard deviation of each quantity over that of its range.
     """
 
@@ -562,14 +564,18 @@ def identify(
         for name, share in (("latency", latency), ("mu", mu)):
             if name in problem.names:
                 shares[problem.names.index(name)] = share
-        unknowns, cost = problem.fit(np.append(shares, problem.guess(short).ravel()), short, joined=False, most=10)
+        unknowns, cost = problem.fit(
+            np.append(shares, problem.guess(short).ravel()), short, joined=False, tolerance=1.0
+        )
         ends.append((cost, unknowns[:count]))
     ends = sorted(ends, key=lambda end: end[0])[:KEPT]
-    fits = [problem.fit(np.append(shares, problem.guess(long).ravel()), long, True, 15) for _, shares in ends]
-    for _ in range(2):
+    fits = [problem.fit(np.append(shares, problem.guess(long).ravel()), long, True, 1.0) for _, shares in ends]
+    for tolerance in (1.0, 0.03):
         fits.sort(key=lambda end: end[1])
         problem.estimate_noise(fits[0][0], long)
-        fits = [problem.fit(unknowns, long, True, 15) for unknowns, _ in fits]
+        # Equal ends are one.
+        fits = [end for end in fits if end is fits[0] or end[1] > fits[0][1] + 3.0]
+        fits = [problem.fit(unknowns, long, True, tolerance) for unknowns, _ in fits]
     fits.sort(key=lambda end: end[1])
     found = fits[0][0]
     shares = problem.posterior(found, long)
@@ -591,7 +597,7 @@ def identify(
             **sizes, **{name: values[name] for name in OTHERS}, drift_time=time, unmeasured=unmeasured
         ),
         chi2=problem.statistic(found, long),
-        ends=tuple(round(cost, 1) for _, cost in fits),
+        ends=tuple(round(float(cost), 1) for _, cost in fits),
         widths=dict(zip(problem.names, (math.sqrt(12.0) * shares.std(axis=0)).tolist(), strict=True)),
         _problem=problem,
         _found=(found, long),
