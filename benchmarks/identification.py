@@ -35,7 +35,11 @@ SENSORS: dict[str, Disturbances] = {"white": Disturbances(**WHITE, **ACTUATED), 
 
 @dataclass(frozen=True)
 class Args:
-    """Identifies random plants, and prints errors, the coverage of the 95 % intervals, and the time."""
+    """Identifies random plants, and prints errors, the coverage of the 95 % intervals, and the time.
+
+    Examples:
+      python -m benchmarks.identification --plants 150 --sensors real
+    """
 
     plants: Count = 150
     """Number of plants."""
@@ -52,7 +56,7 @@ def make_logs(count: int, seed: int, sensors: str) -> Iterator[tuple[dict[str, n
     found = 0
     while found < count:
         _, info = env.reset(seed=seed)
-        log = record(env, Excitation(seed=seed, amplitude=0.4), seed=seed)
+        log = record(env, Excitation(seed=seed), seed=seed)
         seed += 1
         if len(log["t"]) * CONTROL_DT < 19.9:
             continue

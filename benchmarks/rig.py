@@ -11,17 +11,17 @@ import json
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from stable_baselines3 import PPO
-from stable_baselines3.common.utils import LinearSchedule
-from stable_baselines3.common.vec_env import VecNormalize
 
 from capsule_gym import CapsuleEnv, Excitation, identify, record
 from capsule_gym.command_line import Count, parse
 from capsule_gym.files import to_json, write_atomically
-from capsule_gym.sb3 import CapsuleSB3VecEnv
+
+if TYPE_CHECKING:
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.vec_env import VecNormalize
 
 HIDDEN: dict[str, Any] = {"randomization": "real-wide", "disturbances": "real"}
 LOGGED_DT = 0.01
@@ -33,7 +33,11 @@ EPISODE_STEPS = 1650
 
 @dataclass(frozen=True)
 class Args:
-    """Compares agents trained on identified, on the paper's and on wide ranges, on hidden plants."""
+    """Compares agents trained on identified, on the paper's and on wide ranges, on hidden plants.
+
+    Examples:
+      python -m benchmarks.rig --plants 20 --json runs/rig.json
+    """
 
     plants: Count = 20
     """Number of hidden plants."""
@@ -47,6 +51,12 @@ class Args:
 
 def train(seed: int, total_steps: int, **env_kwargs: Any) -> tuple[PPO, VecNormalize]:
     """Trains an agent with direct torque; the settings are those of `direct-ppo`, with 4 observations stacked."""
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.utils import LinearSchedule
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    from capsule_gym.sb3 import CapsuleSB3VecEnv
+
     batch = CapsuleSB3VecEnv(128, seed=seed, **TRAINING, **env_kwargs)
     env = VecNormalize(batch, gamma=0.995)
     model = PPO(

@@ -22,7 +22,11 @@ SMALLEST = 1e-5
 
 @dataclass(frozen=True)
 class Args:
-    """Compares derivatives of x(2 s) with extrapolated differences, and their cost with that of a trajectory."""
+    """Compares derivatives of x(2 s) with extrapolated differences, and their cost with that of a trajectory.
+
+    Examples:
+      python -m benchmarks.sensitivity --trajectories 300
+    """
 
     trajectories: Count = 300
     """Number of random plants and torques."""

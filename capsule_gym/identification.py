@@ -114,7 +114,7 @@ def read_log(log: Any) -> dict[str, np.ndarray]:
 
 
 @dataclass
-class _Problem:
+class Problem:
     """The least-squares problem of a log: unknowns are the shares of the ranges, then the states of the segments."""
 
     log: dict[str, np.ndarray]
@@ -424,7 +424,7 @@ class Fit:
     chi2: float
     ends: tuple[float, ...]
     widths: dict[str, float]
-    _problem: _Problem = field(repr=False)
+    _problem: Problem = field(repr=False)
     _found: tuple[np.ndarray, list[tuple[int, int]]] = field(repr=False)
 
     @property
@@ -556,7 +556,7 @@ def identify(
         given = getattr(prior, name, None) or RANGES.get(name)
         if given and name not in known and (name[-5:] != "_bias" or name[:-5] in columns):
             ranges[name] = given
-    problem = _Problem(columns, capsule, ranges, prior.log_mu, {**dict.fromkeys(OTHERS, 0.0), **known}, physics_dt)
+    problem = Problem(columns, capsule, ranges, prior.log_mu, {**dict.fromkeys(OTHERS, 0.0), **known}, physics_dt)
     short, long = problem.cut(SHORT, LONG), problem.cut(LONG, LONG)
     count, ends = len(problem.names), []
     for latency, mu in STARTS:

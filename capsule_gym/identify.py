@@ -13,7 +13,11 @@ PROG = "python -m capsule_gym.identify"
 
 @dataclass(frozen=True, kw_only=True)
 class Args:
-    """Estimates a rig's plant from a log with the columns t,torque[,theta][,theta_dot][,x][,x_dot] in SI units."""
+    """Estimates a rig's plant from a log with the columns t,torque[,theta][,theta_dot][,x][,x_dot] in SI units.
+
+    Examples:
+      python -m capsule_gym.identify log.csv --known lag 0.005 --report fit.png
+    """
 
     log: Positional[Path]
     """CSV file; torque is the command that acts from t on."""
