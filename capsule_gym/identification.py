@@ -51,6 +51,8 @@ GAP = 0.02
 # Starts of the fit: shares of the ranges of latency and mu; the best ones of the first fit begin the second.
 STARTS, KEPT = tuple((latency, mu) for latency in (0.2, 0.5, 0.8) for mu in (0.25, 0.7)), 2
 MOST_STEPS, LARGEST_CHI2 = 15, 1.2
+# Width of an interval in units of the range's from which on it is the prior's.
+OPEN = 0.8
 
 
 def read_log(log: Any) -> dict[str, np.ndarray]:
@@ -537,8 +539,8 @@ def identify(
         ValueError: if the log or an argument is invalid; the message names the column.
 
     Warns:
-        UserWarning: if the model does not explain the log, if the log does not determine a quantity, or if an estimate
-            lies at the end of its range.
+        UserWarning: if the model does not explain the log, if the log does not determine a constant of the prior, or if
+            an estimate lies at the end of its range.
     """
     columns, prior, known = read_log(log), Randomization.named(prior), dict(known or {})
     physics_dt = check_number("physics_dt", physics_dt, "a number of s from 1e-5 to 0.01", 1e-5, 0.01)
@@ -611,7 +613,8 @@ def _warn(fit: Fit, shares: np.ndarray) -> None:
     doubts = []
     if fit.chi2 > LARGEST_CHI2:
         doubts.append(f"chi2 is {fit.chi2:.2f}: the model does not explain the log, and the intervals are too short")
-    if open_ones := [name for name, width in fit.widths.items() if width > 0.8]:
+    # The table shows what else is open.
+    if open_ones := [name for name, width in fit.widths.items() if width > OPEN and name not in RANGES]:
         doubts.append(f"the log does not determine {', '.join(open_ones)}: the intervals are the prior's")
     names = np.array(list(fit.estimates))
     at_end = ((shares <= 0.0) | (shares >= 1.0)) & (np.array(list(fit.widths.values())) < 0.1)
