@@ -15,6 +15,7 @@ import os
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +45,7 @@ RANGES = {
 }
 PLANT = ("M", "mu", *CONSTANTS)
 OTHERS = tuple(name for name in RANGES if name not in PLANT)
-# s: durations of the segments of the two fits, the distance of the first fit's, and the shortest log.
+# s: durations of the segments of the two fits, which begin at the same times, and of the shortest log.
 SHORT, LONG, SHORTEST = 0.2, 0.8, 2.0
 # Standard deviation of the gap between two segments over that of a reading.
 GAP = 0.02
@@ -143,29 +144,21 @@ class Problem:
         self.noise = {name: (*NOISE[name], 0.05) for name in self.sensors}
         self.gains: dict[Any, Any] = {}
 
-    def values(self, shares: np.ndarray) -> dict[str, float]:
-        """The quantities in SI units."""
-        found = self.low + shares * (self.high - self.low)
-        given = dict(zip(self.names, found.tolist(), strict=True))
-        if self.log_mu and "mu" in given:
-            low, high = self.ranges["mu"]
-            given["mu"] = low * (high / low) ** shares[self.names.index("mu")]
-        return {**self.known, **given}
-
-    def slopes(self, values: dict[str, float]) -> np.ndarray:
-        """The derivatives of the quantities by their shares."""
+    def values(self, shares: np.ndarray) -> tuple[dict[str, float], np.ndarray]:
+        """The quantities in SI units, and the derivatives of the unknown ones by their shares."""
         slopes = self.high - self.low
+        found = self.low + shares * slopes
         if self.log_mu and "mu" in self.names:
-            low, high = self.ranges["mu"]
-            slopes[self.names.index("mu")] = values["mu"] * math.log(high / low)
-        return slopes
+            n, (low, high) = self.names.index("mu"), self.ranges["mu"]
+            found[n] = low * (high / low) ** shares[n]
+            slopes[n] = found[n] * math.log(high / low)
+        return {**self.known, **dict(zip(self.names, found.tolist(), strict=True))}, slopes
 
-    def cut(self, seconds: float, distance: float) -> list[tuple[int, int]]:
-        """The first reading of each segment and the one behind its last."""
-        size, stride, count = (max(2, round(each / self.period)) for each in (seconds, distance, 1e9))
+    def cut(self, seconds: float) -> list[tuple[int, int]]:
+        """Segments that begin every LONG seconds: the first reading of each, and the one behind its last."""
+        size, stride = (max(2, round(each / self.period)) for each in (seconds, LONG))
         count = len(self.log["t"])
-        starts = range(self.lead, count - size // 2, stride)
-        return [(first, min(first + size, count)) for first in starts]
+        return [(first, min(first + size, count)) for first in range(self.lead, count - size // 2, stride)]
 
     def guess(self, segments: list[tuple[int, int]]) -> np.ndarray:
         """Initial states of the segments from the readings, shape (segments, components)."""
@@ -207,7 +200,7 @@ class Problem:
         from scipy.signal import lfilter
 
         count, width = len(self.names), len(self.components)
-        values, states = self.values(unknowns[:count]), unknowns[count:].reshape(-1, width)
+        (values, scale), states = self.values(unknowns[:count]), unknowns[count:].reshape(-1, width)
         constants = {name: values[name] for name in PLANT if name in values}
         inputs = constant_inputs(Capsule(**{**vars(self.capsule), **constants}))
         share, fall = 1.0, 0.0
@@ -218,10 +211,7 @@ class Problem:
         motor = lfilter([share], [1.0, share - 1.0], self.commands)
         motor_slope = lfilter([1.0], [1.0, share - 1.0], fall * (self.commands - np.append(0.0, motor[:-1])))
         first_state, places = len(inputs), {name: n for n, name in enumerate(_core.TRAJECTORY)}
-        scale, directions = (
-            self.slopes(values),
-            [n for n, name in enumerate(self.names) if name in places or name == "lag"],
-        )
+        directions = [n for n, name in enumerate(self.names) if name in places or name == "lag"]
         out = np.full((len(self.log["t"]), len(self.sensors), 1 + len(unknowns) * slopes), np.nan)
         gaps = np.zeros((len(segments) - 1, width, out.shape[2]))
         shown = [SENSORS.index(name) for name in self.sensors]
@@ -231,36 +221,35 @@ class Problem:
             state = np.zeros(4)
             state[self.components] = states[n]
             given = np.concatenate([inputs, state, motor[begin:end]])
-            partials = None
-            if slopes:
-                partials = np.zeros((len(given), len(directions) + width))
-                for column, which in enumerate(directions):
-                    if (name := self.names[which]) == "lag":
-                        partials[first_state + 4 :, column] = motor_slope[begin:end] * scale[which]
-                    else:
-                        partials[places[name], column] = scale[which]
-                partials[first_state + np.array(self.components), len(directions) + np.arange(width)] = 1.0
-            grid, rates, _ = simulate(given, partials, 1, self.h)
+            partials = np.zeros((len(given), len(directions) + width))
+            for column, which in enumerate(directions):
+                if (name := self.names[which]) == "lag":
+                    partials[first_state + 4 :, column] = motor_slope[begin:end] * scale[which]
+                else:
+                    partials[places[name], column] = scale[which]
+            partials[first_state + np.array(self.components), len(directions) + np.arange(width)] = 1.0
+            grid, rates, _ = simulate(given, partials if slopes else None, 1, self.h)
             own = count + n * width + np.arange(width)
             columns = np.append(0, 1 + np.append(directions, own).astype(int)) if slopes else [0]
             whole = np.concatenate([grid[:, :4, None], rates], axis=2)
             # Between the steps of the integrator readings are interpolated linearly.
             at = (np.arange(first, last) * self.steps - begin) - latency
             low = np.floor(at).astype(int)
-            rest, after = (at - low)[:, None, None], np.minimum(low + 1, len(grid) - 1)
-            part = ((1.0 - rest) * whole[low] + rest * whole[after])[:, shown]
-            rows = np.zeros((last - first, len(shown), out.shape[2]))
-            rows[:, :, columns] = part
+            rest = (at - low)[:, None, None]
+
+            def read(part: np.ndarray, ahead: int, low: np.ndarray = low, rest: np.ndarray = rest) -> np.ndarray:
+                before, after = (np.minimum(low + ahead + k, len(part) - 1) for k in (0, 1))
+                return ((1.0 - rest) * part[before] + rest * part[after])[:, shown]
+
+            out[first:last] = 0.0
+            out[first:last][:, :, columns] = read(whole, 0)
             if slopes and "latency" in self.names:
                 # The slope jumps where the motor's torque does: the mean of both sides.
-                late = ((1.0 - rest[..., 0]) * grid[low - 1, :4] + rest[..., 0] * grid[low, :4])[:, shown]
-                further = np.minimum(low + 2, len(grid) - 1)
-                soon = ((1.0 - rest[..., 0]) * grid[after, :4] + rest[..., 0] * grid[further, :4])[:, shown]
-                which = self.names.index("latency")
-                rows[:, :, 1 + which] = (late - soon) / (2.0 * self.h) * scale[which]
-            out[first:last] = rows
+                which, own_state = self.names.index("latency"), whole[..., :1]
+                difference = (read(own_state, -1) - read(own_state, 1))[..., 0]
+                out[first:last, :, 1 + which] = difference / (2.0 * self.h) * scale[which]
             if n + 1 < len(segments) and segments[n + 1][0] == last:
-                gaps[n][:, columns] = whole[(segments[n + 1][0] - self.lead) * self.steps - begin][self.components]
+                gaps[n][:, columns] = whole[(last - self.lead) * self.steps - begin][self.components]
                 gaps[n, :, 0] -= states[n + 1]
                 if slopes:
                     gaps[n, np.arange(width), 1 + own + width] -= 1.0
@@ -482,9 +471,9 @@ class Fit:
         """Estimates, 95 % intervals, and their widths in units of the ranges, as text."""
         rows = [f"{'':16}{'estimate':>12}{'95 % interval':>26}{'width':>8}"]
         for name, (low, high) in self.intervals(0.95).items():
-            rows.append(
-                f"{name:16}{self.estimates[name]:12.5g}{f'{low:.5g} to {high:.5g}':>26}{self.widths[name]:8.2f}"
-            )
+            note = "  not determined: the prior's" if self.widths[name] > OPEN else ""
+            limits = f"{low:.5g} to {high:.5g}"
+            rows.append(f"{name:16}{self.estimates[name]:12.5g}{limits:>26}{self.widths[name]:8.2f}{note}")
         return "\n".join([*rows, f"chi2 {self.chi2:.2f}; the ends of the fits: {self.ends}"])
 
     def report(self, path: str | os.PathLike[str]) -> None:
@@ -559,7 +548,7 @@ def identify(
         if given and name not in known and (name[-5:] != "_bias" or name[:-5] in columns):
             ranges[name] = given
     problem = Problem(columns, capsule, ranges, prior.log_mu, {**dict.fromkeys(OTHERS, 0.0), **known}, physics_dt)
-    short, long = problem.cut(SHORT, LONG), problem.cut(LONG, LONG)
+    short, long = problem.cut(SHORT), problem.cut(LONG)
     count, ends = len(problem.names), []
     for latency, mu in STARTS:
         shares = np.full(count, 0.5)
@@ -581,7 +570,7 @@ def identify(
     fits.sort(key=lambda end: end[1])
     found = fits[0][0]
     shares = problem.posterior(found, long)
-    samples = np.array([[problem.values(each)[name] for name in problem.names] for each in shares])
+    samples = np.array([[problem.values(each)[0][name] for name in problem.names] for each in shares])
     estimates = dict(zip(problem.names, samples.mean(axis=0).tolist(), strict=True))
     values = {**problem.known, **estimates}
     constants = {name: values[name] for name in PLANT if name in values}
@@ -631,38 +620,26 @@ class Excitation:
     `start` returns the policy of an episode. It observes theta and theta_dot first, as the environment's agents do.
 
     Attributes:
-        seed: seed of frequencies and phases.
+        seed: seed of the frequencies, from 0.3 to 8 Hz, and of the phases.
         amplitude: root mean square of the multisine, N m.
-        frequencies: lowest and highest of the 16 frequencies, Hz.
-        kp: gain on theta, N m/rad.
-        kd: gain on theta_dot, N m s/rad.
         torque_limit: torque of an action of 1, N m.
         control_dt: period, s.
     """
 
     seed: int = 0
     amplitude: float = 0.45
-    frequencies: tuple[float, float] = (0.3, 8.0)
-    kp: float = 0.6
-    kd: float = 0.04
     torque_limit: float = 1.5
     control_dt: float = 0.01
 
     def start(self, seeds: Any = (0,)) -> Callable[[np.ndarray], np.ndarray]:
         """The policy of an episode, from observations to actions."""
-        generator, (low, high) = np.random.default_rng(self.seed), self.frequencies
-        frequencies = np.exp(generator.uniform(math.log(low), math.log(high), 16))
-        phases, step = generator.uniform(0.0, 2.0 * np.pi, 16), 0
+        generator = np.random.default_rng(self.seed)
+        frequencies = np.exp(generator.uniform(math.log(0.3), math.log(8.0), 16))
+        phases, steps = generator.uniform(0.0, 2.0 * np.pi, 16), count()
 
         def act(observation: np.ndarray) -> np.ndarray:
-            nonlocal step
-            wave = (
-                self.amplitude
-                * np.sin(2.0 * np.pi * frequencies * step * self.control_dt + phases).sum()
-                / math.sqrt(8)
-            )
-            step += 1
-            torque = wave - self.kp * observation[0] - self.kd * observation[1]
+            waves = np.sin(2.0 * np.pi * self.control_dt * next(steps) * frequencies + phases)
+            torque = self.amplitude * waves.sum() / math.sqrt(8.0) - 0.6 * observation[0] - 0.04 * observation[1]
             return np.clip(np.array([torque / self.torque_limit], np.float32), -1.0, 1.0)
 
         return act
@@ -700,14 +677,14 @@ def record(
     if path is not None and os.path.exists(path):
         raise ValueError(f"path must name a new file, got {os.fspath(path)!r}")
     settings, dt = plain.simulation.settings, plain.simulation.options.control_dt
-    count = check_count("the number of steps in seconds", round(seconds / dt))
+    steps = check_count("the number of steps in seconds", round(seconds / dt))
     policy = Excitation(torque_limit=settings.residual_limit, control_dt=dt) if policy is None else policy
     act = policy.start([0]) if hasattr(policy, "start") else policy
     observation, info = env.reset(seed=seed, options=options)
     disturbed = Disturbances.named(plain.simulation.options.disturbances)
     sensors = [name for name in SENSORS if disturbed is None or (name != "x" and name not in disturbed.unmeasured)]
     rows = []
-    for step in range(count):
+    for step in range(steps):
         action = np.clip(act(observation), -1.0, 1.0)
         reading = dict(zip(SENSORS, (info["state"] if disturbed is None else info["reading"]).tolist(), strict=True))
         torque = float(
