@@ -3,6 +3,9 @@
 Importing the package registers `CapsuleStickSlip-v0` and the environments of the other tasks.
 """
 
+from importlib import import_module
+from typing import Any
+
 from gymnasium.envs.registration import register, registry
 
 from capsule_gym.controller import Controller
@@ -27,11 +30,13 @@ __all__ = [
     "Randomization",
     "Sensitivity",
     "__version__",
+    "evaluate",
     "identify",
     "load_policy",
     "policy_names",
     "record",
     "sensitivity",
+    "summarise",
 ]
 
 __version__ = "0.1.0"
@@ -45,3 +50,10 @@ for _name, (_id, _steps) in TASKS.items():
             max_episode_steps=_steps,
             kwargs={} if _id == ENV_ID else {"task": _name},
         )
+
+
+def __getattr__(name: str) -> Any:
+    # Imported at the first use, since the evaluation needs `baselines`, which imports this package.
+    if name in ("evaluate", "summarise"):
+        return getattr(import_module("baselines.evaluation.episodes"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
