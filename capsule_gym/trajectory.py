@@ -15,6 +15,7 @@ from capsule_gym.parameters import NOMINAL, Capsule
 from capsule_gym.settings import check_step, make_settings
 from capsule_gym.task import CONTROL_DT, LARGEST_STATE
 
+STATE = ("theta", "theta_dot", "x", "x_dot")
 # The constants by which a trajectory can be differentiated, in the order of the inputs.
 _CONSTANTS = tuple(_core.TRAJECTORY[:-5])
 

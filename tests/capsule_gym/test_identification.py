@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from capsule_gym import Capsule, CapsuleEnv, Disturbances, Excitation, identify, record
-from capsule_gym.identification import OTHERS, PLANT, Problem, read_log
+from capsule_gym.identification import OTHERS
 from capsule_gym.parameters import REAL
+from capsule_gym.recording import read_log
+from capsule_gym.shooting import PLANT, Problem
 
 TRUTH = {"M": 0.6, "mu": 0.08, "m": 0.13, "l": 0.31, "k": 0.35, "c": 0.095, "viscous": 0.2, "static_ratio": 1.2}
 OPTIONS = {"randomization": "none", "control_dt": 0.01, "capsule": Capsule(**TRUTH, motor_friction=0.06)}
