@@ -86,7 +86,7 @@ def drive(agent: tuple[PPO, VecNormalize], seed: int) -> dict[str, float]:
         observation, _, terminated, _, _ = env.step(action)
         if terminated:
             break
-    found = env.episode_metrics()
+    found = env.episode_metrics(EPISODE_STEPS)
     return {name: found[name] for name in ("mean_speed", "failed")}
 
 
