@@ -20,12 +20,13 @@ from capsule_gym.identification import OTHERS, RANGES
 from capsule_gym.parameters import RANDOMIZATIONS, REAL, Capsule
 
 CONTROL_DT, PHYSICS_DT = 0.01, 2e-3
-LOWEST_LATENCY = 0.002
+# Rounded to whole steps of the integrator, a latency stays inside the prior's range.
+LATENCY = (0.002, 0.018)
 FREE: dict[str, Any] = {name: RANGES[name] for name in RANGES if name not in OTHERS}
 DRAWN = replace(RANDOMIZATIONS["real-wide"], **FREE)
 # White noise alone, and the whole of `real`; both with all of the prior's latencies and lags.
 ACTUATED: dict[str, Any] = {
-    "latency": (LOWEST_LATENCY, RANGES["latency"][1]),
+    "latency": LATENCY,
     "lag": RANGES["lag"],
     "motor_friction": 0.0,
 }
