@@ -10,9 +10,12 @@ from gymnasium.envs.registration import register, registry
 
 from capsule_gym.controller import Controller
 from capsule_gym.env import CapsuleEnv
+from capsule_gym.identification import Fit, identify
 from capsule_gym.parameters import Capsule, Disturbances, Randomization
 from capsule_gym.policy import Policy, load_policy, policy_names
+from capsule_gym.recording import Excitation, record
 from capsule_gym.task import ENV_ID, TASKS
+from capsule_gym.trajectory import Sensitivity, sensitivity
 from capsule_gym.vector_env import CapsuleVectorEnv
 
 __all__ = [
@@ -22,12 +25,18 @@ __all__ = [
     "CapsuleVectorEnv",
     "Controller",
     "Disturbances",
+    "Excitation",
+    "Fit",
     "Policy",
     "Randomization",
+    "Sensitivity",
     "__version__",
     "evaluate",
+    "identify",
     "load_policy",
     "policy_names",
+    "record",
+    "sensitivity",
     "summarise",
 ]
 

@@ -5,6 +5,7 @@ LEVELS: list[str]
 ROWS: list[str]
 SETTINGS: list[str]
 PLANT: list[str]
+TRAJECTORY: list[str]
 PLANT_FUNCTIONS: list[str]
 ELEMENTARY_FUNCTIONS: list[str]
 OPERATIONS: list[str]
@@ -18,6 +19,7 @@ LANES: int
 HISTORY_ROWS: int
 MOST_CELLS: int
 COMMANDS: int
+DIRECTIONS: int
 THETA_LIMIT: float
 THETA_DOT_BOUND: float
 X_DOT_BOUND: float

@@ -3,6 +3,7 @@
 #include "functions.hpp"
 #include "resets.hpp"
 #include "rollout.hpp"
+#include "trajectory.hpp"
 
 namespace LEVEL {
 // Returns the index of an environment whose law has failed, -1, or NO_MEMORY.
@@ -11,6 +12,10 @@ long long call(const char* function, const Argument* a) {
   if (is("evaluate")) return evaluate(a[0], a[1], a[2], a[3], a[4]), -1;
   if (is("law_torques")) return law_torques(a[0], a[1], a[2], a[3], a[4], a[5], a[6]), -1;
   if (is("platform_motion")) return platform_motion(a[0], a[1], a[2], a[3], a[4], *(const AnyPlant*)a[5], a[6]), -1;
+  if (is("trajectory")) {
+    auto run = (const double*)a[1] ? trajectory<Dual<DIRECTIONS>> : trajectory<double>;
+    return run(a[0], a[1], a[2], a[3], a[4], a[5], a[6]);
+  }
   if (is("write_inputs")) return write_inputs(*(const Header*)a[0], a[1], a[2], a[3], a[4], a[5]), -1;
   if (is("act_batch")) return act_batch(a[0], a[1], a[2], a[3], a[4], a[5]);
   const Batch& batch = *(const Batch*)a[0];

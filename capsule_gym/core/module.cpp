@@ -13,6 +13,7 @@
 #include "level.hpp"
 #include "rollout.hpp"
 #include "trace.hpp"
+#include "trajectory.hpp"
 
 extern "C" const Level capsule_level_portable, capsule_level_v3, capsule_level_v4;
 
@@ -203,6 +204,7 @@ int fill(PyObject* module) {
   add("BATCH", names_in(CAPSULE_BATCH(FIELD)));
 #undef FIELD
   add("PLANT", names_in(NOMINAL_CONSTANTS(CAPSULE_NAME)));
+  add("TRAJECTORY", names_in(CAPSULE_TRAJECTORY(CAPSULE_NAME)));
 #define FUNCTION(name, arguments, results, call) #name ":" #results " "
   add("PLANT_FUNCTIONS", names_in(CAPSULE_PLANT_FUNCTIONS(FUNCTION)));
   add("ELEMENTARY_FUNCTIONS", names_in(CAPSULE_ELEMENTARY_FUNCTIONS(FUNCTION)));
@@ -235,7 +237,7 @@ int fill(PyObject* module) {
 #define WHOLE(name, value) add(#name, PyLong_FromLongLong((long long)(value)));
   WHOLE(LANES, LANES) WHOLE(HISTORY_ROWS, HISTORY_ROWS) WHOLE(MOST_CELLS, MOST_CELLS) WHOLE(PADDING, portable::PADDING)
   WHOLE(COMMANDS, portable::COMMANDS) WHOLE(CELLS, portable::WIDTH<portable::Identification>)
-  WHOLE(PLAIN_LAW, &call_plain) WHOLE(LONGEST_TRACE, LONGEST_TRACE)
+  WHOLE(DIRECTIONS, portable::DIRECTIONS) WHOLE(PLAIN_LAW, &call_plain) WHOLE(LONGEST_TRACE, LONGEST_TRACE)
   return failed;
 }
 

@@ -1,0 +1,65 @@
+// Forward differentiation: a number and its derivatives along N directions, under the operators of one environment. The
+// values have the bits of a double; conditions depend on them alone.
+#pragma once
+#include "elementary.hpp"
+
+namespace LEVEL {
+template <int N> struct Dual {
+  static constexpr int COUNT = N / PACK;
+  double v;
+  // As many registers as they need: compilers spill vectors that are wider than a register.
+  Doubles d[COUNT];
+  Dual() = default;
+  INLINE Dual(double v) : v(v), d{} {}
+
+  // The number with this value, and with partial(i) in register i of the derivatives.
+  template <class F> static INLINE Dual make(double v, F partial) {
+    Dual number;
+    number.v = v;
+    for (int i = 0; i < COUNT; i++) number.d[i] = partial(i);
+    return number;
+  }
+#define PARTIAL(derivative) [&](int i) __attribute__((always_inline)) { return derivative; }
+  friend INLINE Dual operator+(const Dual& a, const Dual& b) { return make(a.v + b.v, PARTIAL(a.d[i] + b.d[i])); }
+  friend INLINE Dual operator-(const Dual& a, const Dual& b) { return make(a.v - b.v, PARTIAL(a.d[i] - b.d[i])); }
+  friend INLINE Dual operator-(const Dual& a) { return make(-a.v, PARTIAL(-a.d[i])); }
+  friend INLINE Dual operator*(const Dual& a, const Dual& b) {
+    return make(a.v * b.v, PARTIAL(a.d[i] * b.v + b.d[i] * a.v));
+  }
+  friend INLINE Dual operator/(const Dual& a, const Dual& b) {
+    double quotient = a.v / b.v, reciprocal = 1.0 / b.v;
+    return make(quotient, PARTIAL((a.d[i] - b.d[i] * quotient) * reciprocal));
+  }
+  friend INLINE Dual fma(const Dual& a, const Dual& b, const Dual& c) {
+    return make(fma(a.v, b.v, c.v), PARTIAL(a.d[i] * b.v + b.d[i] * a.v + c.d[i]));
+  }
+  // The whole turns that the function of a double subtracts have no derivative.
+  friend INLINE SinCos<Dual> sincos(const Dual& a) {
+    auto [sine, cosine] = sincos(a.v);
+    double s = sine, c = cosine;
+    return {make(s, PARTIAL(a.d[i] * c)), make(c, PARTIAL(a.d[i] * -s))};
+  }
+  // The same with a constant, whose derivatives are not worth their multiplications.
+  friend INLINE Dual operator+(const Dual& a, double b) { return make(a.v + b, PARTIAL(a.d[i])); }
+  friend INLINE Dual operator+(double a, const Dual& b) { return b + a; }
+  friend INLINE Dual operator-(const Dual& a, double b) { return make(a.v - b, PARTIAL(a.d[i])); }
+  friend INLINE Dual operator*(const Dual& a, double b) { return make(a.v * b, PARTIAL(a.d[i] * b)); }
+  friend INLINE Dual operator*(double a, const Dual& b) { return b * a; }
+#undef PARTIAL
+
+  friend INLINE bool operator<(const Dual& a, const Dual& b) { return a.v < b.v; }
+  friend INLINE bool operator>(const Dual& a, const Dual& b) { return a.v > b.v; }
+  friend INLINE bool operator<=(const Dual& a, const Dual& b) { return a.v <= b.v; }
+  friend INLINE bool operator>=(const Dual& a, const Dual& b) { return a.v >= b.v; }
+  friend INLINE bool operator==(const Dual& a, const Dual& b) { return a.v == b.v; }
+  friend INLINE bool operator!=(const Dual& a, const Dual& b) { return a.v != b.v; }
+
+  friend INLINE Dual select(bool condition, const Dual& a, const Dual& b) { return condition ? a : b; }
+  friend INLINE Dual abs(const Dual& a) { return a.v < 0.0 ? -a : a; }
+  friend INLINE Dual min(const Dual& a, const Dual& b) { return b.v < a.v ? b : a; }
+  friend INLINE Dual max(const Dual& a, const Dual& b) { return b.v > a.v ? b : a; }
+  friend INLINE Dual clip(const Dual& a, const Dual& limit) {
+    return a.v > limit.v ? limit : a.v < -limit.v ? -limit : a;
+  }
+};
+}  // namespace LEVEL

@@ -1,0 +1,51 @@
+"""Identifies a rig from a log: `python -m capsule_gym.identify log.csv`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from capsule_gym import identify
+from capsule_gym.command_line import Positional, check_output, parse, refuse
+
+PROG = "python -m capsule_gym.identify"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Args:
+    """Estimates a rig's plant from a log with the columns t,torque[,theta][,theta_dot][,x][,x_dot] in SI units.
+
+    Examples:
+      python -m capsule_gym.identify log.csv --known lag 0.005 --report fit.png
+    """
+
+    log: Positional[Path]
+    """CSV file; torque is the command that acts from t on."""
+    prior: str = "real-wide"
+    """Ranges of the plant: a name of the environment's argument randomization."""
+    known: dict[str, float] | None = None
+    """Quantities that are not estimated: --known lag 0.005"""
+    report: Path | None = None
+    """A new figure of readings, residuals and correlations."""
+
+    def check(self) -> None:
+        """Raises a `ValueError` for a file that does not exist or cannot be written."""
+        if not self.log.is_file():
+            raise ValueError(f"log must be a file, got {str(self.log)!r}")
+        check_output("--report", self.report)
+
+
+def main() -> None:
+    """Prints the estimates."""
+    args = parse(Args, PROG)
+    try:
+        fit = identify(args.log, args.known, args.prior)
+    except (TypeError, ValueError) as error:
+        refuse(PROG, str(error))
+    print(fit.table())
+    if args.report:
+        fit.report(args.report)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,176 @@
+"""Logs of a rig: recording, reading and their checks."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from capsule_gym import _core
+from capsule_gym.checks import check_count, nearest, written
+from capsule_gym.env import CapsuleEnv
+from capsule_gym.files import write_atomically
+from capsule_gym.parameters import Disturbances
+from capsule_gym.task import THETA_LIMIT
+from capsule_gym.trajectory import STATE
+
+UNITS = {"t": "s", "torque": "N m", "theta": "rad", "theta_dot": "rad/s", "x": "m", "x_dot": "m/s"}
+# Largest plausible sizes, and the shortest log, s.
+LARGEST = {"torque": 20.0, "theta": 1.2 * THETA_LIMIT, "theta_dot": 1.5 * _core.THETA_DOT_BOUND, "x_dot": 4.0, "x": 1e3}
+SHORTEST = 2.0
+
+
+def read_log(log: Any) -> dict[str, np.ndarray]:
+    """The columns of a log, float64, with NaN where a reading is missing, after all checks of `identify`."""
+    if isinstance(log, (str, os.PathLike)):
+        text = Path(log).read_text(encoding="utf-8")
+        rows = list(csv.DictReader(io.StringIO(text)))
+        log = {name: [row[name] or "nan" for row in rows] for name in (rows[0] if rows else {})}
+    if not isinstance(log, Mapping):
+        raise TypeError(f"log must be the path of a CSV file or a mapping of columns, got {written(log)}")
+    columns = {}
+    for name, values in log.items():
+        if name not in UNITS:
+            raise ValueError(f"log must have columns out of {tuple(UNITS)}, got {name!r}{nearest(str(name), UNITS)}")
+        try:
+            columns[name] = np.array(values, np.float64)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"column {name!r} must contain numbers ({UNITS[name]}) only: {error}") from None
+        column = columns[name]
+        if column.shape != (len(columns[next(iter(columns))]),):
+            raise ValueError(f"column {name!r} must have one number for each row, got the shape {column.shape}")
+        lost = np.isnan(column)
+        if np.isinf(column).any() or (lost.any() and name in ("t", "torque")) or (lost.size and lost.all()):
+            accepted = (
+                "finite numbers" if name in ("t", "torque") else "finite numbers, or NaN for a lost reading, not all"
+            )
+            raise ValueError(f"column {name!r} must contain {accepted}, got {written(column)}")
+        if name in LARGEST and (largest := np.nanmax(np.abs(column), initial=0.0)) > LARGEST[name]:
+            raise ValueError(f"column {name!r} must be in {UNITS[name]}, within +-{LARGEST[name]:g}, got {largest:g}")
+    for name in ("t", "torque"):
+        if name not in columns:
+            raise ValueError(f"log must have the columns 't' and 'torque', got {tuple(columns)}")
+    if not {"theta", "theta_dot"} & set(columns):
+        raise ValueError(f"log must have a column 'theta' or 'theta_dot', got {tuple(columns)}")
+    t, dt = columns["t"], np.diff(columns["t"])
+    if len(t) < 2 or (dt <= 0.0).any() or (np.abs(dt - (period := (t[-1] - t[0]) / len(dt))) > 0.05 * period).any():
+        raise ValueError(f"column 't' must increase in equal steps (s), got {written(t)}")
+    if t[-1] - t[0] < SHORTEST or not 1e-4 <= period <= 0.05:
+        raise ValueError(
+            f"column 't' must span at least {SHORTEST:g} s in steps of 0.0001 to 0.05 s, got {t[-1] - t[0]:g} s in "
+            f"steps of {period:g} s"
+        )
+    if np.ptp(columns["torque"]) <= 1e-6 * np.abs(columns["torque"]).max():
+        raise ValueError(f"column 'torque' must vary (N m), got {columns['torque'][0]:g} in every row")
+    for place, rate in (("theta", "theta_dot"), ("x", "x_dot")):
+        if place not in columns or rate not in columns:
+            continue
+        # The change of a position over 0.1 s against the mean rate: one scale for both, or the units differ.
+        width = max(1, round(0.1 / period))
+        mean = np.convolve(columns[rate], np.ones(width) / width, "valid")[:-1]
+        change = (columns[place][width:] - columns[place][:-width]) / (width * period)
+        both = np.isfinite(mean) & np.isfinite(change)
+        ratio = np.std(change[both]) / max(np.std(mean[both]), 1e-12)
+        # Where noise dominates, the scales tell nothing.
+        if not 0.5 < ratio < 2.0 and np.corrcoef(change[both], mean[both])[0, 1] > 0.9:
+            raise ValueError(
+                f"column {rate!r} must be the derivative of column {place!r}, in {UNITS[rate]} and {UNITS[place]}: "
+                f"changes of {place} are {ratio:.3g} times the integral of {rate}"
+            )
+    return columns
+
+
+@dataclass(frozen=True, kw_only=True)
+class Excitation:
+    """A policy for `record` that moves a rig so that a log determines its plant: a multisine under a weak PD law.
+
+    `start` returns the policy of an episode. It observes theta and theta_dot first, as the environment's agents do.
+
+    Attributes:
+        seed: seed of the frequencies, from 0.3 to 8 Hz, and of the phases.
+        amplitude: root mean square of the multisine, N m.
+        torque_limit: torque of an action of 1, N m.
+        control_dt: period, s.
+    """
+
+    seed: int = 0
+    amplitude: float = 0.45
+    torque_limit: float = 1.5
+    control_dt: float = 0.01
+
+    def start(self, seeds: Any = (0,)) -> Callable[[np.ndarray], np.ndarray]:
+        """The policy of an episode, from observations to actions."""
+        generator = np.random.default_rng(self.seed)
+        frequencies = np.exp(generator.uniform(math.log(0.3), math.log(8.0), 16))
+        phases, steps = generator.uniform(0.0, 2.0 * np.pi, 16), count()
+
+        def act(observation: np.ndarray) -> np.ndarray:
+            waves = np.sin(2.0 * np.pi * self.control_dt * next(steps) * frequencies + phases)
+            torque = self.amplitude * waves.sum() / math.sqrt(8.0) - 0.6 * observation[0] - 0.04 * observation[1]
+            return np.clip(np.array([torque / self.torque_limit], np.float32), -1.0, 1.0)
+
+        return act
+
+
+def record(
+    env: Any,
+    policy: Any = None,
+    path: str | os.PathLike[str] | None = None,
+    *,
+    seconds: float = 20.0,
+    seed: int | None = None,
+    options: dict[str, Any] | None = None,
+) -> dict[str, np.ndarray]:
+    """Records an episode as a log for `identify`.
+
+    Args:
+        env: an environment with direct torque, wrapped or not; with disturbances the log contains its readings.
+        policy: a function from an observation to an action, or an object whose `start([0])` returns one, such as a
+            `Policy`; None for `Excitation`.
+        path: a new CSV file for the log, or None.
+        seconds: duration, s; the log ends earlier where the episode does.
+        seed: seed of the reset.
+        options: options of the reset.
+
+    Returns:
+        The columns, float64.
+
+    Raises:
+        ValueError: if the torque is not constant during an agent step, or the file exists.
+    """
+    plain = env.unwrapped
+    if not isinstance(plain, CapsuleEnv) or plain.simulation.controller is not None:
+        raise ValueError(f"env must be an environment with direct torque, without a controller, got {env}")
+    if path is not None and os.path.exists(path):
+        raise ValueError(f"path must name a new file, got {os.fspath(path)!r}")
+    settings, dt = plain.simulation.settings, plain.simulation.options.control_dt
+    steps = check_count("the number of steps in seconds", round(seconds / dt))
+    policy = Excitation(torque_limit=settings.residual_limit, control_dt=dt) if policy is None else policy
+    act = policy.start([0]) if hasattr(policy, "start") else policy
+    observation, info = env.reset(seed=seed, options=options)
+    disturbed = Disturbances.named(plain.simulation.options.disturbances)
+    sensors = [name for name in STATE if disturbed is None or (name != "x" and name not in disturbed.unmeasured)]
+    rows = []
+    for step in range(steps):
+        action = np.clip(act(observation), -1.0, 1.0)
+        reading = dict(zip(STATE, (info["state"] if disturbed is None else info["reading"]).tolist(), strict=True))
+        torque = float(
+            np.clip(settings.residual_limit * float(action[0]), -settings.torque_limit, settings.torque_limit)
+        )
+        rows.append([step * dt, torque, *(reading[name] for name in sensors)])
+        observation, _, terminated, truncated, info = env.step(action)
+        if terminated or truncated:
+            break
+    names = ("t", "torque", *sensors)
+    if path is not None:
+        lines = [",".join(names), *(",".join(map(repr, row)) for row in rows)]
+        write_atomically(Path(path), "\n".join(lines) + "\n")
+    return dict(zip(names, np.array(rows).T, strict=True))

@@ -1,0 +1,301 @@
+"""The likelihood of a log by multiple shooting (Bock, 1981).
+
+The log is cut into segments, whose initial states are estimated together with the constants; the end of a segment must
+meet the start of the next. Predictions and derivatives come from the core (`capsule_gym.trajectory`). The errors of a
+sensor are a bias, white noise and a Gauss-Markov drift, whose sizes follow from the residuals (Whittle, 1953).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from capsule_gym import _core
+from capsule_gym.parameters import CONSTANTS, REAL, Capsule
+from capsule_gym.trajectory import STATE, constant_inputs, simulate
+
+PLANT = ("M", "mu", *CONSTANTS)
+# Standard deviations of noise and drift before they are estimated; the position's are this project's choice.
+NOISE = {name: (getattr(REAL, f"{name}_noise", 0.01), getattr(REAL, f"{name}_drift", 0.01)) for name in STATE}
+# Distance between the starts of segments, s, and the standard deviation of a gap over that of a reading.
+DISTANCE, GAP = 0.8, 0.02
+MOST_STEPS = 15
+
+
+@dataclass
+class Problem:
+    """The least-squares problem of a log: unknowns are the shares of the ranges, then the states of the segments."""
+
+    log: dict[str, np.ndarray]
+    capsule: Capsule
+    ranges: dict[str, tuple[float, float]]
+    log_mu: bool
+    known: dict[str, float]
+    physics_dt: float
+
+    def __post_init__(self) -> None:
+        t = self.log["t"]
+        self.period = (t[-1] - t[0]) / (len(t) - 1)
+        self.steps = math.ceil(self.period / self.physics_dt - 1e-6)
+        self.h = self.period / self.steps
+        self.names = list(self.ranges)
+        self.sensors = [name for name in STATE if name in self.log]
+        # The components of a segment's state that are unknown: x itself acts on nothing but its sensor.
+        self.components = [n for n, name in enumerate(STATE) if name != "x" or "x" in self.log]
+        self.low, self.high = np.array(list(self.ranges.values())).T
+        latest = self.ranges.get("latency", (0.0, self.known.get("latency", 0.0)))[1]
+        # Readings before the first of a segment, which begins earlier by the longest latency.
+        self.lead = math.ceil((latest + self.h) / self.period - 1e-9)
+        self.commands = np.repeat(self.log["torque"], self.steps)
+        self.noise = {name: (*NOISE[name], 0.05) for name in self.sensors}
+        self.gains: dict[Any, Any] = {}
+
+    def values(self, shares: np.ndarray) -> tuple[dict[str, float], np.ndarray]:
+        """The quantities in SI units, and the derivatives of the unknown ones by their shares."""
+        slopes = self.high - self.low
+        found = self.low + shares * slopes
+        if self.log_mu and "mu" in self.names:
+            n, (low, high) = self.names.index("mu"), self.ranges["mu"]
+            found[n] = low * (high / low) ** shares[n]
+            slopes[n] = found[n] * math.log(high / low)
+        return {**self.known, **dict(zip(self.names, found.tolist(), strict=True))}, slopes
+
+    def cut(self, seconds: float) -> list[tuple[int, int]]:
+        """Segments that begin every DISTANCE seconds: the first reading of each, and the one behind its last."""
+        size, stride = (max(2, round(each / self.period)) for each in (seconds, DISTANCE))
+        count = len(self.log["t"])
+        return [(first, min(first + size, count)) for first in range(self.lead, count - size // 2, stride)]
+
+    def guess(self, segments: list[tuple[int, int]]) -> np.ndarray:
+        """Initial states of the segments from the readings, shape (segments, components)."""
+        t, columns = self.log["t"], []
+        for name in STATE:
+            other = {"theta_dot": "theta", "x_dot": "x"}.get(name)
+            if name in self.log:
+                known = np.isfinite(self.log[name])
+                columns.append(np.interp(t, t[known], self.log[name][known]))
+            else:
+                columns.append(np.gradient(columns[-1], t) if other in self.log else np.zeros(len(t)))
+        return np.array(columns).T[[first for first, _ in segments]][:, self.components]
+
+    def whiten(self, name: str, errors: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Innovations of a sensor's errors over their standard deviation: the Kalman filter of drift and noise."""
+        from scipy.linalg import solve_banded
+
+        noise, drift, time = self.noise[name]
+        if (key := (name, self.noise[name], rows.tobytes())) not in self.gains:
+            kept, variance = math.exp(-self.period / time), drift * drift
+            gain, size = np.zeros(len(rows)), np.zeros(len(rows))
+            for n, present in enumerate(rows):
+                size[n] = math.sqrt(variance + noise * noise)
+                gain[n] = variance / (variance + noise * noise) if present else 0.0
+                variance = kept * kept * (1.0 - gain[n]) * variance + (1.0 - kept * kept) * drift * drift
+            bands = np.vstack([np.ones(len(rows)), np.append(-kept * (1.0 - gain[:-1]), 0.0)])
+            self.gains = {**{k: v for k, v in self.gains.items() if k[0] != name}, key: (bands, kept * gain, size)}
+        bands, weight, size = self.gains[key]
+        inputs = np.zeros_like(errors)
+        inputs[1:] = weight[:-1, None] * errors[:-1]
+        predicted = solve_banded((1, 0), bands, inputs, check_finite=False)
+        return ((errors - predicted) / size[:, None])[rows]
+
+    def predict(self, unknowns: np.ndarray, segments: list[tuple[int, int]], slopes: bool = True) -> tuple[Any, ...]:
+        """Predicted readings of a log, shape (rows, sensors, 1 + unknowns), value first; NaN outside the segments.
+
+        Also the gaps between segments, shape (gaps, components, 1 + unknowns).
+        """
+        from scipy.signal import lfilter
+
+        count, width = len(self.names), len(self.components)
+        (values, scale), states = self.values(unknowns[:count]), unknowns[count:].reshape(-1, width)
+        constants = {name: values[name] for name in PLANT if name in values}
+        inputs = constant_inputs(Capsule(**{**vars(self.capsule), **constants}))
+        share, fall = 1.0, 0.0
+        if (lag := values["lag"]) > 0.0:
+            share = 1.0 - math.exp(-self.h / lag)
+            fall = (share - 1.0) * self.h / (lag * lag)
+        # The motor's torque, as `Disturbed::drive` computes it, and its derivative by the lag.
+        motor = lfilter([share], [1.0, share - 1.0], self.commands)
+        motor_slope = lfilter([1.0], [1.0, share - 1.0], fall * (self.commands - np.append(0.0, motor[:-1])))
+        first_state, places = len(inputs), {name: n for n, name in enumerate(_core.TRAJECTORY)}
+        directions = [n for n, name in enumerate(self.names) if name in places or name == "lag"]
+        out = np.full((len(self.log["t"]), len(self.sensors), 1 + len(unknowns) * slopes), np.nan)
+        gaps = np.zeros((len(segments) - 1, width, out.shape[2]))
+        shown = [STATE.index(name) for name in self.sensors]
+        latency = values["latency"] / self.h
+        for n, (first, last) in enumerate(segments):
+            begin, end = (first - self.lead) * self.steps, (last - 1) * self.steps + 1
+            state = np.zeros(4)
+            state[self.components] = states[n]
+            given = np.concatenate([inputs, state, motor[begin:end]])
+            partials = np.zeros((len(given), len(directions) + width))
+            for column, which in enumerate(directions):
+                if (name := self.names[which]) == "lag":
+                    partials[first_state + 4 :, column] = motor_slope[begin:end] * scale[which]
+                else:
+                    partials[places[name], column] = scale[which]
+            partials[first_state + np.array(self.components), len(directions) + np.arange(width)] = 1.0
+            grid, rates, _ = simulate(given, partials if slopes else None, 1, self.h)
+            own = count + n * width + np.arange(width)
+            columns = np.append(0, 1 + np.append(directions, own).astype(int)) if slopes else [0]
+            whole = np.concatenate([grid[:, :4, None], rates], axis=2)
+            # Between the steps of the integrator readings are interpolated linearly.
+            at = (np.arange(first, last) * self.steps - begin) - latency
+            low = np.floor(at).astype(int)
+            rest = (at - low)[:, None, None]
+
+            def read(part: np.ndarray, ahead: int, low: np.ndarray = low, rest: np.ndarray = rest) -> np.ndarray:
+                before, after = (np.minimum(low + ahead + k, len(part) - 1) for k in (0, 1))
+                return ((1.0 - rest) * part[before] + rest * part[after])[:, shown]
+
+            out[first:last] = 0.0
+            out[first:last][:, :, columns] = read(whole, 0)
+            if slopes and "latency" in self.names:
+                # The slope jumps where the motor's torque does: the mean of both sides.
+                which, own_state = self.names.index("latency"), whole[..., :1]
+                difference = (read(own_state, -1) - read(own_state, 1))[..., 0]
+                out[first:last, :, 1 + which] = difference / (2.0 * self.h) * scale[which]
+            if n + 1 < len(segments) and segments[n + 1][0] == last:
+                gaps[n][:, columns] = whole[(last - self.lead) * self.steps - begin][self.components]
+                gaps[n, :, 0] -= states[n + 1]
+                if slopes:
+                    gaps[n, np.arange(width), 1 + own + width] -= 1.0
+        for n, name in enumerate(self.sensors):
+            out[:, n, 0] += values.get(f"{name}_bias", 0.0)
+            if slopes and f"{name}_bias" in self.names:
+                which = self.names.index(f"{name}_bias")
+                out[:, n, 1 + which] = scale[which]
+        return out, gaps
+
+    def residuals(
+        self, unknowns: np.ndarray, segments: list[tuple[int, int]], joined: bool, slopes: bool = True
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Whitened residuals and, in units of their deviations, the gaps between joined segments; their Jacobian."""
+        predicted, gaps = self.predict(unknowns, segments, slopes)
+        parts = []
+        for n, name in enumerate(self.sensors):
+            errors = predicted[:, n]
+            rows = np.isfinite(self.log[name]) & np.isfinite(errors[:, 0])
+            errors[:, 0] -= self.log[name]
+            errors[~rows] = 0.0
+            parts.append(self.whiten(name, errors, rows))
+        if joined:
+            sizes = [sum(self.noise.get(STATE[n], NOISE[STATE[n]])[:2]) for n in self.components]
+            parts.append((gaps / (GAP * np.array(sizes)[:, None])).reshape(-1, gaps.shape[2]))
+        whole = np.concatenate(parts)
+        return whole[:, 0], whole[:, 1:]
+
+    def fit(
+        self, unknowns: np.ndarray, segments: list[tuple[int, int]], joined: bool, tolerance: float
+    ) -> tuple[np.ndarray, float]:
+        """Minimises the sum of squares within the ranges, until a step reduces it by less than the tolerance.
+
+        Returns the unknowns and the sum.
+
+        The method of Levenberg and Marquardt on the normal equations: `scipy.optimize.least_squares` decomposes the
+        Jacobian of all readings in every step, which takes ten times as long.
+        """
+        from scipy.linalg import LinAlgError, cho_factor, cho_solve
+
+        count, damping = len(self.names), 1e-3
+        for _ in range(MOST_STEPS):
+            r, jacobian = self.residuals(unknowns, segments, joined)
+            cost, gradient, normal = r @ r, jacobian.T @ r, jacobian.T @ jacobian
+            shares = unknowns[:count]
+            blocked = ((shares <= 0.0) & (gradient[:count] > 0.0)) | ((shares >= 1.0) & (gradient[:count] < 0.0))
+            free = np.append(~blocked, np.ones(len(unknowns) - count, bool))
+            for _ in range(8):
+                damped = normal + np.diag(damping * np.diag(normal) + 1e-6)
+                step = np.zeros(len(unknowns))
+                try:
+                    step[free] = -cho_solve(cho_factor(damped[np.ix_(free, free)]), gradient[free])
+                except LinAlgError:
+                    damping *= 10.0
+                    continue
+                trial = unknowns + step
+                trial[:count] = np.clip(trial[:count], 0.0, 1.0)
+                r = self.residuals(trial, segments, joined, slopes=False)[0]
+                if r @ r < cost:
+                    break
+                damping *= 10.0
+            else:
+                return unknowns, cost
+            gain, damping, unknowns = cost - r @ r, max(damping / 10.0, 1e-9), trial
+            if gain < tolerance:
+                return unknowns, r @ r
+        return unknowns, r @ r
+
+    def estimate_noise(self, unknowns: np.ndarray, segments: list[tuple[int, int]]) -> None:
+        """Sizes of white noise and drift, and the drift's time constant, by Whittle's likelihood of the residuals."""
+        from scipy.optimize import minimize
+
+        predicted, _ = self.predict(unknowns, segments, slopes=False)
+        powers = []
+        for n, name in enumerate(self.sensors):
+            errors = self.log[name] - predicted[:, n, 0]
+            present = np.isfinite(errors)
+            spectrum = np.abs(np.fft.rfft(np.where(present, errors, 0.0)))[1:-1] ** 2
+            powers.append(spectrum / present.sum())
+        cosine = np.cos(2.0 * np.pi * np.arange(1, len(powers[0]) + 1) / len(self.log["t"]))
+
+        def likelihood(logs: np.ndarray) -> float:
+            kept, total = math.exp(-self.period / math.exp(logs[-1])), 0.0
+            shape = (1.0 - kept * kept) / (1.0 - 2.0 * kept * cosine + kept * kept)
+            for power, noise, drift in zip(powers, logs[:-1:2], logs[1:-1:2], strict=True):
+                density = math.exp(2.0 * noise) + math.exp(2.0 * drift) * shape
+                total += np.sum(np.log(density) + power / density)
+            return total
+
+        sizes = [0.5 * math.log(np.mean(power) / 2.0) for power in powers for _ in range(2)]
+        bounds = [(size - 7.0, size + 2.0) for size in sizes] + [(math.log(0.5 * self.period), 0.0)]
+        logs = np.exp(minimize(likelihood, [*sizes, math.log(0.05)], method="L-BFGS-B", bounds=bounds).x).tolist()
+        self.noise = {name: (logs[2 * n], logs[2 * n + 1], logs[-1]) for n, name in enumerate(self.sensors)}
+
+    def posterior(self, unknowns: np.ndarray, segments: list[tuple[int, int]], seed: int = 0) -> np.ndarray:
+        """Samples of the shares, shape (samples, shares): the normal approximation of the likelihood in the ranges."""
+        r, jacobian = self.residuals(unknowns, segments, joined=True)
+        gradient, normal = jacobian.T @ r, jacobian.T @ jacobian + 1e-6 * np.eye(len(unknowns))
+        count = len(self.names)
+        # Without the states of the segments.
+        inner = np.linalg.solve(normal[count:, count:], np.column_stack([normal[count:, :count], gradient[count:]]))
+        precision = normal[:count, :count] - normal[:count, count:] @ inner[:, :-1]
+        slope = gradient[:count] - normal[:count, count:] @ inner[:, -1]
+        # Drawn with a normal prior as wide as the ranges, which the weights take back.
+        mode = unknowns[:count]
+        covariance = np.linalg.inv(precision + np.eye(count))
+        middle = mode + covariance @ (0.5 - mode - slope)
+        factor = np.linalg.cholesky(covariance)
+        generator, found = np.random.default_rng(seed), np.zeros((0, count))
+        for _ in range(200):
+            every = middle + generator.standard_normal((5000, count)) @ factor.T
+            drawn = every[((every >= 0.0) & (every <= 1.0)).all(axis=1)]
+            weight = np.exp(0.5 * np.sum((drawn - 0.5) ** 2 - 0.25, axis=1))
+            found = np.concatenate([found, drawn[generator.uniform(size=len(drawn)) < weight]])
+            if len(found) >= 5000:
+                break
+        # A likelihood far outside of the ranges, which hardly any sample meets.
+        return found if len(found) > 500 else np.clip(every, 0.0, 1.0)
+
+    def statistic(self, unknowns: np.ndarray, segments: list[tuple[int, int]]) -> float:
+        """The share of the whitened residuals that past torques and the predicted motion explain, over that of noise.
+
+        It is a chi-square per degree of freedom (Ljung, System Identification, Sect. 16.6).
+        """
+        predicted, _ = self.predict(unknowns, segments, slopes=False)
+        motion, torque = np.nan_to_num(predicted[..., 0]), self.log["torque"]
+        # The present torque may follow from the present reading.
+        lags = range(1, round(1.0 / self.period), max(1, round(0.01 / self.period)))
+        regressors = [np.ones(len(torque)), *(np.append(np.zeros(lag), torque[: len(torque) - lag]) for lag in lags)]
+        regressors += [function(motion[:, n]) for n in range(len(self.sensors)) for function in (np.sign, np.abs)]
+        basis, sizes, _ = np.linalg.svd(np.array(regressors).T, full_matrices=False)
+        basis = basis[:, sizes > 1e-3 * sizes[0]]
+        r = self.residuals(unknowns, segments, joined=False, slopes=False)[0]
+        total, begin = 0.0, 0
+        for n, name in enumerate(self.sensors):
+            rows = np.isfinite(self.log[name]) & np.isfinite(predicted[:, n, 0])
+            own = np.linalg.qr(basis[rows])[0]
+            total += np.sum((own.T @ r[begin : begin + rows.sum()]) ** 2) / (own.shape[1] * len(self.sensors))
+            begin += rows.sum()
+        return total

@@ -1,0 +1,220 @@
+"""Identification: the predictor is the environment, the intervals contain the truth, invalid logs raise errors."""
+
+from __future__ import annotations
+
+import csv
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from capsule_gym import Capsule, CapsuleEnv, Disturbances, Excitation, identify, record
+from capsule_gym.identification import OTHERS
+from capsule_gym.parameters import REAL
+from capsule_gym.recording import read_log
+from capsule_gym.shooting import PLANT, Problem
+
+TRUTH = {"M": 0.6, "mu": 0.08, "m": 0.13, "l": 0.31, "k": 0.35, "c": 0.095, "viscous": 0.2, "static_ratio": 1.2}
+OPTIONS = {"randomization": "none", "control_dt": 0.01, "capsule": Capsule(**TRUTH, motor_friction=0.06)}
+MOTOR = {"latency": 0.008, "lag": 0.004}
+WHITE = Disturbances(theta_noise=0.01, theta_dot_noise=0.1, x_dot_noise=0.01, x_dot_bias=0.01, **MOTOR)
+STATE = {"state": [0.0, 0.0, 0.0, 0.0]}
+
+
+def make_log(disturbances: Disturbances | str, seconds: float = 20.0, **options) -> dict[str, np.ndarray]:
+    env = CapsuleEnv(**{**OPTIONS, "disturbances": disturbances, **options})
+    return record(env, Excitation(amplitude=0.4), seconds=seconds, seed=1, options=STATE)
+
+
+@pytest.fixture(scope="module")
+def log():
+    return make_log(WHITE)
+
+
+@pytest.fixture(scope="module")
+def fit(log):
+    return identify(log)
+
+
+def make_problem(log: dict[str, np.ndarray]) -> tuple[Problem, np.ndarray]:
+    """The problem of a log, and the shares of the true quantities."""
+    truth = {**TRUTH, "motor_friction": 0.06, **MOTOR, "x_dot_bias": 0.01}
+    ranges = {name: (0.5 * value, 1.5 * value) for name, value in truth.items()}
+    known = dict.fromkeys(OTHERS, 0.0)
+    return Problem(read_log(log), Capsule(), ranges, False, known, 2e-3), np.full(len(ranges), 0.5)
+
+
+@pytest.mark.parametrize("physics_dt", [2e-3, 1e-3])
+def test_predictions_are_the_environments_readings(physics_dt):
+    noiseless = Disturbances(x_dot_bias=0.01, **MOTOR)
+    log = make_log(noiseless, 3.0, physics_dt=physics_dt)
+    problem, shares = make_problem(log)
+    problem = Problem(problem.log, problem.capsule, problem.ranges, False, problem.known, physics_dt)
+    segments = [(problem.lead, len(log["t"]))]
+    predicted, _ = problem.predict(np.append(shares, [0.0, 0.0, 0.0]), segments, slopes=False)
+    for n, name in enumerate(problem.sensors):
+        np.testing.assert_allclose(predicted[problem.lead :, n, 0], log[name][problem.lead :], rtol=0.0, atol=1e-9)
+
+
+def test_slopes_of_predictions_equal_differences(log):
+    problem, shares = make_problem({name: column[:250] for name, column in log.items()})
+    segments = problem.cut(0.8)
+    unknowns = np.append(shares, problem.guess(segments).ravel())
+    predicted, gaps = problem.predict(unknowns, segments)
+    smooth = [n for n in range(len(unknowns)) if n >= len(problem.names) or problem.names[n] != "latency"]
+    for n in smooth:
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = unknowns.copy()
+            moved[n] += sign * 1e-6
+            ends.append(problem.predict(moved, segments, slopes=False))
+        for slope, high, low in zip((predicted, gaps), *ends, strict=True):
+            inside = np.isfinite(high[..., 0])
+            difference = (high[inside, 0] - low[inside, 0]) / 2e-6
+            np.testing.assert_allclose(slope[inside, 1 + n], difference, rtol=1e-4, atol=1e-4 * abs(difference).max())
+
+
+def test_intervals_contain_the_truth(fit):
+    for name, (low, high) in fit.intervals(0.999).items():
+        truth = {**TRUTH, "motor_friction": 0.06, **MOTOR, "x_dot_bias": 0.01}.get(name, 0.0)
+        assert low <= truth <= high, name
+    assert 0.8 < fit.chi2 < 1.2
+    for name in ("m", "l", "k", "c", "M", "mu"):
+        assert fit.estimates[name] == pytest.approx(TRUTH[name], rel=0.06), name
+    assert fit.estimates["latency"] + fit.estimates["lag"] == pytest.approx(0.012, abs=1e-3)
+    found = fit.disturbances
+    assert found.theta_noise == pytest.approx(0.01, rel=0.1) and found.theta_drift < 0.003
+    assert found.theta_dot_noise == pytest.approx(0.1, rel=0.1) and found.x_dot_noise == pytest.approx(0.01, rel=0.1)
+
+
+def test_results_are_arguments_of_the_environment(fit):
+    options = fit.env_kwargs(0.95)
+    assert options["randomization"] == fit.randomization(0.95) and options["disturbances"].latency[0] > 0.005
+    _, info = CapsuleEnv(**options).reset(seed=0)
+    low, high = fit.intervals(0.95)["m"]
+    assert low <= info["capsule"]["m"] <= high and info["disturbances"]["theta_noise"] == fit.disturbances.theta_noise
+    half, most = (np.array(list(fit.intervals(level).values())) for level in (0.5, 0.9))
+    assert ((half[:, 1] - half[:, 0]) < (most[:, 1] - most[:, 0])).all()
+
+
+def test_what_is_not_determined_is_named(fit):
+    sizes = [size for size, _ in fit.identified]
+    assert sizes == sorted(sizes) and sizes[0] < 0.02 and len(sizes) == len(fit.estimates)
+    # The masses and the length follow from the torque's scale and g alone.
+    assert np.corrcoef(fit.samples.T)[list(fit.estimates).index("m"), list(fit.estimates).index("l")] < -0.9
+    assert fit.widths["static_ratio"] > 0.9 and "not determined: the prior's" in fit.table()
+
+
+def test_report(fit, tmp_path):
+    fit.report(tmp_path / "fit.png")
+    assert (tmp_path / "fit.png").stat().st_size > 20_000
+
+
+def test_command_and_lost_readings(log, tmp_path):
+    path = tmp_path / "log.csv"
+    generator = np.random.default_rng(0)
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(log)
+        for row in zip(*(column[:1000] for column in log.values()), strict=True):
+            writer.writerow([each if n < 2 or generator.uniform() > 0.1 else "" for n, each in enumerate(row)])
+    command = [sys.executable, "-m", "capsule_gym.identify", str(path), "--known", "lag", "0.004"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    found = {line.split()[0]: line.split()[1:] for line in done.stdout.splitlines()[1:]}
+    assert "lag" not in found and float(found["c"][0]) == pytest.approx(TRUTH["c"], rel=0.03)
+    assert float(found["latency"][0]) == pytest.approx(0.008, abs=1e-3)
+
+
+def test_a_wrong_model_warns():
+    # A floor that slopes by one degree.
+    log = make_log(WHITE, capsule=Capsule(**TRUTH, slope=0.02))
+    with pytest.warns(UserWarning) as caught:
+        assert identify(log).chi2 > 1.2
+    assert any("chi2 is" in str(warning.message) for warning in caught)
+
+
+def test_a_weak_excitation_warns():
+    with pytest.warns(UserWarning, match="the log does not determine"):
+        identify(
+            record(CapsuleEnv(**OPTIONS, disturbances=REAL), Excitation(amplitude=0.02), seconds=4.0, options=STATE)
+        )
+
+
+def changed(**columns):
+    return lambda log: {**log, **{name: change(log[name]) for name, change in columns.items()}}
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (changed(t=lambda t: t[::-1]), "column 't' must increase in equal steps"),
+        (changed(t=lambda t: t**1.1), "column 't' must increase in equal steps"),
+        (changed(t=lambda t: 1e3 * t), "column 't' must span .* in steps of"),
+        (changed(torque=lambda u: 0.0 * u + 0.3), r"column 'torque' must vary \(N m\), got 0.3 in every row"),
+        (changed(torque=lambda u: 1e3 * u), "column 'torque' must be in N m"),
+        (changed(torque=lambda u: np.where(u > 0.5, np.nan, u)), "column 'torque' must contain finite numbers"),
+        (changed(theta=np.degrees), "column 'theta' must be in rad"),
+        (changed(theta_dot=lambda w: 0.1 * w), "column 'theta_dot' must be the derivative of column 'theta'"),
+        (changed(theta_dot=np.degrees), "column 'theta_dot' must be in rad/s"),
+        (changed(x_dot=lambda v: 100.0 * v), "column 'x_dot' must be in m/s"),
+        (changed(theta=lambda theta: np.nan * theta), "column 'theta' must contain"),
+        (changed(x_dot=lambda v: v[:-1]), "column 'x_dot' must have one number for each row"),
+        (changed(x_dot=lambda v: ["fast"] * len(v)), "column 'x_dot' must contain numbers"),
+        (lambda log: {name: column[:50] for name, column in log.items()}, "column 't' must span at least 2 s"),
+        (lambda log: {**log, "speed": log["x_dot"]}, "log must have columns out of"),
+        (lambda log: {name: log[name] for name in ("t", "torque", "x_dot")}, "log must have a column 'theta' or"),
+        (lambda log: {name: log[name] for name in ("t", "theta")}, "log must have the columns 't' and 'torque'"),
+    ],
+)
+def test_invalid_logs_name_the_column(log, change, text):
+    with pytest.raises(ValueError, match=text):
+        identify(change(log))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "text"),
+    [
+        ({"known": {"latancy": 0.01}}, ValueError, "did you mean 'latency'"),
+        ({"known": {"latency": -1.0}}, ValueError, r"known\['latency'\] must be"),
+        ({"known": {"m": -1.0}}, ValueError, "Capsule.m must be"),
+        ({"prior": "narrow"}, ValueError, "must be a Randomization or one of"),
+        ({"physics_dt": 1.0}, ValueError, "physics_dt must be"),
+    ],
+)
+def test_invalid_arguments(log, arguments, error, text):
+    with pytest.raises(error, match=text):
+        identify(log, **arguments)
+    with pytest.raises(TypeError, match="log must be"):
+        identify(3.0)
+
+
+def test_record_writes_what_happens(tmp_path):
+    env = CapsuleEnv(**OPTIONS, torque_limit=1.0)
+    actions = []
+
+    def policy(observation):
+        actions.append(np.float32([0.5 - 0.2 * observation[0]]))
+        return actions[-1]
+
+    path = tmp_path / "log.csv"
+    log = record(env, policy, path, seconds=0.5, seed=0)
+    assert list(log) == ["t", "torque", "theta", "theta_dot", "x", "x_dot"] and len(log["t"]) == 50
+    assert np.array_equal(log["torque"], np.array(actions)[:, 0].astype(float))
+    observed = CapsuleEnv(**OPTIONS, torque_limit=1.0)
+    observed.reset(seed=0)
+    for n, action in enumerate(actions[:-1]):
+        state = observed.step(action)[4]["state"]
+        assert np.array_equal([log[name][n + 1] for name in list(log)[2:]], state)
+    read = np.genfromtxt(path, delimiter=",", names=True)
+    assert all(np.array_equal(read[name], column) for name, column in log.items())
+    with pytest.raises(ValueError, match="path must name a new file"):
+        record(env, policy, path)
+    with pytest.raises(ValueError, match="env must be an environment with direct torque"):
+        record(CapsuleEnv(controller="baselines:gait"), policy)
+    late = CapsuleEnv(**{**OPTIONS, "disturbances": Disturbances(latency=0.01, unmeasured=("x_dot",))})
+    assert list(record(late, seconds=0.1, seed=0)) == ["t", "torque", "theta", "theta_dot"]
+
+
+def test_names_are_those_of_the_package():
+    assert {*PLANT} < {*vars(Capsule())} and {*OTHERS} < {*vars(REAL)}

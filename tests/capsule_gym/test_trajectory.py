@@ -1,0 +1,108 @@
+"""Derivatives of trajectories: against differences through events, and the values' bits."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from benchmarks.sensitivity import START, draw, errors
+from capsule_gym import Capsule, CapsuleEnv, _core, dynamics, sensitivity
+
+EVERY = (*("M", "mu", "m", "l", "g", "k", "c", "static_ratio", "backward_ratio"),)
+EXTENDED = ("viscous", "stribeck_speed", "slope", "motor_friction")
+
+
+def test_derivatives_through_events_equal_extrapolated_differences():
+    found, events = errors(12, seed=3)
+    assert events > 10 and found.max() < 1e-7
+
+
+@pytest.mark.parametrize("level", _core.LEVELS)
+def test_values_have_the_bits_of_the_environment(level, select_level):
+    select_level(level)
+    capsule, torques = Capsule(mu=0.2, static_ratio=1.3), np.float32([0.5, -0.9, 0.9, 0.3, -0.8, 0.6] * 8)
+    env = CapsuleEnv(capsule=capsule, randomization="none", torque_limit=1.0)
+    env.reset(seed=0)
+    states = [env.step(np.array([torque]))[4]["state"] for torque in torques]
+    plain = sensitivity((-math.pi / 3, 0.0, 0.0, 0.0), torques.astype(float), (), capsule=capsule)
+    differentiated = sensitivity((-math.pi / 3, 0.0, 0.0, 0.0), torques.astype(float), capsule=capsule)
+    assert plain.events[-1] > 5
+    assert np.array_equal(plain.states[1:], states) and np.array_equal(plain.states, differentiated.states)
+
+
+@pytest.mark.parametrize("name", [*EVERY, *EXTENDED, "paper"])
+def test_every_constant_has_its_derivative(name):
+    extended = {"viscous": 0.3, "stribeck_speed": 0.2, "slope": 0.02, "motor_friction": 0.05}
+    capsule = Capsule(mu=0.2, static_ratio=1.3, backward_ratio=1.2, **(extended if name in EXTENDED else {}))
+    if name == "paper":
+        name, capsule = "mu", Capsule(mu=0.2, normal_force="paper")
+    torques = draw(np.random.default_rng(2))[1][:40]
+
+    def end(size: float) -> np.ndarray:
+        shifted = Capsule(**{**vars(capsule), name: getattr(capsule, name) + size})
+        return sensitivity(START, torques, (), capsule=shifted, control_dt=0.01).states[-1]
+
+    slope = sensitivity(START, torques, (name,), capsule=capsule, control_dt=0.01).derivatives[name][-1]
+    h = 1e-5 * getattr(capsule, name)
+    expected = (8.0 * (end(h) - end(-h)) - (end(2.0 * h) - end(-2.0 * h))) / (12.0 * h)
+    np.testing.assert_allclose(slope, expected, rtol=1e-5, atol=1e-8)
+
+
+def test_torques_and_state():
+    torques = draw(np.random.default_rng(2))[1][:30]
+    found = sensitivity(START, torques, ("torque", "torques", "state"), control_dt=0.01).derivatives
+    np.testing.assert_allclose(found["torques"] @ torques, found["torque"], rtol=1e-12, atol=1e-15)
+    # A torque acts on no earlier state, and x on nothing but itself.
+    assert not np.triu(found["torques"][:, 1]).any()
+    assert np.array_equal(found["state"][0], np.eye(4)) and np.array_equal(found["state"][-1, :, 2], [0, 0, 1, 0])
+
+
+def test_stick_has_no_derivative_by_friction():
+    found = sensitivity((0.1, 0.0, 0.0, 0.0), [0.0] * 20, ("mu", "static_ratio"), capsule=Capsule(mu=0.5))
+    assert not found.events.any() and not any(slopes.any() for slopes in found.derivatives.values())
+
+
+def test_energy_balance_by_duals():
+    # Without friction, damping and torque the derivatives conserve the energy to first order.
+    capsule = Capsule(mu=0.0, c=0.0)
+    state = np.array([0.4, 1.0, 0.0, 0.2])
+    found = sensitivity(state, [0.0] * 50, ("state",), capsule=capsule, physics_dt=1e-4)
+    p = capsule.plant()
+
+    def gradient(s: np.ndarray) -> np.ndarray:
+        theta, theta_dot, _, x_dot = s
+        coupling = p.m * p.l * np.cos(theta)
+        along = p.m * p.l * np.sin(theta) * x_dot * theta_dot - p.m * p.g * p.l * np.sin(theta) + p.k * theta
+        return np.array(
+            [along, p.m * p.l**2 * theta_dot - coupling * x_dot, 0.0, (p.M + p.m) * x_dot - coupling * theta_dot]
+        )
+
+    np.testing.assert_allclose(gradient(found.states[-1]) @ found.derivatives["state"][-1], gradient(state), rtol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("changed", "error", "text"),
+    [
+        ({"wrt": ("nu",)}, ValueError, "wrt must contain names out of .* got 'nu'"),
+        ({"wrt": "M"}, TypeError, "wrt must be a sequence"),
+        ({"wrt": ("stribeck_speed",)}, ValueError, "wrt may contain 'stribeck_speed' only where"),
+        ({"torques": [math.nan]}, ValueError, "torques must be a sequence of numbers"),
+        ({"torques": [9.0] * 20}, ValueError, r"torques must keep .* in torques\[\d+\]"),
+        ({"state": [0.0]}, ValueError, "state must be"),
+        ({"state": "rest"}, TypeError, "state must be"),
+        ({"capsule": 1.0}, TypeError, "capsule must be"),
+        ({"control_dt": 3e-3}, ValueError, "physics_dt must divide control_dt"),
+        ({"capsule": Capsule(c=20.0)}, ValueError, "physics_dt must be at most"),
+    ],
+)
+def test_errors_name_the_argument(changed, error, text):
+    with pytest.raises(error, match=text):
+        sensitivity(**{"state": START, "torques": [0.1], **changed})
+
+
+def test_one_interval_is_a_step():
+    found = sensitivity(START, [0.5], (), capsule=Capsule(mu=0.1), control_dt=2e-3)
+    step = dynamics.step(*START, 0.5, Capsule(mu=0.1).plant(), 2e-3)
+    assert np.array_equal(found.states[1], np.array(step[:4]))
