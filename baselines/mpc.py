@@ -1,7 +1,7 @@
 """Sampling model-predictive control with the value function of dynamic programming, the policy `mpc`.
 
-At every control interval the policy disturbs its previous plan of torques, simulates all plans with the environment's own
-step on the nominal plant, and applies the first torque of the best (predictive sampling, Howell et al. 2022). The
+At every control interval the policy disturbs its previous plan of torques, simulates all plans with the environment's
+own step on the nominal plant, and applies the first torque of the best (predictive sampling, Howell et al. 2022). The
 value of dynamic programming scores the state at the end of a plan, which can therefore be short.
 
 `python -m baselines.mpc` prints its speed and the processor time of a decision.

@@ -1,8 +1,8 @@
-"""Tunes the laws of `baselines.laws.periodic` and the policy `lqr`: `python -m baselines.tuning pd`.
+"""Tunes the laws of `baselines.laws.periodic` and designs the policy `lqr`: `python -m baselines.tuning pd`.
 
-A CMA-ES searches the parameters of the laws on random plants. In each generation all candidates run on the same newly drawn plants. At the end the mean of the distribution runs on
-fixed validation plants, and replaces the parameters on file if it scores better. The seeds of both are far from those
-of the frozen evaluation sets.
+A CMA-ES searches the parameters of a law. In each generation all candidates run on the same newly drawn plants. At the
+end the mean of the distribution runs on fixed validation plants, and replaces the parameters on file if it scores
+better. The seeds of both are far from those of the frozen evaluation sets.
 """
 
 from __future__ import annotations
@@ -50,27 +50,25 @@ class Problem(NamedTuple):
     env_kwargs: Mapping[str, Any]
 
 
-def series_of_optimum(quantity: str) -> np.ndarray:
-    """Period, mean, cosines and sines of a quantity in the limit cycle of dynamic programming."""
-    found = cycle()
-    period, values = found["time"][-1], found[quantity][:-1]
-    coefficients = np.fft.rfft(values)[: periodic.HARMONICS + 1] / len(values)
-    return np.concatenate([[period, coefficients[0].real], 2.0 * coefficients[1:].real, -2.0 * coefficients[1:].imag])
-
-
 def problem(name: Name) -> Problem:
     """The problem of a law."""
     series_units = np.array([0.05, 0.05, *[0.1] * (2 * periodic.HARMONICS)])
     if name == "pd":
-        start, units = [*series_of_optimum("theta"), 6.0, 0.3], [*series_units, 2.0, 0.2]
+        # The angle in the limit cycle of dynamic programming.
+        theta, period = cycle()["theta"][:-1], cycle()["time"][-1]
+        harmonics = np.fft.rfft(theta)[1 : periodic.HARMONICS + 1] * 2.0 / len(theta)
+        start = [period, theta.mean(), *harmonics.real, *-harmonics.imag, 6.0, 0.3]
+        units = [*series_units, 2.0, 0.2]
         return Problem(periodic.pd, np.array(start), np.array(units), REAL)
     if name == "oscillator":
         # omega and alpha; the effect of theta, theta_dot and x_dot on a and b; bias and polynomial; spring and damper.
-        start = [9.0, 5.0, *[0.0] * 4, 0.4, 0.0, 0.0, 0.45, *[0.0] * 5, 0.0, -0.06]
+        start = [30.0, 95.0, 47.0, -11.0, -63.0, -4.0, -2.5, 10.0, -1.5, -1.0, 2.6, 1.9, -8.0, 9.3, -2.1, 14.2, 2.3]
         units = [2.0, 3.0, *[3.0, 0.6, 6.0] * 2, 0.15, *[0.45] * 6, 0.45, 0.09]
         return Problem(periodic.oscillator, np.array(start), np.array(units), PAPER)
-    start, units = series_of_optimum("torque"), series_units * [1.0, *[TORQUE_LIMIT] * 9]
-    return Problem(periodic.open_loop, start, units, REAL if name == "open-loop-real" else PAPER)
+    # The torque of the optimum is no start: without feedback its motion is unstable.
+    start = [0.58, 0.02, -0.7, 0.7, -0.2, -0.3, 0.3, -0.3, 0.0, 0.0]
+    condition = REAL if name == "open-loop-real" else PAPER
+    return Problem(periodic.open_loop, np.array(start), series_units * [1.0, *[TORQUE_LIMIT] * 9], condition)
 
 
 def score(
