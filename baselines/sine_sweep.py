@@ -1,7 +1,7 @@
-"""Mean speed under a sine torque over its frequency and amplitude, on the nominal plant: `python -m baselines.sine_sweep`.
+"""Mean speed of the nominal plant under a sine torque, over frequency and amplitude: `python -m baselines.sine_sweep`.
 
-The torque has no bias and is constant over a control interval. Every environment starts at rest at the default angle; its
-speed is that over whole periods after the transient.
+The torque has no bias and is constant over a control interval. Every environment starts at rest at the default angle;
+its speed is that over whole periods after the transient.
 """
 
 from __future__ import annotations
