@@ -135,13 +135,12 @@ def mujoco_deviations(solved: Sequence[Expected], friction: str, step: float) ->
 
 def compare_mujoco() -> list[list[str]]:
     """The table of the comparison with MuJoCo."""
-    columns = [
-        f"error of x, mm: μ = {mu:g}, ±{a:g} N m, {1e3 * h:g} ms" for mu, a in MUJOCO_CASES for h in MUJOCO_STEPS
-    ]
-    cases = [
-        (expected_trajectories([Capsule(mu=mu)] * TRAJECTORIES, a), h) for mu, a in MUJOCO_CASES for h in MUJOCO_STEPS
-    ]
-    table = [["", f"hold at {LOAD:.0%}, m/s", *columns]]
+    table, cases = [["", f"hold at {LOAD:.0%}, m/s"]], []
+    for mu, amplitude in MUJOCO_CASES:
+        solved = expected_trajectories([Capsule(mu=mu)] * TRAJECTORIES, amplitude)
+        for step in MUJOCO_STEPS:
+            cases.append((solved, step))
+            table[0].append(f"error of x, mm: μ = {mu:g}, ±{amplitude:g} N m, {1e3 * step:g} ms")
     capsule = Capsule(mu=MUJOCO_CASES[-1][0])
     load = LOAD * capsule.mu * (capsule.M + capsule.m) * capsule.g
     for friction in tqdm(("", *mujoco.FRICTIONS), desc="MuJoCo"):
