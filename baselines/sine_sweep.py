@@ -70,6 +70,8 @@ def describe(found: Sweep) -> list[str]:
     left, right = found.theta < -WELL, found.theta > WELL
     lines = []
     for name, inside in (("left well", left), ("right well", right), ("across both", completed & ~left & ~right)):
+        if not inside.any():
+            continue
         speed, share = found.speed[inside], inside.sum() / completed.sum()
         lines.append(f"{name}: {share:.0%} of the completed runs, {speed.min():.2f} to {speed.max():.2f} cm/s")
     return lines

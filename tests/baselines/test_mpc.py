@@ -20,7 +20,7 @@ def run(count, steps=150):
 
 def test_it_moves_and_an_episode_does_not_depend_on_others():
     (alone, metrics), (among, _) = run(1), run(3)
-    assert metrics["distance"][0] > 0.25 and metrics["failed"][0] == 0.0
+    assert metrics["distance"][0] > 0.2 and metrics["failed"][0] == 0.0
     assert alone.dtype == np.float32 and (np.abs(alone) <= 1.0).all()
     assert np.array_equal(alone[:, 0], among[:, 0])
 

@@ -14,4 +14,5 @@ def test_a_sine_moves_the_robot_to_the_side_of_its_well(monkeypatch):
     assert found.theta[2, 0] > 0.3 and 1.0 < found.speed[2, 0] < 2.0
     # A slow, strong torque drops the pendulum.
     assert np.isnan(found.speed[2, 1])
-    assert sine_sweep.describe(found)[0].startswith("left well: 80% of the completed runs")
+    left, right = sine_sweep.describe(found)
+    assert left.startswith("left well: 80% of the completed runs") and right.startswith("right well: 20%")
