@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import sys
 import threading
 import time
@@ -33,6 +34,8 @@ from agents.training.config import (  # noqa: E402
     read_config,
 )
 from agents.training.presets import ROWS, preset, row_settings  # noqa: E402
+from baselines.drawing import new_figure, style  # noqa: E402
+from capsule_gym.checks import first_cause  # noqa: E402
 from capsule_gym.command_line import NO_NEGATIONS, parse, refuse  # noqa: E402
 from capsule_gym.controller import is_own  # noqa: E402
 from capsule_gym.policy import POLICY  # noqa: E402
@@ -152,19 +155,39 @@ def _report(failure: threading.ExceptHookArgs) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = read_args(arguments)
-    threading.excepthook = _report
+    before, threading.excepthook = threading.excepthook, _report
+    try:
+        return _train(args)
+    finally:
+        threading.excepthook = before
+
+
+def _can_draw() -> bool:
+    """Whether figures can be drawn; the reason why not is printed."""
+    try:
+        with style():
+            new_figure(1.0)
+    except (ImportError, OSError, ValueError) as error:
+        print(f"Without a comparison at the end, since figures cannot be drawn: {first_cause(error)}", file=sys.stderr)
+        return False
+    return True
+
+
+def _train(args: Args) -> int:
+    """Trains and compares; returns the exit status."""
     # Imported after the command line is checked, since torch takes seconds to import.
     from agents.report import compare
     from agents.training import loop
 
     config, run = args.hyperparameters, args.resume
+    compared = not (args.no_comparison or config.wrapper) and _can_draw()
     try:
         if run is not None:
             print(f"Resuming {run} (seed {config.seed}) until {config.total_steps:,} steps.")
         else:
             names = (config.task, config.algo) if config.env == ENV_ID else (config.env_task, config.task, config.algo)
             kind = args.row or "-".join(names)
-            run = args.run or RUNS / f"{kind}-seed{config.seed}-{time.strftime('%Y%m%d-%H%M%S')}"
+            run = args.run or RUNS / f"{kind}-seed{config.seed}-{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(2)}"
             try:
                 loop.begin(run, config)
             except FileExistsError:
@@ -174,18 +197,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
             what = f"{config.algo.upper()} on {config.env}, {config.task} torque"
             print(f"Training {what}, seed {config.seed}, in {run}.")
         QUIET_EXIT.message = f"Stopped. To resume: python train.py --resume {run}"
-        finished = loop.train(run, config.total_steps, wandb=args.wandb)
+        if not loop.train(run, config.total_steps, wandb=args.wandb):
+            print(f"\nStopped; saved. To resume: python train.py --resume {run}")
+            return INTERRUPTED
+        has_file = not (isinstance(config, RecurrentPPOConfig) or config.wrapper)
+        print(f"Trained; the best policy on validation plants is {run / BEST / (POLICY if has_file else MODEL)}.")
+        if compared:
+            QUIET_EXIT.message = "Stopped. The run is complete; its comparison is not."
+            compare(run)
     except (RunError, OSError) as error:
         print(f"{PROG}: error: {error}", file=sys.stderr)
         return 2
-    if not finished:
-        print(f"\nStopped; saved. To resume: python train.py --resume {run}")
-        return INTERRUPTED
-    has_file = not (isinstance(config, RecurrentPPOConfig) or config.wrapper)
-    print(f"Trained; the best policy on validation plants is {run / BEST / (POLICY if has_file else MODEL)}.")
-    if not (args.no_comparison or config.wrapper):
-        QUIET_EXIT.message = "Stopped. The run is complete; its comparison is not."
-        compare(run)
     return 0
 
 

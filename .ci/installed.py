@@ -9,15 +9,14 @@ sys.path.remove(str(Path(__file__).resolve().parent))
 
 import gymnasium as gym
 
-import baselines
 import capsule_gym
-from baselines.laws import TASK_LAWS
+from baselines.laws import LAWS, TASK_LAWS, find_law
 from capsule_gym.task import TASKS
 
 assert not Path(capsule_gym.__file__).is_relative_to(Path(__file__).parents[1].resolve()), capsule_gym.__file__
 for name in ("llvmlite", "numba", "pygame", "stable_baselines3", "torch"):
     assert importlib.util.find_spec(name) is None, f"{name} is installed"
-laws = [("speed", None), *(("speed", name) for name in baselines.__all__)]
+laws = [("speed", None), *(("speed", name) for name in LAWS)]
 laws += [(law.task, name) for name, law in TASK_LAWS.items()]
 for task, law in laws:
     env = gym.make("capsule_gym:CapsuleStickSlip-v0", task=task, controller=law and f"baselines:{law}")
@@ -28,3 +27,6 @@ for task in TASKS:
     env.reset(seed=0)
     env.step(env.action_space.sample())
 capsule_gym.load_policy("direct-ppo")
+for policy in ("direct-ppo/seed-1", "adaptive", find_law("gait")(), lambda observations: observations[:, :1]):
+    (*_, last) = capsule_gym.evaluate(policy, "paper", horizon=0.1)
+    assert last["duration"] > 0.0, policy

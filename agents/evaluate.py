@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from agents.evaluation.criteria import CRITERIA
-from agents.evaluation.episodes import (
+from baselines.evaluation.episodes import (
     TABLE_METRICS,
     TASK_METRICS,
     Episode,
@@ -19,8 +19,8 @@ from agents.evaluation.episodes import (
     summarise,
     versions,
 )
-from agents.evaluation.policies import find_candidate
-from agents.evaluation.statistics import paired_difference
+from baselines.evaluation.policies import find_candidate
+from baselines.evaluation.statistics import paired_difference
 from baselines.tables import text_table
 from capsule_gym.command_line import Positional, arg, check_output, parse, refuse
 from capsule_gym.evaluation_sets import load_set

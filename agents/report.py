@@ -19,11 +19,20 @@ from agents.analysis.data import Learning, rank, read_learning
 from agents.analysis.figures import draw_learning, draw_profiles, draw_transport
 from agents.evaluate import comparison_table
 from agents.evaluation.criteria import CRITERIA
-from agents.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, TASK_METRICS, evaluate, summarise
-from agents.evaluation.policies import CHECKPOINTS, Candidate, Policy, all_candidates, find_candidate
 from agents.leaderboard.rows import RESULTS, Row, evaluate_run, load_row, make_row, path_of
-from agents.training.config import BEST, MODEL
+from agents.training.config import BEST, CONFIG, EVALUATIONS, MODEL, NORMALISATION, Config, read_config
+from agents.training.presets import ROWS
 from baselines.drawing import BLUE, DPI, MUTED, new_figure, style
+from baselines.evaluation.episodes import (
+    SHARE_OF_OPTIMUM,
+    TABLE_METRICS,
+    TASK_METRICS,
+    Episode,
+    evaluate,
+    scores,
+    summarise,
+)
+from baselines.evaluation.policies import CHECKPOINTS, Candidate, Policy, all_candidates, find_candidate
 from capsule_gym import CapsuleEnv
 from capsule_gym.command_line import Positional, arg, check_output, parse, refuse
 from capsule_gym.config import find_task
@@ -37,6 +46,11 @@ PROG = "python -m agents.report"
 ROOT = Path(__file__).resolve().parents[1]
 # Length of the animation, and of the shown part of angle and torque at the end of an episode, s.
 SHOWN = 6.6
+# Settings that a run shares with the row of the leaderboard to which it is compared.
+KIND = (
+    *("env", "task", "algo", "controller", "randomization", "disturbances", "static_ratio", "energy_weight"),
+    *("observe_parameters", "observe_estimates"),
+)
 METRICS = (*TASK_METRICS, *TABLE_METRICS.values(), SHARE_OF_OPTIMUM)
 STYLE = (
     ":root{color-scheme:light dark}body{font:16px/1.5 system-ui,sans-serif;margin:0 auto;max-width:72rem;padding:1rem}"
@@ -77,10 +91,14 @@ def find_run(name: str, *, trust_controller: bool = False, trust_pickle: bool = 
 
     Raises:
         OSError: if a file cannot be read.
-        ValueError: if the policy does not exist or a file is broken; if an agent with an LSTM must be unpickled, which
-            can run any code, without `trust_pickle`; `trust_controller` is that of `capsule_gym.load_policy`.
+        ValueError: if the policy does not exist or a file is broken or a link out of the folder; if an agent with an
+            LSTM must be unpickled, which can run any code, without `trust_pickle`; `trust_controller` is that of
+            `capsule_gym.load_policy`.
     """
     path = Path(name)
+    for file in (file for read in (CONFIG, EVALUATIONS, MODEL, NORMALISATION, POLICY) for file in path.rglob(read)):
+        if not (target := file.resolve()).is_relative_to(path.resolve()):
+            raise ValueError(f"{file} must be a file in the run's folder, got a link to {target}")
     if (path / BEST / MODEL).is_file() and not (path / BEST / POLICY).is_file():
         if not trust_pickle:
             raise ValueError(
@@ -160,7 +178,8 @@ def _figure(heading: str, draw: Callable[..., Any], *arguments: Any) -> str:
 def compare(run: Path, set_name: str | None = None) -> None:
     """Evaluates a run's best model and the baseline on the same frozen episodes; prints and draws the comparison.
 
-    Writes comparison.png, animation.gif and report.html to the run's folder. The default set is the task's ranking set.
+    Also prints the published row of the same kind, if there is one and it was evaluated on the set. Writes
+    comparison.png, animation.gif and report.html to the run's folder. The default set is the task's ranking set.
     """
     # Imported here, since torch takes seconds to import.
     from agents.training.export import load_best
@@ -176,11 +195,67 @@ def compare(run: Path, set_name: str | None = None) -> None:
     plant = NOMINAL_PLANT if evaluation_set.task == "speed" else evaluation_set.plants[0]
     names = {criteria.baseline: baseline, "agent": policy}
     recordings = {name: record(each, plant, evaluation_set, seconds)[0] for name, each in names.items()}
+    if text := compare_to_row(run, own, evaluation_set, recordings["agent"]["theta"]):
+        print(text + "\n", flush=True)
     draw_comparison(recordings, run / "comparison.png", plant)
     write_gif(record(policy, plant, evaluation_set, SHOWN, frames=True)[1], run / "animation.gif")
     write_atomically(run / "report.html", render([str(run)], trust_controller=True, trust_pickle=True))
     for what, name in {"Figure": "comparison.png", "Animation": "animation.gif", "Report": "report.html"}.items():
         print(f"{what + ':':10} {run / name}")
+
+
+def compare_to_row(run: Path, own: Sequence[Episode], evaluation_set: EvaluationSet, theta: np.ndarray) -> str:
+    """Compares a run with the row of the leaderboard of the same kind; names one likely reason if the run is worse.
+
+    Args:
+        run: the run's folder.
+        own: the episodes of its best policy on the set.
+        evaluation_set: the set.
+        theta: angle in an episode of that policy, rad.
+
+    Returns:
+        The comparison; empty if there is no such row, or the row was not evaluated on the set.
+    """
+    config, criteria = read_config(run), CRITERIA[evaluation_set.task]
+    kind = [getattr(config, name) for name in KIND]
+    name = next((row for row, each in ROWS.items() if [getattr(each, field) for field in KIND] == kind), None)
+    try:
+        row = load_row(path_of(ROOT / RESULTS, str(name)))
+        row.check_set(evaluation_set)
+    except ValueError:
+        return ""
+    published = {each: row.score(evaluation_set.name, each).mean(axis=-1) for each in criteria.weights}
+    found = {each: float(scores(own, each).mean()) for each in criteria.weights}
+    metric, sign = criteria.metric.name, -1.0 if criteria.ascending else 1.0
+    seed = int(np.argmin(sign * published[metric]))
+    worst = {each: float(values[seed]) for each, values in published.items()}
+    mean = {each: float(values.mean()) for each, values in published.items()}
+    text = f"Published row {name}: mean of {len(published[metric])} seeds {criteria.describe(mean)}; worst seed "
+    text += f"{criteria.describe(worst)}. This run: {criteria.describe(found)}."
+    if sign * found[metric] >= sign * worst[metric]:
+        return text
+    more_failures = found["failed"] > published["failed"].max()
+    reason = _likely_reason(config, ROWS[str(name)], run, theta, more_failures=more_failures)
+    return f"{text}\nThis run is worse than the row's worst seed. A likely reason: {reason}."
+
+
+def _likely_reason(config: Config, row: Config, run: Path, theta: np.ndarray, *, more_failures: bool) -> str:
+    """One likely reason for a run that is worse than its row."""
+    given, tuned = config.to_dict(), row.to_dict()
+    changed = [name for name in tuned if name != "seed" and given.get(name) != tuned[name]]
+    if changed:
+        return f"other settings than the row, {', '.join(f'{each} {given.get(each)!r}' for each in changed)}"
+    theta = theta[len(theta) // 2 :]
+    middle = 0.5 * (theta.max() + theta.min())
+    if config.env_task == "speed" and abs(middle) > 0.25 * np.ptp(theta):
+        return f"a one-sided gait about {np.degrees(middle):.0f} degrees, a local optimum that another --seed may avoid"
+    if more_failures:
+        return "more failures than in any run of the row, so that the policy is close to a limit of the plant"
+    ((steps, values),) = read_learning(run, config.env_task).values()
+    best = np.argmin(values) if CRITERIA[config.env_task].ascending else np.argmax(values)
+    if best == len(steps) - 1:
+        return "the last evaluation was the best, so that more --total-steps may help"
+    return "the spread of seeds; rounding errors of another processor or version of torch act as another seed"
 
 
 def record(
@@ -240,9 +315,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = parse(Args, PROG, arguments)
     try:
         page = render(args.policies, trust_controller=args.trust_controller, trust_pickle=args.trust_pickle)
-    except ValueError as error:
+        write_atomically(args.output, page)
+    except (OSError, ValueError) as error:
         refuse(PROG, str(error))
-    write_atomically(args.output, page)
     print(f"Written: {args.output}")
     return 0
 

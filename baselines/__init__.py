@@ -4,19 +4,15 @@ The environment's argument `controller` accepts the laws of `baselines.laws.LAWS
 tasks, as in `controller="baselines:adaptive"`. Each law is imported at its first use.
 """
 
-from importlib import import_module
 from typing import Any
 
-from baselines.laws import LAWS, TASK_LAWS
+from baselines.laws import LAWS, TASK_LAWS, find_law
 
 __all__ = sorted(LAWS)
 
 
 def __getattr__(name: str) -> Any:
-    law = LAWS.get(name) or TASK_LAWS.get(name)
-    if law is None:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"baselines.laws.{law.module}"), name)
+    return find_law(name)
 
 
 def __dir__() -> list[str]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import json
 import zipfile
+import zlib
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -81,6 +82,11 @@ GRID = PlantGrid((0.35, 0.5, 0.75, 1.0), (0.005, 0.01, 0.03, 0.1, 0.2, 0.3, 0.5)
 STICKY_GRID = PlantGrid((0.35, 0.5, 0.75), (0.2, 0.3, 0.45, 0.6), static_ratio=1.3)
 PLANTS = GRID.plants
 ARCHIVE, ARRAYS = "archive.json", "arrays.npz"
+# What reading a malformed archive of numpy or JSON file raises.
+UNREADABLE = (
+    *(EOFError, IndexError, KeyError, MemoryError, OSError, RecursionError, TypeError, ValueError),
+    *(zipfile.BadZipFile, zlib.error),
+)
 
 
 def find_grid(capsule: Capsule) -> PlantGrid | None:
@@ -105,7 +111,7 @@ def reading(folder: Path, command: str) -> Iterator[tuple[dict[str, Any], dict[s
                 with np.load(io.BytesIO((folder / ARRAYS).read_bytes()), allow_pickle=False) as found:
                     arrays = dict(found)
         yield content, arrays
-    except (KeyError, IndexError, TypeError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+    except UNREADABLE as error:
         message = f"{folder} must hold an archive for `{command}`, got {type(error).__name__}: {error}"
         raise ValueError(message) from error
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -68,10 +69,16 @@ def style() -> Iterator[None]:
     Raises:
         ImportError: if matplotlib is not installed.
     """
+    # With the backend of another environment, as in a shell of a notebook, matplotlib cannot be imported. The figures
+    # have canvases of their own.
+    backend = os.environ.pop("MPLBACKEND", None)
     try:
         from matplotlib import style as matplotlib_style
     except ImportError as error:
         raise ImportError('figures need matplotlib: pip install "capsule-gym[paper]"') from error
+    finally:
+        if backend is not None:
+            os.environ["MPLBACKEND"] = backend
     with matplotlib_style.context(["default", _STYLE]):
         yield
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 
-from tabulate import tabulate
+try:
+    from tabulate import tabulate
+except ImportError as error:
+    raise ImportError('tables need tabulate: pip install "capsule-gym[paper]"') from error
 
 Rows = Sequence[Sequence[str]]
 

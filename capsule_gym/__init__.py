@@ -3,6 +3,9 @@
 Importing the package registers `CapsuleStickSlip-v0` and the environments of the other tasks.
 """
 
+from importlib import import_module
+from typing import Any
+
 from gymnasium.envs.registration import register, registry
 
 from capsule_gym.controller import Controller
@@ -22,8 +25,10 @@ __all__ = [
     "Policy",
     "Randomization",
     "__version__",
+    "evaluate",
     "load_policy",
     "policy_names",
+    "summarise",
 ]
 
 __version__ = "0.1.0"
@@ -37,3 +42,10 @@ for _name, (_id, _steps) in TASKS.items():
             max_episode_steps=_steps,
             kwargs={} if _id == ENV_ID else {"task": _name},
         )
+
+
+def __getattr__(name: str) -> Any:
+    # Imported at the first use, since the evaluation needs `baselines`, which imports this package.
+    if name in ("evaluate", "summarise"):
+        return getattr(import_module("baselines.evaluation.episodes"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -7,8 +7,13 @@ SETTINGS: list[str]
 PLANT: list[str]
 PLANT_FUNCTIONS: list[str]
 ELEMENTARY_FUNCTIONS: list[str]
+OPERATIONS: list[str]
+OBSERVED: list[str]
+FUSED: str
+LONGEST_TRACE: int
 LAWS: dict[str, tuple[str, int, int]]
 TASKS: dict[str, tuple[str, int]]
+ESTIMATES: dict[str, tuple[float, float]]
 LANES: int
 HISTORY_ROWS: int
 MOST_CELLS: int
@@ -18,6 +23,7 @@ THETA_DOT_BOUND: float
 X_DOT_BOUND: float
 MOTOR_WIDTH: float
 MOTOR_SLOPE: float
+ROUNDING: float
 ERROR_BOUND: float
 HOLD: float
 TOLERANCE: float
@@ -39,3 +45,6 @@ def step_one(batch: Any, action: float) -> int: ...
 
 # A function of capsule_gym/core/level.cpp; returns as `advance`.
 def call(name: str, /, *arguments: Any) -> int: ...
+
+# A function of capsule_gym/core/trace.hpp, with the addresses of the constants and of the rows; returns their number.
+def trace(function: str, number: int, constants: int, rows: int, /) -> int: ...

@@ -24,6 +24,11 @@ def written(value: Any) -> str:
         text = repr(value)
     except ValueError:  # an integer of thousands of digits
         return f"{type(value).__name__} of more digits than can be shown"
+    return shortened(text)
+
+
+def shortened(text: str) -> str:
+    """The text, without its middle if it is long."""
     return text if len(text) <= LONGEST else f"{text[: LONGEST // 2]} .. {text[-LONGEST // 2 :]}"
 
 
@@ -38,7 +43,9 @@ def first_cause(error: Exception) -> str:
 
 def nearest(given: str, names: Iterable[str]) -> str:
     """The end of an error message for an unknown name: the most similar known name, or an empty string."""
-    return "".join(f"; did you mean {name!r}?" for name in difflib.get_close_matches(given, list(names), n=1))
+    known = {name.lower().replace("_", "-"): name for name in names}
+    similar = difflib.get_close_matches(given[:LONGEST].lower().replace("_", "-"), known, n=1)
+    return "".join(f"; did you mean {known[name]!r}?" for name in similar)
 
 
 def check_number(

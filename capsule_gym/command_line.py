@@ -7,7 +7,9 @@ A field of type `Positional[str]` is a positional argument; a field of type `Cou
 from __future__ import annotations
 
 import inspect
+import io
 import math
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,7 +19,9 @@ try:
     import tyro
     from tyro.conf import Positional, arg
 except ImportError as error:
-    raise ImportError('this command needs tyro: pip install "capsule-gym[render]"') from error
+    _package = getattr(sys.modules["__main__"].__spec__, "name", "").partition(".")[0]
+    _extra = {"agents": "train", "baselines": "paper", "benchmarks": "bench"}.get(_package, "render")
+    raise ImportError(f'this command needs tyro: pip install "capsule-gym[{_extra}]"') from error
 
 __all__ = ["Count", "Positional", "arg", "check_output", "parse", "refuse"]
 
@@ -62,6 +66,9 @@ def parse(kind: type[T], prog: str, arguments: Sequence[str] | None = None, *, d
     Raises:
         SystemExit: with 0 after `--help`, with 2 if the command line is invalid.
     """
+    if arguments is None and isinstance(sys.stdout, io.TextIOWrapper):
+        # Paths may contain characters that the encoding of the output lacks.
+        sys.stdout.reconfigure(errors="backslashreplace")
     defaults: dict[str, Any] = {} if default is None else {"default": default}
     options: T = tyro.cli(
         kind, prog=prog, args=arguments, description=inspect.getdoc(kind), config=NO_NEGATIONS, **defaults
@@ -85,7 +92,8 @@ def check_output(option: str, path: Path | None, *, overwrite: bool = False) -> 
     """Raises a ValueError, before the computation, if the output file cannot be written; None is accepted."""
     if path is None:
         return
-    if path.is_dir() or not path.parent.is_dir():
+    # Unlike the methods of Path, these functions accept names that no file can have.
+    if os.path.isdir(path) or not os.path.isdir(path.parent):
         raise ValueError(f"{option} must name a file in a folder that exists, got {str(path)!r}")
-    if path.exists() and not overwrite:
+    if os.path.exists(path) and not overwrite:
         raise ValueError(f"{option} must name a new file unless --overwrite is given, got {str(path)!r}")

@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, fields
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from capsule_gym import _core, task
 from capsule_gym.checks import check_choice, check_count, check_flag, check_name, check_number, nearest, written
-from capsule_gym.parameters import LONGEST_STEP, SHORTEST_STEP, SMALLEST, Capsule, Disturbances, Randomization
+from capsule_gym.parameters import (
+    LONGEST_STEP,
+    SHORTEST_STEP,
+    SMALLEST,
+    Capsule,
+    Disturbances,
+    Randomization,
+    from_fields,
+)
 from capsule_gym.task import Task
 
 if TYPE_CHECKING:
@@ -58,18 +66,18 @@ def find_task(value: Any) -> Task:
     return found
 
 
-def _found_by(find: Callable[[Any], Any]) -> Check:
-    """A check of a value that `find` resolves; the value itself is kept unchanged."""
-
-    def check(name: str, value: Any) -> Any:
-        find(value)
-        return value
-
-    return check
+def _check_task(name: str, value: Any) -> Any:
+    find_task(value)
+    return value
 
 
-def _check_capsule(name: str, value: Any) -> Capsule:
-    if not isinstance(value, Capsule):
+def _check_object(name: str, value: Any, kind: Any) -> Any:
+    """Checks a `Capsule`, a `Randomization` or a `Disturbances`, or makes it of the dict that JSON contains instead."""
+    if isinstance(value, dict):
+        return from_fields(kind, name, value)
+    if kind is not Capsule:
+        kind.named(value)
+    elif not isinstance(value, Capsule):
         raise TypeError(f"{name} must be a Capsule or None, got {written(value)}")
     return value
 
@@ -84,28 +92,26 @@ def _check_range(name: str, value: Any) -> tuple[float, float]:
     return check_number(name, theta, accepted, 0.0, largest), check_number(name, theta_dot, accepted, 0.0, fastest)
 
 
+def _option(default: Any, check: Check) -> Any:
+    """A field with its check, which returns the value to keep or raises an error that names the option.
+
+    An option whose default is None accepts None, too.
+    """
+    return field(default=default, metadata={"check": check})
+
+
 _check_step = _number(SHORTEST_STEP, LONGEST_STEP, "s")
-# The check of each option: it returns the value to keep, or raises a TypeError or ValueError that names the option. An
-# option whose default is None accepts None, too. `find_controller` checks the controller.
-_CHECKS: dict[str, Check] = {
-    "residual_limit": _number(0.0, LARGEST_TORQUE, "N m"),
-    "total_torque": check_flag,
-    "torque_limit": _number(0.0, LARGEST_TORQUE, "N m", open_low=True),
-    "randomization": _found_by(Randomization.named),
-    "disturbances": _found_by(Disturbances.named),
-    "capsule": _check_capsule,
-    "observe_parameters": check_flag,
-    "stack_size": partial(check_count, most=LARGEST_STACK),
-    "energy_weight": _number(0.0, LARGEST_COST, "cm/J"),
-    "termination_penalty": _number(0.0, LARGEST_COST, "cm"),
-    "initial_noise": _number(0.0, 0.5, "rad"),
-    "initial_range": _check_range,
-    "control_dt": _check_step,
-    "physics_dt": _check_step,
-    "threads": check_count,
-    "render_mode": partial(check_choice, choices=RENDER_MODES, accepted=f"None or one of {RENDER_MODES}"),
-    "task": _found_by(find_task),
-}
+_check_mode = partial(check_choice, choices=RENDER_MODES, accepted=f"None or one of {RENDER_MODES}")
+
+
+def _advice(name: str, known: Iterable[str]) -> str:
+    """The end of the message for an unknown option: where a quantity of this name is set, or a similar option."""
+    if name in ("M", "mu"):
+        return f"; every reset draws it from randomization=Randomization({name}=(low, high)), or options[{name!r}]"
+    for kind in (Capsule, Disturbances):
+        if name in (each.name for each in fields(kind)):
+            return f"; it is set with {kind.__name__.lower()}={kind.__name__}({name}=..)"
+    return nearest(name, known)
 
 
 @dataclass(frozen=True, kw_only=True, init=False)
@@ -119,33 +125,34 @@ class EnvConfig:
         ValueError: if an option is out of range.
     """
 
+    # `find_controller` checks it.
     controller: str | Controller | Callable[[], Controller] | None = None
-    residual_limit: float | None = None
-    total_torque: bool = False
-    torque_limit: float = task.TORQUE_LIMIT
-    randomization: str | Randomization = "paper"
-    disturbances: str | Disturbances = "none"
-    capsule: Capsule | None = None
-    observe_parameters: bool = False
-    stack_size: int = 1
-    energy_weight: float = task.ENERGY_WEIGHT
-    termination_penalty: float = task.TERMINATION_PENALTY
-    initial_noise: float = 0.0
-    initial_range: tuple[float, float] | None = None
-    control_dt: float = task.CONTROL_DT
-    physics_dt: float | None = None
-    threads: int = 1
-    render_mode: str | None = None
-    task: str | Task = "speed"
+    residual_limit: float | None = _option(None, _number(0.0, LARGEST_TORQUE, "N m"))
+    total_torque: bool = _option(False, check_flag)
+    torque_limit: float = _option(task.TORQUE_LIMIT, _number(0.0, LARGEST_TORQUE, "N m", open_low=True))
+    randomization: str | Randomization = _option("paper", partial(_check_object, kind=Randomization))
+    disturbances: str | Disturbances = _option("none", partial(_check_object, kind=Disturbances))
+    capsule: Capsule | None = _option(None, partial(_check_object, kind=Capsule))
+    observe_parameters: bool = _option(False, check_flag)
+    observe_estimates: bool = _option(False, check_flag)
+    stack_size: int = _option(1, partial(check_count, most=LARGEST_STACK))
+    energy_weight: float = _option(task.ENERGY_WEIGHT, _number(0.0, LARGEST_COST, "cm/J"))
+    termination_penalty: float = _option(task.TERMINATION_PENALTY, _number(0.0, LARGEST_COST, "cm"))
+    initial_noise: float = _option(0.0, _number(0.0, 0.5, "rad"))
+    initial_range: tuple[float, float] | None = _option(None, _check_range)
+    control_dt: float = _option(task.CONTROL_DT, _check_step)
+    physics_dt: float | None = _option(None, _check_step)
+    threads: int = _option(1, check_count)
+    render_mode: str | None = _option(None, _check_mode)
+    task: str | Task = _option("speed", _check_task)
 
     def __init__(self, **options: Any) -> None:
         defaults = {each.name: each.default for each in fields(self)}
+        checks = {each.name: each.metadata.get("check") for each in fields(self)}
         if unknown := sorted(set(options) - set(defaults)):
-            raise TypeError(
-                f"EnvConfig got an unexpected keyword argument {unknown[0]!r}{nearest(unknown[0], defaults)}"
-            )
+            raise TypeError(f"got an unexpected keyword argument {written(unknown[0])}{_advice(unknown[0], defaults)}")
         given = {**defaults, **find_task(options.get("task", "speed")).defaults, **options}
         for name, value in given.items():
-            if name in _CHECKS and not (value is None and defaults[name] is None):
-                value = _CHECKS[name](name, value)
+            if (check := checks[name]) and not (value is None and defaults[name] is None):
+                value = check(name, value)
             object.__setattr__(self, name, value)

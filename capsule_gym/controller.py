@@ -49,15 +49,15 @@ class CoreLaw:
         if name not in _core.LAWS:
             raise ValueError(f"name must be one of {', '.join(_core.LAWS)}, got {written(name)}")
         items = [item.partition(":") for item in _core.LAWS[name][0].split()]
-        counts = {key: int(count or 1) for key, _, count in items}
+        counts, numbers = {key: int(count or 1) for key, _, count in items}, []
         if counts.keys() != constants.keys():
             raise TypeError(f"the law {name!r} takes the constants {', '.join(counts)}, got {', '.join(constants)}")
-        values = {key: np.ravel(np.asarray(constants[key], np.float64)) for key in counts}
         for key, count in counts.items():
-            if values[key].size != count or np.isnan(values[key]).any():
+            numbers += (given := np.ravel(np.asarray(constants[key], np.float64))).tolist()
+            if given.size != count or np.isnan(given).any():
                 raise ValueError(f"{key} must be {count} numbers, got {written(constants[key])}")
         object.__setattr__(self, "name", name)
-        object.__setattr__(self, "constants", tuple(np.concatenate([*values.values(), []]).tolist()))
+        object.__setattr__(self, "constants", tuple(numbers))
 
     @property
     def number(self) -> int:
@@ -224,7 +224,7 @@ def is_own(controller: str | None) -> bool:
 def _hidden_baselines(controller: str) -> str:
     """Advice where an import string names a law of this package, but `baselines` is another package; "" otherwise."""
     module = sys.modules.get("baselines")
-    if not is_own(controller) or module is None or hasattr(module, "LAWS"):
+    if not is_own(controller) or module is None or "baselines.laws" in sys.modules:
         return ""
     return (
         f"{list(module.__path__)} hides the package `baselines` of capsule-gym (OpenAI Baselines has the same name); "
@@ -243,7 +243,11 @@ def find_controller(controller: str | Controller | Callable[[], Controller] | No
     found: Any = controller
     if isinstance(controller, str):
         try:
-            found = pkgutil.resolve_name(controller)
+            if is_own(controller):
+                # Not an attribute of `baselines`: OpenAI Baselines in the same folder replaces its __init__.py.
+                found = pkgutil.resolve_name("baselines.laws:find_law")(controller.partition(":")[2])
+            else:
+                found = pkgutil.resolve_name(controller)
         except (ValueError, AttributeError, ModuleNotFoundError) as error:
             reason = _hidden_baselines(controller) or error
             raise ValueError(f"controller must be {accepted}, got {written(controller)}: {reason}") from error
@@ -252,8 +256,10 @@ def find_controller(controller: str | Controller | Callable[[], Controller] | No
             found = found()
         except (TypeError, ValueError) as error:
             kind = TypeError if isinstance(error, TypeError) else ValueError
-            raise kind(f"controller must be {accepted}, got {controller!r}, whose call fails: {error}") from error
+            raise kind(
+                f"controller must be {accepted}, got {written(controller)}, whose call fails: {error}"
+            ) from error
     if found is not None and not isinstance(found, Controller):
-        given = "" if found is controller else f", which gives {found!r}"
+        given = "" if found is controller else f", which gives {written(found)}"
         raise TypeError(f"controller must be {accepted}, got {written(controller)}{given}")
     return found

@@ -89,20 +89,10 @@ def friction_force(slip: Numbers, x_dot: Numbers, normal: Numbers, plant: Plant)
     return _evaluate("friction_force", plant, slip, x_dot, normal)[0]
 
 
-def stick_acceleration(theta: Numbers, theta_dot: Numbers, u: Numbers, plant: Plant) -> np.ndarray:
-    """theta'' in rad/s^2 on a platform at rest: the first row of Eq. (1) with x'' = 0."""
-    return _evaluate("stick_acceleration", plant, theta, theta_dot, u)[0]
-
-
 def stick_margin(theta: Numbers, theta_dot: Numbers, u: Numbers, plant: Plant) -> tuple[np.ndarray, np.ndarray]:
     """Static friction limit minus |driving force|, in N, and the driving force itself; stick needs a margin >= 0."""
     margin, force = _evaluate("stick_margin", plant, theta, theta_dot, u)
     return margin, force
-
-
-def stick_margin_rate(theta: Numbers, theta_dot: Numbers, u: Numbers, plant: Plant) -> np.ndarray:
-    """Time derivative of `stick_margin` in N/s along a stick phase, at constant torque."""
-    return _evaluate("stick_margin_rate", plant, theta, theta_dot, u)[0]
 
 
 def contact_phase(theta: Numbers, theta_dot: Numbers, x_dot: Numbers, u: Numbers, plant: Plant) -> np.ndarray:

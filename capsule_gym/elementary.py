@@ -1,4 +1,4 @@
-"""Sine, cosine, exponential, logarithm and hyperbolic tangent with the same bits on every machine.
+"""Sine, cosine, logarithm and inverse cosine with the same bits on every machine.
 
 They are the functions of the core (`capsule_gym/core/elementary.hpp`), over arrays. Those of the standard libraries
 differ in the last digit between versions and instruction sets.
@@ -19,19 +19,9 @@ def sincos(angle: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
     return sine, cosine
 
 
-def exp(x: np.ndarray | float) -> np.ndarray:
-    """e^x, within 1.7e-16 of the exact value relative to it; |x| must not exceed 708."""
-    return evaluate("exp", x)[0]
-
-
 def log(x: np.ndarray | float) -> np.ndarray:
     """The natural logarithm of positive, normal numbers, within 2.2e-16, beyond +-1 relative to the exact value."""
     return evaluate("log", x)[0]
-
-
-def tanh(x: np.ndarray | float) -> np.ndarray:
-    """The hyperbolic tangent, within 4.3e-16 of the exact value relative to it."""
-    return evaluate("tanh", x)[0]
 
 
 def arccos(cosine: float) -> float:

@@ -15,7 +15,6 @@ from capsule_gym import task
 from capsule_gym.checks import check_count, written
 from capsule_gym.config import RENDER_MODES, EnvConfig
 from capsule_gym.layout import Row
-from capsule_gym.observation import observation_bounds, observation_names
 from capsule_gym.parameters import CONSTANTS, DISTURBANCES
 from capsule_gym.rendering import Renderer
 from capsule_gym.settings import SPEED
@@ -25,7 +24,11 @@ Value = TypeVar("Value")
 RESET_OPTIONS = ("M", "mu", "state", "changes", "capsule", "disturbances")
 # Constants: looking them up in `Row` takes a tenth of a step.
 _STATE, _X_DOT, _REWARD, _TERMINATION = slice(Row.theta, Row.M), Row.x_dot, Row.reward, Row.termination
-_M, _MU, _TORQUE, _LAW_TORQUE, _NORMAL_FORCE, _ENERGY, _PROGRESS, _ENERGY_COST, _FAILURE = range(Row.M, Row.reward)
+_SHOWN = slice(Row.M, Row.reward)
+_INFO = (
+    *("state", "stick", "M", "mu", "torque", "law_torque", "normal_force", "energy"),
+    *("reward_progress", "reward_energy", "reward_termination", "termination"),
+)
 _FIRST = np.zeros(1, np.int64)
 # Entries of a task's info that are places on the floor, m; renderings mark them.
 _PLACES = ("goal", "target")
@@ -80,11 +83,15 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     | 7 | sine of the phase of the reference cycle | -1 | 1 | with a controller |
     | 8 | cosine of that phase | -1 | 1 | with a controller |
     | 9 | present torque of the control law (N m) | -torque_limit | torque_limit | with a controller |
-    | last two | M (kg), mu | 0 | 4 Capsule.M, 1; or the limits of `randomization` and `capsule`, if larger | `observe_parameters=True` |
+    | next two | M (kg), mu | 0 | 4 Capsule.M, 1; or the limits of `randomization` and `capsule`, if larger | `observe_parameters=True` |
+    | next two | estimates of M (kg) and log(mu) | 0.15, -7 | 2, 0 | `observe_estimates=True` |
+    | next two | standard deviations of these estimates | 0 | 0.2, 1.5 | `observe_estimates=True` |
 
     With `stack_size=n` the observations of the n - 1 previous steps follow, the newest first; after a reset all n are
     the first observation. The position x is not observed, since the reward does not depend on it; `info["state"]`
-    contains it. With `observe_parameters=True`, `reset(options=..)` accepts M and mu only within these bounds.
+    contains it. With `observe_parameters=True`, `reset(options=..)` accepts M and mu only within these bounds. The
+    estimates are those of an extended Kalman filter over the observed theta, theta_dot and x_dot, which begins with the
+    same prior in every episode and assumes the m, l and g of `capsule`.
 
     ## Rewards
 
@@ -116,7 +123,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
        |theta_dot| + |x_dot| = 1e4). The environment keeps the last state before.
     4. Truncation: after 1650 steps, 33 s.
 
-    `env.unwrapped.episode_metrics()` returns the metrics of the episode so far. `copy.deepcopy` and `pickle` copy the
+    `env.unwrapped.episode_metrics(horizon)` returns the metrics of the episode so far. `copy.deepcopy` and `pickle` copy the
     episode; the copy continues bit for bit. A pickle stores the argument `controller`, which must be picklable: an
     import string or a function of a module.
 
@@ -157,7 +164,8 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     | `randomization` | `"paper"` | distribution of the plant, drawn at every reset: "none": the capsule's own M and mu; "paper": M in [0.45, 0.55] kg, mu in [0.009, 0.011]; "wide": M in [0.35, 0.75] kg, mu log-uniform in [0.005, 0.3]; "broad": M in [0.25, 1.2] kg, mu log-uniform in [0.002, 0.6]; "sticky": M in [0.35, 0.75] kg, mu in [0.2, 0.6]; "real": M in [0.45, 0.55] kg, mu in [0.009, 0.011], m in [0.1242, 0.1518], l in [0.27, 0.33], k in [0.324, 0.396], c in [0.08307, 0.10153]; "real-wide": M in [0.35, 0.75] kg, mu log-uniform in [0.005, 0.3], m in [0.1242, 0.1518], l in [0.27, 0.33], k in [0.324, 0.396], c in [0.08307, 0.10153]; or a `Randomization` |
     | `disturbances` | `"none"` | imperfect sensors and motor: "none"; "real": noise, bias and drift of the sensors, 5 to 15 ms of latency, lag and friction of the motor; or a `Disturbances` |
     | `capsule` | `Capsule()` | the plant's constants |
-    | `observe_parameters` | `False` | whether the observation ends with M and mu |
+    | `observe_parameters` | `False` | whether the observation contains M and mu |
+    | `observe_estimates` | `False` | whether the observation contains online estimates of M and log(mu), and their standard deviations |
     | `stack_size` | `1` | number of observations, the newest first, that one observation stacks |
     | `energy_weight` | `0.1` | weight of the energy in the reward, cm/J |
     | `termination_penalty` | `10` | penalty of a termination in the reward, cm |
@@ -181,9 +189,9 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     def __init__(self, *, render_mode: str | None = None, **options: Any) -> None:
         self.simulation = make_simulation(1, EnvConfig(render_mode=render_mode, **options))
         self.render_mode = render_mode
-        self.metadata = {**type(self).metadata, "render_fps": round(1.0 / self.simulation.options.control_dt)}
+        self.metadata = {**type(self).metadata, "render_fps": frames_per_second(self.simulation)}
         self.action_space, self.observation_space = make_spaces(self.simulation)
-        self._running = False
+        self._running = self._seeded = False
         self._bind()
 
     def __getstate__(self) -> dict[str, Any]:
@@ -226,10 +234,12 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
                 torque that is not finite.
         """
         seed = None if seed is None else check_seed(seed)
-        fresh = seed is not None or self._np_random is None
         super().reset(seed=seed)
-        if fresh:
+        # Reading `np_random` seeds the generator, but not the simulation.
+        if seed is not None or not self._seeded:
+            _ = self.np_random
             self.simulation.seed(0, self.np_random_seed)
+            self._seeded = True
         if options is None:
             self.simulation.reset(_FIRST)
         else:
@@ -264,7 +274,9 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         plain = type(action) is np.ndarray and action.dtype.char == "f"
         array = action if plain else as_actions(action)
         if array is None or array.shape != (1,) or not math.isfinite(value := array.item()):
-            raise ValueError(f"action must be one finite number of shape (1,) in [-1, 1], got {written(action)}")
+            raise ValueError(
+                f"action must be one finite number, clipped to [-1, 1], of shape (1,), got {written(action)}"
+            )
         self._step(value)
         values = self._rows.tolist()
         self._running = values[_TERMINATION] == 0.0
@@ -289,13 +301,15 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         drawn = self.simulation.world[0, Row.drawn_m : Row.key, 0]
         self._drawn = name_drawn(drawn.tolist()) if self.simulation.settings.history else ()
 
-    def episode_metrics(self, horizon: int | None = None) -> dict[str, float]:
+    def episode_metrics(self, horizon: int | None) -> dict[str, float]:
         """The metrics of the episode so far: those of `capsule_gym.task.Metrics`, and those of the task.
 
         Args:
-            horizon: agent steps of a whole episode, over which `mean_speed` is computed; None for those of the task.
+            horizon: agent steps of a whole episode, `env.spec.max_episode_steps`, since gymnasium's `TimeLimit` truncates:
+                the mean speed of an episode that failed is over all of them. None, without a limit, takes the elapsed
+                time.
         """
-        steps = self.simulation.task.episode_steps if horizon is None else check_count("horizon", horizon)
+        steps = None if horizon is None else check_count("horizon", horizon)
         return {name: float(value[0]) for name, value in self.simulation.metrics(_FIRST, steps).items()}
 
     def render(self) -> np.ndarray | None:
@@ -328,8 +342,13 @@ def make_simulation(num_envs: int, config: EnvConfig) -> Simulation:
 
 def make_renderer(simulation: Simulation, mode: str) -> Renderer:
     """The renderer of an environment or a batch; a window shows one frame per agent step in real time."""
-    fps = round(1.0 / simulation.options.control_dt)
-    return Renderer(simulation.capsule, mode, fps, simulation.settings.torque_limit)
+    return Renderer(simulation.capsule, mode, frames_per_second(simulation), simulation.settings.torque_limit)
+
+
+def frames_per_second(simulation: Simulation) -> float:
+    """The frames per second of real time, one frame per agent step; an int if it is whole, and within what ffmpeg accepts."""
+    fps = min(max(1.0 / simulation.options.control_dt, 0.01), 1000.0)
+    return round(fps) if math.isclose(fps, round(fps)) else fps
 
 
 def describe(values: Any, state: np.ndarray, termination: Any) -> dict[str, Any]:
@@ -338,20 +357,7 @@ def describe(values: Any, state: np.ndarray, termination: Any) -> dict[str, Any]
     `values` are the first rows of `Row`: a list of floats for one environment, shape (n, num_envs) for a batch, with the
     state of shape (num_envs, 4) and the terminations, int64.
     """
-    return {
-        "state": state,
-        "stick": values[_X_DOT] == 0.0,
-        "M": values[_M],
-        "mu": values[_MU],
-        "torque": values[_TORQUE],
-        "law_torque": values[_LAW_TORQUE],
-        "normal_force": values[_NORMAL_FORCE],
-        "energy": values[_ENERGY],
-        "reward_progress": values[_PROGRESS],
-        "reward_energy": values[_ENERGY_COST],
-        "reward_termination": values[_FAILURE],
-        "termination": termination,
-    }
+    return dict(zip(_INFO, (state, values[_X_DOT] == 0.0, *values[_SHOWN], termination), strict=True))
 
 
 def add_task(info: dict[str, Any], own: task.Task, memory: Any) -> None:
@@ -369,10 +375,7 @@ def name_drawn(drawn: Sequence[Value]) -> tuple[dict[str, Value], dict[str, Valu
 
 def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Box]:
     """The action and the observation space of one environment."""
-    settings, entries = simulation.settings, simulation.task.entries
-    names = observation_names(settings.with_reference, settings.with_parameters, entries)
-    plants = simulation.capsule, simulation.randomization
-    low, high = observation_bounds(*plants, settings.torque_limit, entries, names, settings.stack_size)
+    low, high = np.array(list(simulation.entries.values()), np.float32).T
     return spaces.Box(-1.0, 1.0, (1,), np.float32), spaces.Box(low, high, dtype=np.float32)
 
 

@@ -7,17 +7,18 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from capsule_gym.checks import check_integer, check_number, nearest, written
+from capsule_gym.checks import check_integer, check_number, check_timed, nearest, written
 from capsule_gym.config import find_task
 from capsule_gym.files import canonical_hash
 from capsule_gym.parameters import CONSTANTS, NOMINAL, Capsule, Disturbances
-from capsule_gym.task import HORIZON, LARGEST_STATE, START_THETA, TASKS, THETA_LIMIT
+from capsule_gym.task import CHANGE, HORIZON, LARGEST_STATE, START_THETA, TASKS, THETA_LIMIT
 
 SET_NAMES = ("nominal", "paper", "wide", "extrapolation", "drift")
 # Sets of the speed task with another capsule than the paper's, and of the other tasks.
@@ -146,15 +147,10 @@ def _parse_plant(where: str, value: Any, task: str) -> PlantSpec:
     largest, accepted = math.nextafter(THETA_LIMIT, 0.0), f"an angle in rad within {THETA_LIMIT:.4g} of 0"
     theta = check_number(f"{where}.theta", entry.get("theta", START_THETA), accepted, -largest, largest)
     seed = check_integer(f"{where}.seed", entry["seed"], "an integer in [0, 2**128)", 0, 2**128 - 1)
-    given, changes, t = entry.get("changes", []), [], 0.0
-    if not isinstance(given, list):
-        raise ValueError(f"{where}.changes must be a list of changes, got {written(given)}")
-    accepted = f"a number of seconds within (0, {HORIZON:g}), later than the change before"
-    for j, change in enumerate(given):
-        name = f"{where}.changes[{j}]"
-        change = _fields(name, change, ("t", "M", "mu"))
-        t = check_number(f"{name}.t", change["t"], accepted, t, math.nextafter(HORIZON, 0.0), open_low=True)
-        changes.append({**change, "t": t})
+    changes, accepted = [], f"a number of seconds within (0, {HORIZON:g})"
+    for name, t, change in check_timed(f"{where}.changes", entry.get("changes", []), "a list of changes", CHANGE):
+        check_number(f"{name}['t']", t, accepted, 0.0, math.nextafter(HORIZON, 0.0), open_low=True)
+        changes.append({**_fields(name, change, CHANGE), "t": t})
     goal, farthest = entry.get("goal"), LARGEST_STATE[2]
     if goal is not None:
         goal = check_number(f"{where}.goal", goal, f"a number of m within {farthest:g} of 0", -farthest, farthest)
@@ -165,7 +161,7 @@ def _parse_plant(where: str, value: Any, task: str) -> PlantSpec:
             Capsule(M=entry["M"], mu=entry["mu"], **capsule)
         except (TypeError, ValueError) as error:
             raise ValueError(f"{where}.capsule: {error}") from None
-    return PlantSpec(entry["M"], entry["mu"], seed, tuple(changes), theta, goal, capsule)
+    return PlantSpec(entry["M"], entry["mu"], seed, tuple(changes), theta, goal, capsule or None)
 
 
 def parse_set(content: Any) -> EvaluationSet:
@@ -187,7 +183,7 @@ def parse_set(content: Any) -> EvaluationSet:
         raise ValueError(f"set.task must be one of {sorted(TASKS)}, got {written(task)}")
     name = entry["name"]
     if not isinstance(name, str) or not name.strip():
-        raise ValueError(f"set.name must be a string that is not empty, got {name!r}")
+        raise ValueError(f"set.name must be a string that is not empty, got {written(name)}")
     capsule = entry.get("capsule")
     if capsule is not None:
         capsule = Capsule(**_fields("set.capsule", capsule, (), [each.name for each in fields(Capsule)]))
@@ -198,7 +194,7 @@ def parse_set(content: Any) -> EvaluationSet:
     Disturbances.named(disturbances)
     plants = entry["plants"]
     if not isinstance(plants, list) or not plants:
-        raise ValueError(f"set.plants must be a list of at least one plant, got {plants!r}")
+        raise ValueError(f"set.plants must be a list of at least one plant, got {written(plants)}")
     parsed = tuple(_parse_plant(f"set.plants[{i}]", plant, task) for i, plant in enumerate(plants))
     if len({plant.goal is None for plant in parsed}) > 1:
         raise ValueError("set.plants must have a goal each, or none must have one")
@@ -219,12 +215,13 @@ def load_set(name_or_path: str | Path) -> EvaluationSet:
     frozen = next((folder for folder in FOLDERS if folder.is_dir()), FOLDERS[-1])
     names = SET_NAMES + FURTHER_SET_NAMES + TASK_SET_NAMES
     path = frozen / f"{name_or_path}.json" if name_or_path in names else Path(name_or_path)
-    if not path.is_file():
+    # Unlike the methods of Path, this function accepts names that no file can have.
+    if not os.path.isfile(path):
         raise ValueError(
-            f"set must be one of {', '.join(names)}, or the path of a JSON file, got {str(name_or_path)!r}"
+            f"set must be one of {', '.join(names)}, or the path of a JSON file, got {written(str(name_or_path))}"
             f"{nearest(str(name_or_path), names)}"
         )
     try:
         return parse_set(json.loads(path.read_text(encoding="utf-8")))
-    except (TypeError, ValueError) as error:
+    except (OSError, RecursionError, TypeError, ValueError) as error:
         raise ValueError(f"{path} is not an evaluation set: {error}") from error

@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 import os
+import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -29,7 +30,8 @@ def replacing(path: Path) -> Iterator[Path]:
 
     Readers never see a partial file. After an error in the block, or a power failure, the previous file remains.
     """
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
+    # Random, since processes on two machines, and threads, may write the same file. Names have at most 255 bytes.
+    temporary = path.with_name(f".{path.stem[:20]}.{secrets.token_hex(8)}.tmp{path.suffix[:20]}")
     try:
         with naming(path):
             yield temporary

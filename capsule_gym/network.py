@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from capsule_gym import _core, native
+from capsule_gym._core import ESTIMATES
 from capsule_gym.checks import check_count
-from capsule_gym.config import EnvConfig, find_task
+from capsule_gym.config import EnvConfig
 from capsule_gym.elementary import log
-from capsule_gym.observation import ESTIMATES, observation_names
+from capsule_gym.observation import observation_entries
 from capsule_gym.parameters import Capsule
 
 if TYPE_CHECKING:
@@ -38,8 +39,7 @@ def make_header(options: EnvConfig, *, identifies: bool, observes_energy_weight:
     `network` are the header's `layers`, `relu`, `tanh_squashing`, `clip` and `outputs_torque`.
     """
     capsule = options.capsule or Capsule()
-    own = find_task(options.task).entries
-    entries = observation_names(options.controller is not None, options.observe_parameters, own, options.stack_size)
+    entries = list(observation_entries(options))
     header = {
         **network,
         "inputs": len(input_names(entries, identifies, observes_energy_weight)),

@@ -2,27 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
-import numpy as np
-
-from capsule_gym._core import THETA_DOT_BOUND, X_DOT_BOUND
-from capsule_gym.parameters import Capsule, Randomization
+from capsule_gym._core import ESTIMATES, THETA_DOT_BOUND, X_DOT_BOUND
+from capsule_gym.config import EnvConfig, find_task
+from capsule_gym.parameters import NOMINAL, Capsule, Randomization
 from capsule_gym.task import THETA_LIMIT
 
 # Bounds of the observed M, in masses of the capsule's platform, and of mu; wider ranges extend them.
 M_BOUND = 4.0
 MU_BOUND = 1.0
-
-
-def observation_names(
-    with_reference: bool, with_parameters: bool, task_entries: Iterable[str] = (), stack_size: int = 1
-) -> tuple[str, ...]:
-    """The entries of the observation, in order; those of n steps ago end with their number."""
-    reference = ("theta_d", "theta_d_dot", "sin_phase", "cos_phase", "law_torque") if with_reference else ()
-    parameters = ("M", "mu") if with_parameters else ()
-    names = ("theta", "theta_dot", "x_dot", "stick", "last_action", *reference, *parameters, *task_entries)
-    return names + tuple(f"{name} {n}" for n in range(1, stack_size) for name in names)
 
 
 def parameter_bounds(capsule: Capsule, randomization: Randomization) -> tuple[float, float]:
@@ -34,28 +21,19 @@ def parameter_bounds(capsule: Capsule, randomization: Randomization) -> tuple[fl
     return max(M_BOUND * capsule.M, room * heaviest), max(MU_BOUND, room * roughest)
 
 
-def observation_bounds(
-    capsule: Capsule,
-    randomization: Randomization,
-    torque_limit: float,
-    task_entries: dict[str, tuple[float, float]],
-    names: Iterable[str],
-    stack_size: int,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest observation, float32, of the entries `names`; the torque limit is in N m."""
-    largest_M, largest_mu = parameter_bounds(capsule, randomization)
-    angle, rate = (-THETA_LIMIT, THETA_LIMIT), (-THETA_DOT_BOUND, THETA_DOT_BOUND)
-    bounds = {
-        **{"theta": angle, "theta_dot": rate, "x_dot": (-X_DOT_BOUND, X_DOT_BOUND), "stick": (0.0, 1.0)},
-        **{"last_action": (-1.0, 1.0), "theta_d": angle, "theta_d_dot": rate},
-        **{"sin_phase": (-1.0, 1.0), "cos_phase": (-1.0, 1.0), "law_torque": (-torque_limit, torque_limit)},
-        **{"M": (0.0, largest_M), "mu": (0.0, largest_mu)},
-        **task_entries,
-    }
-    low, high = np.array([bounds[name] for name in names], np.float32).T
-    return np.tile(low, stack_size), np.tile(high, stack_size)
-
-
-# Inputs of a policy from the online filter (`capsule_gym/core/identification.hpp`): M, log(mu), and the standard
-# deviations of both.
-ESTIMATES = ("M_estimate", "log_mu_estimate", "M_deviation", "log_mu_deviation")
+def observation_entries(options: EnvConfig) -> dict[str, tuple[float, float]]:
+    """The entries of the observation in order, each with its bounds; those of n steps ago end with their number."""
+    angle, rate, unit = (-THETA_LIMIT, THETA_LIMIT), (-THETA_DOT_BOUND, THETA_DOT_BOUND), (-1.0, 1.0)
+    entries = {"theta": angle, "theta_dot": rate, "x_dot": (-X_DOT_BOUND, X_DOT_BOUND), "stick": (0.0, 1.0)}
+    entries["last_action"] = unit
+    if options.controller is not None:
+        entries |= {"theta_d": angle, "theta_d_dot": rate, "sin_phase": unit, "cos_phase": unit}
+        entries["law_torque"] = -options.torque_limit, options.torque_limit
+    if options.observe_parameters:
+        bounds = parameter_bounds(options.capsule or NOMINAL, Randomization.named(options.randomization))
+        entries |= {"M": (0.0, bounds[0]), "mu": (0.0, bounds[1])}
+    if options.observe_estimates:
+        # From the online filter (`capsule_gym/core/identification.hpp`).
+        entries |= ESTIMATES
+    entries |= find_task(options.task).entries
+    return entries | {f"{name} {n}": entries[name] for n in range(1, options.stack_size) for name in entries}

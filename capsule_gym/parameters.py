@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields, replace
 from itertools import product
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeVar
 
 from capsule_gym import _core
-from capsule_gym.checks import check_choice, check_flag, check_name, check_number, written
+from capsule_gym.checks import check_choice, check_flag, check_name, check_number, nearest, written
 
+Kind = TypeVar("Kind", "Capsule", "Randomization", "Disturbances")
 NormalForce = Literal["newton", "paper"]
 
 # Range of a plant's constants, in SI units, within which every force and acceleration is finite.
@@ -55,12 +56,39 @@ CONSTANTS = (
     *("viscous", "stribeck_speed", "slope", "motor_friction"),
 )
 # The smallest values of those that are not 0.
-SMALLEST_CONSTANTS = {**dict.fromkeys(("M", "m", "l", "g", "backward_ratio"), SMALLEST), "static_ratio": 1.0}
+SMALLEST_OF = {**dict.fromkeys(("M", "m", "l", "g", "backward_ratio"), SMALLEST), "static_ratio": 1.0}
 
 
-def _check_size(name: str, value: Any, smallest: float) -> float:
+# Numbers by which the core divides where they are not 0.
+DIVISORS = (
+    *("stribeck_speed", "lag", "torque_resolution"),
+    *("theta_resolution", "theta_dot_resolution", "x_dot_resolution"),
+)
+
+
+def from_fields(kind: type[Kind], argument: str, values: dict[str, Any]) -> Kind:
+    """The object with these fields, which JSON contains instead of it; raises the errors of its fields."""
+    names = [each.name for each in fields(kind)]
+    for name in values:
+        if name not in names:
+            similar = nearest(str(name), names)
+            raise ValueError(f"{argument} must have fields out of {names}, got {written(name)}{similar}")
+    try:
+        return kind(**values)
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"{argument}: {error}") from None
+
+
+def _check_size(name: str, value: Any, low: float, high: float = LARGEST) -> float:
     """Returns a constant of the plant as a float; outside its range a force might not be finite."""
-    return check_number(name, value, f"a finite number from {smallest:g} to {LARGEST:g}", smallest, LARGEST)
+    return check_number(name, value, f"a finite number from {low:g} to {high:g}", low, high)
+
+
+def check_divisor(field: str, name: str, number: float) -> float:
+    """Returns the value of a field; a ValueError if the core divides by it and the quotient might overflow."""
+    if field in DIVISORS and 0.0 < number < SMALLEST:
+        raise ValueError(f"{name} must be 0 or at least {SMALLEST:g}, got {number!r}")
+    return number
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,14 +143,10 @@ class Capsule:
 
     def __post_init__(self) -> None:
         for name in ("M", "mu", *CONSTANTS):
-            whose, value = f"Capsule.{name}", getattr(self, name)
-            if name == "slope":
-                accepted = f"a finite number (rad) from -{LARGEST_SLOPE} to {LARGEST_SLOPE}"
-                value = check_number(whose, value, accepted, -LARGEST_SLOPE, LARGEST_SLOPE)
-            else:
-                value = _check_size(whose, value, SMALLEST_CONSTANTS.get(name, 0.0))
+            low, high = (-LARGEST_SLOPE, LARGEST_SLOPE) if name == "slope" else (SMALLEST_OF.get(name, 0.0), LARGEST)
             # Narrow types of numpy would reduce the precision of all derived quantities.
-            object.__setattr__(self, name, value)
+            value = _check_size(f"Capsule.{name}", getattr(self, name), low, high)
+            object.__setattr__(self, name, check_divisor(name, f"Capsule.{name}", value))
         check_choice("Capsule.normal_force", self.normal_force, ("newton", "paper"), "'newton' or 'paper'")
         self.check_plant(self.M, self.mu)
 
@@ -208,7 +232,7 @@ def _check_pair(name: str, value: Any, accepted: str, **limits: Any) -> tuple[fl
     return low, high
 
 
-# Limit of `elementary.exp`.
+# Limit of the exponential in the core.
 LARGEST_RATIO = 1e300
 Range = tuple[float, float]
 
@@ -291,11 +315,7 @@ class Randomization:
             every = product(*(getattr(self, name) for name in self.drawn))
             return [replace(capsule, M=M, mu=mu, **dict(zip(self.drawn, values, strict=True))) for values in every]
         except ValueError as error:
-            raise ValueError(f"{self!r}: {error}") from None
-
-    def __repr__(self) -> str:
-        given = [f"{each.name}={getattr(self, each.name)!r}" for each in fields(self) if getattr(self, each.name)]
-        return f"Randomization({', '.join(given)})"
+            raise ValueError(f"Randomization({self}): {error}") from None
 
     def __str__(self) -> str:
         if self == Randomization():
@@ -393,7 +413,10 @@ class Disturbances:
             accepted = f"a number from {low:g} to {high:g}, or a pair (low, high) of such numbers with low <= high"
             value, whose = getattr(self, name), f"Disturbances.{name}"
             check = _check_pair if isinstance(value, (tuple, list)) else check_number
-            object.__setattr__(self, name, check(whose, value, accepted, low=low, high=high))
+            checked = check(whose, value, accepted, low=low, high=high)
+            for end in checked if isinstance(checked, tuple) else (checked,):
+                check_divisor(name, whose, end)
+            object.__setattr__(self, name, checked)
         names = self.unmeasured
         if not isinstance(names, (tuple, list)) or not all(isinstance(name, str) and name in SENSORS for name in names):
             raise ValueError(f"Disturbances.unmeasured must be a tuple of names out of {SENSORS}, got {written(names)}")

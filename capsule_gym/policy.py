@@ -16,10 +16,12 @@ from __future__ import annotations
 
 import json
 import os
+import pkgutil
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import lru_cache
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -28,12 +30,12 @@ from safetensors.numpy import save
 
 from capsule_gym import network
 from capsule_gym._core import CELLS
-from capsule_gym.checks import check_integer, check_number, nearest, written
+from capsule_gym.checks import check_integer, check_number, nearest, shortened, written
 from capsule_gym.config import ENERGY_WEIGHT_TEXT, ENERGY_WEIGHTS, EnvConfig
 from capsule_gym.controller import is_own
 from capsule_gym.files import write_atomically
 from capsule_gym.network import Layer
-from capsule_gym.parameters import Capsule, Disturbances, Randomization
+from capsule_gym.parameters import Capsule, Disturbances, Randomization, from_fields
 
 POLICY = "policy.safetensors"
 # The folder of the pretrained policies: in a wheel part of the package, in a checkout next to the training commands.
@@ -125,10 +127,10 @@ class Policy:
     def __post_init__(self) -> None:
         for name, choices in CHOICES.items():
             if (value := getattr(self, name)) not in choices:
-                raise ValueError(f"{name} must be one of {choices}, got {value!r}")
+                raise ValueError(f"{name} must be one of {choices}, got {written(value)}")
         for name in ("algorithm", "revision"):
             if not isinstance(value := getattr(self, name), str) or not value:
-                raise TypeError(f"{name} must be a string that is not empty, got {value!r}")
+                raise TypeError(f"{name} must be a string that is not empty, got {written(value)}")
         check_integer("training_seed", self.training_seed, "an integer from 0 to 2**63 - 1", 0, 2**63 - 1)
         check_number("clip", self.clip, f"a number in (0, {LARGEST_CLIP:g}]", 0.0, LARGEST_CLIP, open_low=True)
         check_number("epsilon", self.epsilon, "a finite number >= 0", 0.0)
@@ -137,10 +139,10 @@ class Policy:
         if unknown := sorted(set(self.env_kwargs) - set(ENV_ARGUMENTS)):
             raise ValueError(f"env_kwargs must have keys out of {ENV_ARGUMENTS}, got {written(unknown)}")
         options = EnvConfig(**self.env_kwargs)
-        if options.controller is not None and not isinstance(options.controller, str):
-            raise TypeError(f"env_kwargs['controller'] must be None or an import string, got {options.controller!r}")
+        if not isinstance(law := options.controller, (str, NoneType)):
+            raise TypeError(f"env_kwargs['controller'] must be None or an import string, got {written(law)}")
         if not isinstance(options.task, str):
-            raise TypeError(f"env_kwargs['task'] must be the name of a task, got {options.task!r}")
+            raise TypeError(f"env_kwargs['task'] must be the name of a task, got {written(options.task)}")
         if self.observes_energy_weight:
             accepted_weights = f"{ENERGY_WEIGHT_TEXT} where it is observed"
             check_number("env_kwargs['energy_weight']", options.energy_weight, accepted_weights, *ENERGY_WEIGHTS)
@@ -201,10 +203,13 @@ class Policy:
         try:
             array = np.require(observation, np.float32, ["C", "A"])
         except (TypeError, ValueError, OverflowError) as error:
-            raise ValueError(f"observation must be an array of finite numbers, got {observation!r}: {error}") from None
+            raise ValueError(
+                f"observation must be an array of finite numbers, got {written(observation)}: {error}"
+            ) from None
         if array.ndim not in (1, 2) or array.shape[-1] != self.entries or not np.isfinite(array).all():
             raise ValueError(
-                f"observation must be finite and of shape ({self.entries},) or (n, {self.entries}), got {observation!r}"
+                f"observation must be finite and of shape ({self.entries},) or (n, {self.entries}), "
+                f"got {written(observation)}"
             )
         rows = array.reshape(-1, self.entries)
         if count not in (None, len(rows)):
@@ -253,6 +258,16 @@ class Policy:
         write_atomically(Path(path), len(text).to_bytes(8, "little") + text + content[end:])
 
 
+def _law_named(name: str) -> str:
+    """The end of the message for the name of a control law, which is no trained policy."""
+    law = name.replace("-", "_")
+    try:
+        known = {**pkgutil.resolve_name("baselines.laws:LAWS"), **pkgutil.resolve_name("baselines.laws:TASK_LAWS")}
+    except (AttributeError, ImportError):
+        return ""
+    return f", which is a control law: gym.make(.., controller='baselines:{law}')" if law in known else ""
+
+
 def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool = False) -> Policy:
     """Loads a trained policy. A policy file contains no pickled objects and no code.
 
@@ -280,7 +295,7 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
             raise ValueError(
                 f"name_or_path must be one of {', '.join(policy_names())}, one run of it as NAME/seed-0, or the path "
                 f"of a policy file or of a run's folder, which holds best/{POLICY} or {POLICY}, got "
-                f"{written(name)}{nearest(name, pretrained())}"
+                f"{written(name)}{_law_named(name) or nearest(name, pretrained())}"
             )
         folder = path.absolute().parent
         name = folder.parent.name if folder.name == "best" else folder.name
@@ -289,12 +304,12 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
     try:
         policy = _read(name, path)
     except (SafetensorError, ValueError, TypeError, RecursionError, OverflowError) as error:
-        raise ValueError(f"{path} is not a policy file: {error}") from error
+        raise ValueError(f"{path} is not a policy file: {shortened(str(error))}") from error
     controller = policy.env_kwargs.get("controller")
     if not (trust_controller or is_own(controller)):
         raise ValueError(
-            f"{path} names the control law {controller!r}, which does not come with this package; an environment made "
-            "with it runs that code: load_policy(.., trust_controller=True) if you trust it"
+            f"{path} names the control law {written(controller)}, which does not come with this package; an "
+            "environment made with it runs that code: load_policy(.., trust_controller=True) if you trust it"
         )
     return policy
 
@@ -314,13 +329,15 @@ def _read(name: str, path: Path) -> Policy:
         metadata: dict[str, str] = file.metadata() or {}
         found = metadata.get("format"), metadata.get("format_version")
         if found != (FORMAT, FORMAT_VERSION):
-            raise ValueError(f"its format and format_version must be {FORMAT!r} and {FORMAT_VERSION!r}, got {found}")
+            raise ValueError(
+                f"its format and format_version must be {FORMAT!r} and {FORMAT_VERSION!r}, got {written(found)}"
+            )
         names = set(file.keys())
         count = sum(tensor.endswith(".weight") for tensor in names)
         layers = [(f"layers.{n}.weight", f"layers.{n}.bias") for n in range(min(count, MOST_LAYERS + 1))]
         expected = {"inputs.mean", "inputs.variance"}.union(*layers)
         if names != expected:
-            raise ValueError(f"it must contain the tensors {sorted(expected)}, got {sorted(names)[:20]}")
+            raise ValueError(f"it must contain the tensors {sorted(expected)}, got {written(sorted(names))}")
         arrays = {tensor: file.get_tensor(tensor) for tensor in names}
     values: dict[str, Any] = {}
     for key in (*TEXTS, *VALUES):
@@ -331,9 +348,10 @@ def _read(name: str, path: Path) -> Policy:
             raise ValueError(f"{key} must be {accepted} in its metadata, got {metadata.get(key)!r:.50}") from None
     env_kwargs = values["env_kwargs"]
     if isinstance(env_kwargs, dict):
-        for key, kind in (("capsule", Capsule), ("randomization", Randomization), ("disturbances", Disturbances)):
+        kinds: dict[str, Any] = {"capsule": Capsule, "randomization": Randomization, "disturbances": Disturbances}
+        for key, kind in kinds.items():
             if isinstance(env_kwargs.get(key), dict):
-                env_kwargs[key] = kind(**env_kwargs[key])
+                env_kwargs[key] = from_fields(kind, f"env_kwargs[{key!r}]", env_kwargs[key])
         if isinstance(env_kwargs.get("initial_range"), list):
             env_kwargs["initial_range"] = tuple(env_kwargs["initial_range"])
     values["observes_energy_weight"] = values.pop("told_energy_weight")

@@ -9,7 +9,7 @@ import importlib
 import math
 import os
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -102,7 +102,6 @@ class Renderer:
         fps: frames per second of the window.
         torque_limit: torque that the arc arrow shows as a quarter turn, N m.
         title: shown in the picture, where some 30 characters fit, and on the window.
-        on_key: called at every press or release of a key with pygame's name of the key, and whether it is pressed.
 
     Raises:
         gymnasium.error.DependencyNotInstalled: if pygame is not installed.
@@ -111,21 +110,13 @@ class Renderer:
         closed: whether draws do nothing, after `close` or after the user has closed the window.
     """
 
-    def __init__(
-        self,
-        capsule: Capsule,
-        mode: str,
-        fps: int,
-        torque_limit: float,
-        title: str = ENV_ID,
-        on_key: Callable[[str, bool], None] | None = None,
-    ) -> None:
+    def __init__(self, capsule: Capsule, mode: str, fps: float, torque_limit: float, title: str = ENV_ID) -> None:
         self._mode, self._title, self._fps, self._torque_limit = mode, title, fps, torque_limit
         # Metres between labelled marks, a power of ten that is 42 to 420 pixels.
         self._major = 10.0 ** math.ceil(math.log10(capsule.l / 4.0))
         # A whole number of canvas pixels between labelled marks: the marks then move as one and do not shimmer.
         self._major_pixels = round(SCALE * ROD / capsule.l * self._major) / SCALE
-        self.closed, self._on_key = False, on_key
+        self.closed = False
         os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
         try:
             with warnings.catch_warnings():
@@ -141,8 +132,6 @@ class Renderer:
         self._pixels = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
         self._frame = pygame.image.frombuffer(self._pixels, (WIDTH, HEIGHT), "RGB")
         self._text = lru_cache(TEXTS)(self._draw_text)
-        self._draw_background()
-        self._background = self._canvas.copy()
         self._window: Any = None
         if mode == "human":
             pygame.display.init()
@@ -161,7 +150,6 @@ class Renderer:
         M: float,
         mu: float,
         ghost: tuple[str, float, float] | None = None,
-        note: str = "",
     ) -> NDArray[np.uint8] | None:
         """Draws one frame and, in a window, waits until it is due.
 
@@ -174,7 +162,6 @@ class Renderer:
             M: mass of the platform, kg.
             mu: friction coefficient.
             ghost: the name, theta and x of another robot on the same floor, drawn pale behind the first.
-            note: a line of some 110 characters below the ruler.
 
         Returns:
             The frame as an array of uint8, (450, 960, 3), in mode "rgb_array"; None in mode "human" and once closed.
@@ -187,17 +174,17 @@ class Renderer:
         for event in pygame.event.get() if self._window is not None else ():
             if event.type == pygame.QUIT:
                 self.close()
-            elif self._on_key is not None and event.type in (pygame.KEYDOWN, pygame.KEYUP):
-                self._on_key(pygame.key.name(event.key), event.type == pygame.KEYDOWN)
         if self.closed:
             return None
-        self._canvas.blit(self._background, (0, 0))
+        self._canvas.fill(WHITE)
+        self._box(0, HEADER, WIDTH, 1, HAIRLINE)
+        self._box(0, HEADER + 1, WIDTH, FLOOR - HEADER - 1, PAPER)
+        self._box(0, FLOOR, WIDTH, RULER, FLOOR_FILL)
         self._draw_floor(x)
         if ghost is not None:
             self._draw_ghost(*ghost, x)
         self._write(self._title, 20, SLATE, 24, HEADER + 27)
         self._write(f"M {M:.3f} kg     \N{GREEK SMALL LETTER MU} {mu:.4f}", 17, GREY, 24, HEADER + 46)
-        self._write(note, 16, GREY, 24, HEIGHT - 13)
         self._draw_robot(theta, torque, STICK if x_dot == 0.0 else SLIP)
         self._draw_figures(time, x, x_dot, torque)
         self._frame.blit(pygame.transform.smoothscale(self._canvas, (WIDTH, HEIGHT)), (0, 0))
@@ -215,18 +202,6 @@ class Renderer:
             self._window = None
             self._pygame.display.quit()
 
-    def _draw_background(self) -> None:
-        """Draws what all frames have in common."""
-        self._box(0, 0, WIDTH, HEIGHT, WHITE)
-        for column, (label, _, unit) in enumerate((*FIGURES, ("CONTACT", 0, ""))):
-            left = COLUMN * column
-            self._write(label, 16, GREY, left + 24, 26)
-            self._write(unit, 19, GREY, left + VALUE_RIGHT + 6, VALUE_BASELINE)
-            self._box(left + COLUMN, 16, 1, HEADER - 32, HAIRLINE)
-        self._box(0, HEADER, WIDTH, 1, HAIRLINE)
-        self._box(0, HEADER + 1, WIDTH, FLOOR - HEADER - 1, PAPER)
-        self._box(0, FLOOR, WIDTH, RULER, FLOOR_FILL)
-
     def _draw_floor(self, x: float) -> None:
         """Draws the ruler with the platform at x in the middle, and the inside of the shell."""
         start = MIDDLE - x / self._major * self._major_pixels
@@ -239,8 +214,7 @@ class Renderer:
             at = left + mark * self._major_pixels
             self._box(at, GRID_TOP, 1, FLOOR - GRID_TOP, GRID)
             for part in range(10):
-                length = 13 if part == 0 else 9 if part == 5 else 6
-                self._box(at + part * self._major_pixels / 10, FLOOR, 1, length, TICK)
+                self._box(at + part * self._major_pixels / 10, FLOOR, 1, 13 if part == 0 else 6, TICK)
             self._write(_number(step * (first + mark), decimals), 17, GREY, at + 0.5, FLOOR + 28, "midtop")
         self._box(0, FLOOR - 1, WIDTH, 2, TICK)
 
@@ -265,14 +239,12 @@ class Renderer:
     def _draw_robot(self, theta: float, torque: float, contact: Colour) -> None:
         """Draws the contact and the platform, the motor's torque, the spring and the pendulum."""
         self._draw_shell(MIDDLE, contact, 3)
-        half = SHELL_HALF - SHELL_HEIGHT / 2 + 6
-        self._box(MIDDLE - half, FLOOR - 1, 2 * half, 7, contact, radius=2)
-        deck, pivot = FLOOR - PLATFORM_HEIGHT - 3, FLOOR - PIVOT
+        half, deck = SHELL_HALF - SHELL_HEIGHT / 2 + 6, FLOOR - PLATFORM_HEIGHT - 3
+        self._box(MIDDLE - half, FLOOR - 1, 2 * half, 7, contact)
         self._box(MIDDLE - PLATFORM_HALF, deck, 2 * PLATFORM_HALF, PLATFORM_HEIGHT, SLATE, radius=5)
-        tower = [(MIDDLE + side, y) for side, y in ((-46, deck + 2), (-30, pivot), (30, pivot), (46, deck + 2))]
-        self._polygon(tower, SLATE)
-        self._disc((MIDDLE, pivot), SPRING_OUTER + 8, SLATE)
-        self._disc((MIDDLE, pivot), SPRING_OUTER + 4, PAPER)
+        self._box(MIDDLE - SPRING_OUTER - 8, FLOOR - PIVOT, 2 * SPRING_OUTER + 16, PIVOT - PLATFORM_HEIGHT, SLATE)
+        self._disc(_polar(0.0, 0.0), SPRING_OUTER + 8, SLATE)
+        self._disc(_polar(0.0, 0.0), SPRING_OUTER + 4, PAPER)
         # An arc arrow around the pivot: from the upright, a quarter turn at the limit, the way the motor turns.
         end = 0.5 * math.pi * max(-1.0, min(1.0, torque / self._torque_limit))
         if abs(end) > 0.015:
@@ -285,19 +257,21 @@ class Renderer:
         self._ribbon(np.transpose(_polar(turns, np.linspace(SPRING_INNER, SPRING_OUTER, 72))), 2.5, SHELL)
         self._ribbon([_polar(theta, 0.0), _polar(theta, ROD)], 7.0, INK)
         self._disc(_polar(theta, 0.0), 9, INK)
-        self._disc(_polar(theta, 0.0), 4, WHITE)
         self._disc(_polar(theta, ROD), BALL, BALL_COLOUR)
 
     def _draw_figures(self, time: float, x: float, x_dot: float, torque: float) -> None:
         """Draws the numbers, right-aligned, so that no digit moves when another appears, and stick or slip."""
         mean = x / time if time > 0.0 else 0.0
         values = (time, 100.0 * x, 100.0 * x_dot, 100.0 * mean, torque)
-        for column, (value, (label, decimals, _)) in enumerate(zip(values, FIGURES, strict=True)):
-            colour, right = TORQUE if label == "TORQUE" else INK, COLUMN * column + VALUE_RIGHT
-            self._write(_number(value, decimals), 32, colour, right, VALUE_BASELINE, "topright")
+        for column, (value, (label, decimals, unit)) in enumerate(zip(values, FIGURES, strict=True)):
+            left, colour = COLUMN * column, TORQUE if label == "TORQUE" else INK
+            self._write(label, 16, GREY, left + 24, 26)
+            self._write(_number(value, decimals), 32, colour, left + VALUE_RIGHT, VALUE_BASELINE, "topright")
+            self._write(unit, 19, GREY, left + VALUE_RIGHT + 6, VALUE_BASELINE)
+            self._box(left + COLUMN, 16, 1, HEADER - 32, HAIRLINE)
         contact, colour = ("STICK", STICK) if x_dot == 0.0 else ("SLIP", SLIP)
-        self._box(822, 33, 114, 31, colour, radius=15)
-        self._write(contact, 22, WHITE, 879, 55, "midtop")
+        self._write("CONTACT", 16, GREY, COLUMN * len(FIGURES) + 24, 26)
+        self._write(contact, 32, colour, COLUMN * len(FIGURES) + 24, VALUE_BASELINE)
 
     def _box(
         self, x: float, y: float, width: float, height: float, colour: Colour, radius: float = 0.0, line: float = 0.0

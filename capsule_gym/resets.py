@@ -1,16 +1,27 @@
-"""The random draws at the start of an episode; the core draws them (`capsule_gym/core/resets.hpp`)."""
+"""The start of an episode: random draws, which the core makes (`capsule_gym/core/resets.hpp`), and given values."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 
+from capsule_gym.checks import check_number, written
 from capsule_gym.elementary import log
 from capsule_gym.native import evaluate
-from capsule_gym.parameters import Capsule, Randomization
-from capsule_gym.task import Draw
+from capsule_gym.parameters import (
+    CONSTANTS,
+    DISTURBANCES,
+    LARGEST,
+    Capsule,
+    Disturbances,
+    Randomization,
+    check_divisor,
+)
+from capsule_gym.settings import StepSettings
+from capsule_gym.task import LARGEST_STATE, THETA_LIMIT, Draw, Task
 
 
 class Stream(IntEnum):
@@ -64,3 +75,57 @@ def draw_table(first: int, stream: Stream, draws: Sequence[Draw]) -> np.ndarray:
     """
     lines = [(first + n, stream, n, draw.low, draw.high - draw.low, draw.signed) for n, draw in enumerate(draws)]
     return np.array(lines, np.float64).reshape(-1, 6)
+
+
+def write_options(drawn: np.ndarray, options: dict[str, Sequence[Any]], own: Task, settings: StepSettings) -> None:
+    """Writes the reset options that replace draws, one value per episode.
+
+    Args:
+        drawn: shape (lines of the tables, episodes): the numbers that the task's options draw, then the constants of
+            the plant and the disturbances where they vary; changed.
+        options: values by the name of their option; other options are ignored.
+        own: the task.
+        settings: the settings of the step.
+
+    Raises:
+        TypeError: if a value is of the wrong type.
+        ValueError: if a value is out of range.
+    """
+    first = 0
+    for name, option in own.options.items():
+        last = first + len(option.draws)
+        for n, value in enumerate(options.get(name, ())):
+            drawn[first:last, n] = option.parse(f"options[{name!r}]", value)
+        first = last
+    for name, names in (("capsule", CONSTANTS), ("disturbances", DISTURBANCES)):
+        for n, values in enumerate(options.get(name, ())):
+            accepted = f"a dict with keys out of {names}"
+            if not isinstance(values, dict) or set(values) - set(names):
+                error = ValueError if isinstance(values, dict) else TypeError
+                raise error(f"options[{name!r}] must be {accepted}, got {written(values)}")
+            for key, value in values.items():
+                low, high = Disturbances.limits(key) if name == "disturbances" else (-LARGEST, LARGEST)
+                if key == "latency":
+                    # The length of the history.
+                    high = (settings.history - 1) * settings.physics_steps * settings.physics_dt
+                in_words = f"a number from {low:g} to {high:g}"
+                whose = f"options[{name!r}][{key!r}]"
+                number = check_number(whose, value, in_words, low, high)
+                drawn[first + names.index(key), n] = check_divisor(key, whose, number)
+        first += len(names)
+
+
+def check_state(state: Any, count: int) -> np.ndarray:
+    """The states of `count` episodes as float64, shape (count, 4), from one for each or one for all."""
+    _, *rest = LARGEST_STATE
+    accepted = "|theta| < pi/2, |theta_dot| <= {:g} rad/s, |x| <= {:g} m and |x_dot| <= {:g} m/s".format(*rest)
+    message = f"options['state'] must be [theta, theta_dot, x, x_dot] with {accepted}, got {written(state)}"
+    try:
+        array = np.asarray(state, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise (ValueError if isinstance(error, OverflowError) else TypeError)(message) from None
+    if array.shape not in ((4,), (count, 4)):
+        raise ValueError(f"{message} of shape {array.shape}")
+    if not ((np.abs(array) <= LARGEST_STATE).all() and (np.abs(array[..., 0]) < THETA_LIMIT).all()):
+        raise ValueError(message)
+    return np.broadcast_to(array, (count, 4))

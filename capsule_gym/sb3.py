@@ -1,4 +1,7 @@
-"""The native batch as a `VecEnv` of Stable-Baselines3, the only module that needs that library (extra `sb3`)."""
+"""The native batch as a `VecEnv` of Stable-Baselines3, the only module that needs that library (extra `sb3`).
+
+A model saved with `AsymmetricPolicy` loads wherever this package and Stable-Baselines3 are installed.
+"""
 
 from __future__ import annotations
 
@@ -8,24 +11,41 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
-from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import VecEnv
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-from capsule_gym.checks import written
+from capsule_gym.checks import check_flag, written
+from capsule_gym.parameters import DISTURBANCES, Disturbances
 from capsule_gym.vector_env import CapsuleVectorEnv
+
+try:
+    from stable_baselines3.common.monitor import Monitor
+    from stable_baselines3.common.policies import MultiInputActorCriticPolicy
+    from stable_baselines3.common.running_mean_std import RunningMeanStd
+    from stable_baselines3.common.torch_layers import MlpExtractor
+    from stable_baselines3.common.vec_env import VecEnv
+    from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
+    from torch import Tensor, nn
+except ImportError as error:
+    raise ImportError('capsule_gym.sb3 needs Stable-Baselines3: pip install "capsule-gym[sb3]"') from error
+
+# A critic observes the logarithm of mu, which may be 0.
+LEAST_MU = 1e-3
 
 
 class CapsuleSB3VecEnv(VecEnv):
     """The native batch as a `VecEnv` of Stable-Baselines3, without a Python loop over environments.
 
-    It replaces `make_vec_env("capsule_gym:CapsuleStickSlip-v0", n_envs=num_envs)`. The info of an environment is empty
-    except at the end of an episode. There it contains "terminal_observation", "TimeLimit.truncated", "episode" with the
-    return "r" and the length "l" as in SB3's `Monitor`, and "metrics" (`capsule_gym.task.Metrics`, and the task's).
+    It replaces `make_vec_env("capsule_gym:CapsuleStickSlip-v0", n_envs=num_envs)`. The info of an environment is empty,
+    and the same dict at every step, except at the end of an episode. There it contains "terminal_observation",
+    "TimeLimit.truncated", "episode" with the return "r" and the length "l" as in SB3's `Monitor`, and "metrics"
+    (`capsule_gym.task.Metrics`, and the task's).
 
     Args:
         num_envs: number of environments.
         seed: environment i gets seed + i.
+        privileged: give observations {"policy": .., "critic": ..}. "policy" is the environment's observation; "critic"
+            is what only a critic may see in training: M in kg, log(mu), and all other constants of the plant and
+            disturbances that an episode draws, and where the agent observes sensors, the true theta, theta_dot and
+            x_dot. `AsymmetricPolicy` is for these observations.
         **env_kwargs: arguments of `CapsuleVectorEnv` except `autoreset_mode`.
 
     Raises:
@@ -36,12 +56,28 @@ class CapsuleSB3VecEnv(VecEnv):
         batch: the `CapsuleVectorEnv`, stepped with SAME_STEP.
     """
 
-    def __init__(self, num_envs: int, seed: int | None = None, **env_kwargs: Any) -> None:
+    def __init__(self, num_envs: int, seed: int | None = None, *, privileged: bool = False, **env_kwargs: Any) -> None:
+        self.privileged = check_flag("privileged", privileged)
         self.batch = CapsuleVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **env_kwargs)
         self._actions: np.ndarray | None = None
+        # Creating empty infos at every step takes longer than what SB3 does with them.
+        self._no_infos: list[dict[str, Any]] = [{} for _ in range(self.batch.num_envs)]
         self._returns = np.zeros(num_envs)
         self._lengths = np.zeros(num_envs, np.int64)
-        super().__init__(num_envs, self.batch.single_observation_space, self.batch.single_action_space)
+        space: gym.spaces.Space[Any] = self.batch.single_observation_space
+        if self.privileged:
+            simulation = self.batch.simulation
+            disturbed = Disturbances.named(simulation.options.disturbances) or Disturbances()
+            # The names in `info` of what episodes draw besides M and mu.
+            self._drawn = {
+                "capsule": simulation.randomization.drawn,
+                "disturbances": [name for name in DISTURBANCES if isinstance(getattr(disturbed, name), tuple)],
+            }
+            self._reads = simulation.settings.agent_reads
+            entries = (3 if self._reads else 0) + 2 + sum(map(len, self._drawn.values()))
+            critic = gym.spaces.Box(-np.inf, np.inf, (entries,), np.float32)
+            space = gym.spaces.Dict({"policy": space, "critic": critic})
+        super().__init__(num_envs, space, self.batch.single_action_space)
         if seed is not None:
             self.seed(seed)
 
@@ -56,12 +92,23 @@ class CapsuleSB3VecEnv(VecEnv):
         if any(options.keys() != names for options in self._options):
             raise ValueError(f"options must have the same keys for every environment, got {written(self._options)}")
         gathered = {name: [options[name] for options in self._options] for name in names}
-        observations, _ = self.batch.reset(seed=self._seeds, options=gathered or None)
+        observations, info = self.batch.reset(seed=self._seeds, options=gathered or None)
         self._reset_seeds()
         self._reset_options()
         self._returns[:] = 0.0
         self._lengths[:] = 0
-        return observations
+        return self._with_critic(observations, info)
+
+    def _with_critic(self, observations: np.ndarray, info: dict[str, Any]) -> VecEnvObs:
+        """The observations, with those of the critic from an info of the batch if privileged."""
+        if not self.privileged:
+            return observations
+        columns = [info["M"], np.log(np.maximum(info["mu"], LEAST_MU))]
+        columns += [info[key][name] for key, names in self._drawn.items() for name in names]
+        if self._reads:
+            theta, theta_dot, _, x_dot = info["state"].T
+            columns += [theta, theta_dot, x_dot]
+        return {"policy": observations, "critic": np.array(columns, np.float32).T}
 
     def step_async(self, actions: np.ndarray) -> None:
         """Takes the actions of the next step, shape (num_envs, 1)."""
@@ -74,19 +121,22 @@ class CapsuleSB3VecEnv(VecEnv):
         dones = terminated | truncated
         self._returns += rewards
         self._lengths += 1
-        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        infos = self._no_infos
         if dones.any():
+            infos = infos.copy()
             metrics = info["final_info"]["metrics"]
+            final = self._with_critic(info["final_obs"], info["final_info"])
             for i in np.flatnonzero(dones):
+                last = {name: part[i] for name, part in final.items()} if isinstance(final, dict) else final[i]
                 infos[i] = {
-                    "terminal_observation": info["final_obs"][i],
+                    "terminal_observation": last,
                     "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
                     "episode": {"r": float(self._returns[i]), "l": int(self._lengths[i])},
                     "metrics": {name: float(values[i]) for name, values in metrics.items() if name[0] != "_"},
                 }
             self._returns[dones] = 0.0
             self._lengths[dones] = 0
-        return observations, rewards.astype(np.float32), dones, infos
+        return self._with_critic(observations, info), rewards.astype(np.float32), dones, infos
 
     def close(self) -> None:
         """Ends the threads of the batch."""
@@ -111,3 +161,52 @@ class CapsuleSB3VecEnv(VecEnv):
     def env_is_wrapped(self, wrapper_class: type[gym.Wrapper], indices: VecEnvIndices = None) -> list[bool]:
         """False except for `Monitor`, whose infos a batch contains: with True, SB3 evaluates whole episodes."""
         return [wrapper_class is Monitor] * len(list(self._get_indices(indices)))
+
+
+class FixedScale(RunningMeanStd):
+    """Statistics with which SB3's `VecNormalize` multiplies an observation by fixed factors.
+
+    Assign it to `env.obs_rms`, or to its entry "policy" where observations are dicts.
+
+    Running statistics would magnify `stick`, which is almost constant. `VecNormalize.training = False` would also stop
+    the normalisation of rewards.
+
+    Args:
+        factors: the factor of each entry of the observation, shape (entries,), > 0.
+    """
+
+    def __init__(self, factors: np.ndarray) -> None:
+        super().__init__(shape=factors.shape)
+        self.var = factors**-2.0
+
+    def update(self, arr: np.ndarray) -> None:
+        """Changes nothing."""
+
+
+class _Last(nn.Module):
+    """The last entries of the features."""
+
+    def __init__(self, count: int) -> None:
+        super().__init__()
+        self.count = count
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Features of shape (.., all) to (.., count)."""
+        return features[..., -self.count :]
+
+
+class AsymmetricPolicy(MultiInputActorCriticPolicy):
+    """A policy of SB3's `PPO` for `CapsuleSB3VecEnv(privileged=True)`, whose critic sees more than its actor.
+
+    The actor takes the observation "policy", the critic that and the observation "critic" (Pinto et al., "Asymmetric
+    actor critic for image-based robot learning", 2018). `predict` also takes both, but its actions depend only on
+    "policy". Arguments are those of SB3's `MultiInputActorCriticPolicy`.
+    """
+
+    def _build_mlp_extractor(self) -> None:
+        # The features are both observations, in the order of their names: the critic's, then the policy's.
+        super()._build_mlp_extractor()
+        assert isinstance(self.observation_space, gym.spaces.Dict)
+        (observed,) = self.observation_space["policy"].shape or ()
+        actor = MlpExtractor(observed, self.net_arch, self.activation_fn, self.device)
+        self.mlp_extractor.policy_net = nn.Sequential(_Last(observed), *actor.policy_net)

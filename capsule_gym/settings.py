@@ -35,6 +35,7 @@ class StepSettings(NamedTuple):
     termination_penalty: float
     with_reference: bool
     with_parameters: bool
+    with_estimates: bool
     stack_size: int = 1
     # Disturbances: number of states in the history, whether law and agent observe the sensors, the sensors that exist,
     # and the measured velocity up to which the observation's `stick` is 1.
@@ -51,10 +52,7 @@ def divide(name: str, whole: float, part_name: str, part: float) -> int:
     """The whole number of times that `part` fits into `whole`, both in seconds; a ValueError if it does not."""
     ratio = whole / part
     if ratio > MOST_SUBSTEPS:
-        raise ValueError(
-            f"{part_name} must divide {name}={whole!r} s at most {MOST_SUBSTEPS} times, got {part!r} s, which does "
-            f"{ratio:.6g} times"
-        )
+        raise ValueError(f"{part_name} must divide {name}={whole!r} s at most {MOST_SUBSTEPS} times, got {part!r} s")
     count = round(ratio)
     if count < 1 or abs(count * part - whole) > 1e-9 * whole:
         raise ValueError(f"{part_name} must divide {name}={whole!r} s a whole number of times, got {part!r} s")
@@ -107,6 +105,7 @@ def make_settings(options: EnvConfig, controller: Controller | None) -> StepSett
         termination_penalty=options.termination_penalty,
         with_reference=controller is not None,
         with_parameters=options.observe_parameters,
+        with_estimates=options.observe_estimates,
         stack_size=options.stack_size,
     )
     if disturbed is None:

@@ -10,7 +10,6 @@ from copy import deepcopy
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,9 +19,10 @@ from capsule_gym.checks import check_count, check_integer, check_number, check_t
 from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.controller import CoreLaw, bind_law, find_controller
 from capsule_gym.layout import LANES, Row
-from capsule_gym.observation import observation_names, parameter_bounds
-from capsule_gym.parameters import CONSTANTS, DISTURBANCES, LARGEST, NOMINAL, Capsule, Disturbances, Randomization
-from capsule_gym.settings import DEFAULTS, NO_CONTROLLER, SPEED, check_step, count_rows, ends, make_settings
+from capsule_gym.metrics import episode_metrics
+from capsule_gym.observation import observation_entries, parameter_bounds
+from capsule_gym.parameters import CONSTANTS, DISTURBANCES, NOMINAL, Capsule, Disturbances, Randomization
+from capsule_gym.settings import DEFAULTS, NO_CONTROLLER, check_step, count_rows, ends, make_settings
 
 # Upper limit of the keys of an episode's noise; floats represent all whole numbers up to it exactly.
 LARGEST_KEY = 2.0**53
@@ -33,9 +33,6 @@ MOST_ENVS = 2**24
 # The arrays of a simulation's episodes, which a copy takes over; the copy binds them to the core itself.
 COPIED_ATTRIBUTES = ("world", "observations", "_keys", "_episodes", "_due")
 
-# Keys of a change of the plant within an episode.
-CHANGE = ("t", "M", "mu")
-
 
 def check_seed(seed: Any, accepted: str = "an integer in [0, 2**128) or None", count: int = 1) -> int:
     """An environment's seed as an int; `count` environments get seeds from this one on.
@@ -43,41 +40,6 @@ def check_seed(seed: Any, accepted: str = "an integer in [0, 2**128) or None", c
     Raises a TypeError or ValueError for what is not accepted.
     """
     return check_integer("seed", seed, accepted, 0, 2**128 - count)
-
-
-def episode_metrics(world: np.ndarray, horizon: float | None, own: task.Task = SPEED) -> dict[str, np.ndarray]:
-    """The metrics of episodes, one column of `Simulation.world` each, with the rows down to the task's memory.
-
-    The length of a whole episode, `horizon` in s, is by default the time that has passed.
-
-    Returns:
-        One float64 array of shape (n,) for each field of `task.Metrics`, and for each metric of the task.
-    """
-    rows = SimpleNamespace(**{name: world[row] for name, row in vars(Row).items()})
-    failed, distance = rows.termination != 0, rows.x - rows.start_x
-    # Before the first step every integral is 0, and so is every ratio.
-    elapsed = np.where(rows.duration > 0.0, rows.duration, 1.0)
-    whole = elapsed if horizon is None else np.where(failed, horizon, elapsed)
-    nowhere, never = np.where(rows.backward > 0.0, math.inf, 0.0), np.full(len(failed), math.inf)
-    metrics = task.Metrics(
-        mean_speed=100.0 * distance / whole,
-        cost_of_transport=np.divide(
-            rows.episode_energy, rows.weight_distance, out=never, where=rows.weight_distance > 0.0
-        ),
-        peak_torque=rows.peak_torque,
-        rms_torque=np.sqrt(rows.torque_squared / elapsed),
-        backward_ratio=np.divide(rows.backward, rows.forward, out=nowhere, where=rows.forward > 0.0),
-        stuck_fraction=rows.stuck / elapsed,
-        smallest_normal_ratio=rows.smallest_normal_ratio,
-        largest_theta=rows.largest_theta,
-        largest_theta_dot=rows.largest_theta_dot,
-        distance=distance,
-        energy=rows.episode_energy,
-        duration=rows.duration,
-        failed=failed.astype(np.float64),
-    )
-    memory = SimpleNamespace(**dict(zip(own.fields, world[len(world) - own.rows :], strict=True)))
-    return {**metrics._asdict(), **own.metrics(memory, whole)}
 
 
 class Simulation:
@@ -92,6 +54,8 @@ class Simulation:
             or, for a single environment, 1. The rows are those of `capsule_gym.layout`; those of the task's memory are
             `task_row` to `task_end`. `row`, `rows` and `columns` read it by environments.
         observations: shape (num_envs, entries), float32, of the present state.
+        entries: the bounds of the observation's entries by name, in order.
+        arrays: the arrays that the core reads, by name; among them `settings`, in the order of `_core.SETTINGS`.
         start: distribution of the initial states: middle (rad) and half width of theta's, half width of theta_dot's
             (rad/s).
 
@@ -128,7 +92,8 @@ class Simulation:
         blocks = -(-self.num_envs // self.lanes)
         self.task_end = count_rows(self.controller, self.task)
         self.task_row = self.task_end - self.task.rows
-        rows = self.task_end + layout.HISTORY_ROWS * self.settings.history
+        filter_rows = _core.CELLS if options.observe_estimates else 0
+        rows = self.task_end + layout.HISTORY_ROWS * self.settings.history + filter_rows
         tables = [resets.draw_table(self.task_end - len(self.task.draws), resets.Stream.task, self.task.draws)]
         if self.settings.history:
             own = [getattr(self.randomization, name) or getattr(self.capsule, name) for name in CONSTANTS]
@@ -136,11 +101,10 @@ class Simulation:
             draws = [task.Draw(*ends(each)) for each in ranges]
             tables.append(resets.draw_table(Row.drawn_m, resets.Stream.variation, draws))
         self.draw_table = np.concatenate(tables)
-        switches = self.settings.with_reference, self.settings.with_parameters
-        names = observation_names(*switches, self.task.entries, options.stack_size)
+        self.entries = observation_entries(options)
         try:
             self.world = native.aligned_zeros((blocks, rows, self.lanes))
-            self.observations = np.zeros((self.num_envs, len(names)), np.float32)
+            self.observations = np.zeros((self.num_envs, len(self.entries)), np.float32)
         except MemoryError as error:
             raise ValueError(f"num_envs must fit into memory, got {self.num_envs}: {error}") from None
         self._keys = np.zeros((self.num_envs, 2), np.uint64)
@@ -196,8 +160,7 @@ class Simulation:
         self._drawn = np.zeros((len(self.draw_table), count))
         observed = Row.read_theta if self.settings.law_reads else Row.theta
         law, self._law = bind_law(acting, self.lanes, observed)
-        # The core reads these arrays by their addresses.
-        self._arrays = {
+        self.arrays = {
             "world": self.world,
             "observations": self.observations,
             "settings": native.ordered(_core.SETTINGS, given),
@@ -213,7 +176,7 @@ class Simulation:
             "drawn": self._drawn,
         }
         fields = {
-            **{name: native.address(array) for name, array in self._arrays.items()},
+            **{name: native.address(array) for name, array in self.arrays.items()},
             **law,
             "num_envs": count,
             "lanes": self.lanes,
@@ -278,7 +241,9 @@ class Simulation:
             IndexError: if there is no such environment.
         """
         for name in ("capsule", "disturbances"):
-            if options.get(name) and not self.settings.history:
+            # An empty dict sets nothing.
+            given = any(not isinstance(value, dict) or value for value in options.get(name, ()))
+            if given and not self.settings.history:
                 raise ValueError(
                     f"options[{name!r}] needs an environment with disturbances other than 'none', or with a "
                     "Randomization of constants besides M and mu"
@@ -292,24 +257,29 @@ class Simulation:
             accepted = f"rows must be indices of environments, from 0 to {self.num_envs - 1}, each at most once"
             raise IndexError(f"{accepted}, got {written(rows.tolist())}")
         starts = self._starts[:, :count]
-        drawn = self._draw_rows(count, options) if len(self.draw_table) else None
+        drawn = self._drawn[:, :count]
+        resets.write_options(drawn, options, self.task, self.settings)
         if M is not None or mu is not None or options.get("capsule"):
             masses = starts[Row.M].tolist() if M is None else M
             frictions = starts[Row.mu].tolist() if mu is None else mu
             for n, plant in enumerate(zip(masses, frictions, strict=True)):
-                own = () if drawn is None else drawn[len(self.task.draws) :, n].tolist()
+                own = drawn[len(self.task.draws) :, n].tolist()
                 self._check_plant(*plant, replace(self.capsule, **dict(zip(CONSTANTS, own, strict=False))))
             starts[Row.M], starts[Row.mu] = masses, frictions
         if state is not None:
-            starts[: Row.M] = self._check_state(state, len(rows)).T
+            starts[: Row.M] = resets.check_state(state, count).T
 
         # Nothing above changes the environments, so a reset that raises an error leaves them unchanged.
-        if self._changes or schedules:
-            self._plan(rows, schedules)
+        for i in rows.tolist() if self._changes else ():
+            self._changes.pop(i, None)
+            self._due[i] = math.inf
+        for i, schedule in zip(rows.tolist(), schedules, strict=False):
+            if schedule:
+                self._changes[i], self._due[i] = schedule, schedule[0][0]
         _core.call("begin_episodes", self._batch, count)
         self._everyone = False
         self.resets += 1
-        self._run(begin=True)
+        self.run(lambda first, last: self._advance(first, last, True))
 
     def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> None:
         """One agent step.
@@ -329,7 +299,7 @@ class Simulation:
         elif not self._everyone:
             self.world[:, Row.active] = 1.0
         self._everyone = active is None
-        self._run(begin=False)
+        self.run(lambda first, last: self._advance(first, last, False))
 
     def step_one(self, action: float) -> None:
         """`step` for a single environment, without the arrays."""
@@ -342,10 +312,6 @@ class Simulation:
             raise
         if broken >= 0:
             self._report(0)
-
-    def _run(self, begin: bool) -> None:
-        """Advances all environments."""
-        self.run(lambda first, last: self._advance(first, last, begin))
 
     def run(self, work: Callable[[int, int], int]) -> None:
         """Runs the core on all environments, distributed over the threads.
@@ -425,33 +391,6 @@ class Simulation:
             self._pool.shutdown()
         self._pool = None
 
-    def _draw_rows(self, count: int, options: dict[str, Sequence[Any]]) -> np.ndarray:
-        """The given or drawn values of `count` environments that begin, shape (lines of `draw_table`, count)."""
-        drawn = self._drawn[:, :count]
-        first = 0
-        for name, option in self.task.options.items():
-            last = first + len(option.draws)
-            for n, value in enumerate(options.get(name, ())):
-                drawn[first:last, n] = option.parse(f"options[{name!r}]", value)
-            first = last
-        for name, names in (("capsule", CONSTANTS), ("disturbances", DISTURBANCES)):
-            for n, values in enumerate(options.get(name, ())):
-                accepted = f"a dict with keys out of {names}"
-                if not isinstance(values, dict) or set(values) - set(names):
-                    error = ValueError if isinstance(values, dict) else TypeError
-                    raise error(f"options[{name!r}] must be {accepted}, got {written(values)}")
-                for key, value in values.items():
-                    low, high = Disturbances.limits(key) if name == "disturbances" else (-LARGEST, LARGEST)
-                    if key == "latency":
-                        # The length of the history.
-                        settings = self.settings
-                        high = (settings.history - 1) * settings.physics_steps * settings.physics_dt
-                    in_words = f"a number from {low:g} to {high:g}"
-                    number = check_number(f"options[{name!r}][{key!r}]", value, in_words, low, high)
-                    drawn[first + names.index(key), n] = number
-            first += len(names)
-        return drawn
-
     def _check_plant(self, M: float, mu: float, capsule: Capsule) -> None:
         """Raises an error for M and mu that are invalid, too stiff for the step, or outside their observed bounds."""
         capsule.check_plant(M, mu)
@@ -461,40 +400,17 @@ class Simulation:
                 accepted = f"at most {largest:g} where observe_parameters shows it (a wider randomization shows more)"
                 check_number(name, value, accepted, 0.0, largest)
 
-    def _check_state(self, state: Any, count: int) -> np.ndarray:
-        """The states of `count` environments as float64, shape (count, 4)."""
-        _, *rest = task.LARGEST_STATE
-        accepted = "|theta| < pi/2, |theta_dot| <= {:g} rad/s, |x| <= {:g} m and |x_dot| <= {:g} m/s".format(*rest)
-        message = f"options['state'] must be [theta, theta_dot, x, x_dot] with {accepted}, got {written(state)}"
-        try:
-            array = np.asarray(state, dtype=np.float64)
-        except (TypeError, ValueError, OverflowError) as error:
-            raise (ValueError if isinstance(error, OverflowError) else TypeError)(message) from None
-        if array.shape not in ((4,), (count, 4)):
-            raise ValueError(f"{message} of shape {array.shape}")
-        if not ((np.abs(array) <= task.LARGEST_STATE).all() and (np.abs(array[..., 0]) < task.THETA_LIMIT).all()):
-            raise ValueError(message)
-        return np.broadcast_to(array, (count, 4))
-
     def _schedule(self, changes: Sequence[dict[str, float]]) -> list[tuple[float, float, float]]:
         """The changes of one episode as (t, M, mu)."""
         accepted = "a list of dicts {'t': s, 'M': kg, 'mu': ..}, each later than the one before"
         schedule: list[tuple[float, float, float]] = []
-        for name, t, change in check_timed("options['changes']", changes, accepted, CHANGE):
+        for name, t, change in check_timed("options['changes']", changes, accepted, task.CHANGE):
             try:
                 self._check_plant(change["M"], change["mu"], self.capsule)
             except (TypeError, ValueError) as error:
                 raise type(error)(f"{name}: {error}") from None
             schedule.append((t, float(change["M"]), float(change["mu"])))
         return schedule
-
-    def _plan(self, rows: np.ndarray, schedules: list[list[tuple[float, float, float]]]) -> None:
-        """Replaces the scheduled changes of some environments."""
-        for n, i in enumerate(rows.tolist()):
-            self._changes.pop(i, None)
-            self._due[i] = math.inf
-            if schedules and schedules[n]:
-                self._changes[i], self._due[i] = schedules[n], schedules[n][0][0]
 
     def _apply_changes(self) -> None:
         """Applies the changes of M and mu that are due: at the first agent step that starts at or after t."""

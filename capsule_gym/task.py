@@ -29,6 +29,9 @@ START_THETA = -math.pi / 3.0
 # Limits of a reset: |theta| below THETA_LIMIT, and up to this |theta_dot| (rad/s), |x| (m) and |x_dot| (m/s).
 LARGEST_STATE = (THETA_LIMIT, 1e3, 1e6, 1e3)
 
+# Keys of a change of the plant within an episode.
+CHANGE = ("t", "M", "mu")
+
 # The tasks by the value of the environment's argument `task`, which is also the name of its module in
 # `capsule_gym.tasks`: the id that Gymnasium knows the environment by, and agent steps until truncation.
 TASKS = {

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -12,7 +14,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from capsule_gym.checks import check_count, written
+from capsule_gym.checks import check_integer, written
 from capsule_gym.config import EnvConfig
 from capsule_gym.env import (
     RESET_OPTIONS,
@@ -20,6 +22,7 @@ from capsule_gym.env import (
     as_actions,
     check_options,
     describe,
+    frames_per_second,
     make_renderer,
     make_simulation,
     make_spaces,
@@ -50,7 +53,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     Args:
         num_envs: number of environments.
-        max_episode_steps: agent steps until truncation; None takes the task's.
+        max_episode_steps: agent steps until truncation; None takes the task's, and -1 is none.
         autoreset_mode: an `AutoresetMode` or its name, "NEXT_STEP", "SAME_STEP" or "DISABLED".
         render_mode: None or "rgb_array".
         **options: the other arguments of `CapsuleEnv`, and `threads`: number of threads, each for at least 64
@@ -85,16 +88,19 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.autoreset_mode = _find_mode(autoreset_mode)
         self.simulation = make_simulation(num_envs, config)
         steps = self.simulation.task.episode_steps if max_episode_steps is None else max_episode_steps
-        self.max_episode_steps = check_count("max_episode_steps", steps)
+        accepted = "an integer >= 1, or -1 for no limit"
+        if (count := check_integer("max_episode_steps", steps, accepted, -1, sys.maxsize)) == 0:
+            raise ValueError(f"max_episode_steps must be {accepted}, got 0")
+        self.max_episode_steps = None if count == -1 else count
         self.num_envs = self.simulation.num_envs
         self.render_mode = render_mode
-        fps = round(1.0 / self.simulation.options.control_dt)
+        fps = frames_per_second(self.simulation)
         self.metadata = {**type(self).metadata, "render_fps": fps, "autoreset_mode": self.autoreset_mode}
         self.single_action_space, self.single_observation_space = make_spaces(self.simulation)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self._ended = np.zeros(self.num_envs, np.bool_)
-        self._started = False
+        self._started = self._seeded = False
         self._renderer: Renderer | None = None
         self._spec: EnvSpec | None = None
         self._everyone = np.ones(self.num_envs, np.bool_)
@@ -109,6 +115,12 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def __getstate__(self) -> dict[str, Any]:
         """The state of the episodes, without the frames."""
         return {**vars(self), "_renderer": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        # A copied array can be written to, and the copied simulation counts its resets from 0 on.
+        self._everyone.flags.writeable = False
+        self._masks, self._drawn_at = {}, -1
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -137,8 +149,8 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         own = self.simulation.task.options
         options = check_options(options, (*RESET_OPTIONS, *own, "reset_mask"))
         mask = self._check_mask(options.get("reset_mask"))
-        self._seed(seed)
         rows = np.flatnonzero(mask)
+        self._seed(seed, rows)
         given = {
             name: self._per_row(name, options[name], rows)
             for name in (*RESET_OPTIONS, *own)
@@ -170,7 +182,8 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         array = as_actions(actions)
         if array is None or array.shape != (self.num_envs, 1) or not np.isfinite(array).all():
             raise ValueError(
-                f"actions must be finite, in [-1, 1] and of shape ({self.num_envs}, 1), got {written(actions)}"
+                f"actions must be finite numbers, clipped to [-1, 1], of shape ({self.num_envs}, 1), got "
+                f"{written(actions)}"
             )
         simulation = self.simulation
         active = ~self._ended if self._ended.any() else None
@@ -181,7 +194,8 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         shown = simulation.rows(0, Row.start_x)
         rewards = shown[Row.reward].copy()
         terminated = shown[Row.termination] != 0.0
-        truncated = shown[Row.steps] >= self.max_episode_steps
+        limit = math.inf if self.max_episode_steps is None else self.max_episode_steps
+        truncated = shown[Row.steps] >= limit
         if active is not None:
             terminated, truncated = terminated & active, truncated & active
         ended = terminated | truncated
@@ -196,11 +210,14 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             # An environment whose episode has ended keeps reporting its termination, as in its last step.
             self._ended |= ended
             terminated = (shown[Row.termination] != 0.0) & self._ended
-            truncated = (shown[Row.steps] >= self.max_episode_steps) & self._ended
+            truncated = (shown[Row.steps] >= limit) & self._ended
         return simulation.observations.copy(), rewards, terminated, truncated, info
 
     def episode_metrics(self) -> dict[str, np.ndarray]:
-        """The metrics of the running episodes, each of shape (num_envs,), defined by `task.Metrics` and the task."""
+        """The metrics of the running episodes, each of shape (num_envs,), defined by `task.Metrics` and the task.
+
+        A whole episode takes `max_episode_steps`, or without a limit the elapsed time.
+        """
         return self.simulation.metrics(np.arange(self.num_envs), self.max_episode_steps)
 
     def render(self) -> tuple[np.ndarray, ...] | None:
@@ -260,12 +277,13 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         simulation.reset(rows)
         info |= self._info(simulation.rows(0, Row.start_x), self._everyone)
 
-    def _seed(self, seed: int | Sequence[int | None] | None) -> None:
-        """Distributes the seeds: with a seed s, environment i gets s + i."""
+    def _seed(self, seed: int | Sequence[int | None] | None, rows: np.ndarray) -> None:
+        """Gives seeds to the environments `rows`, the first time to all: with a seed s, environment i gets s + i."""
         n = self.num_envs
         last = f"2**128 - {n - 1}" if n > 1 else "2**128"
         accepted = f"an integer in [0, {last}), None, or a sequence of {n} integers in [0, 2**128) or None"
-        fresh = self._np_random is None
+        # Reading `np_random` seeds the generator, but no environment.
+        fresh = first_time = not self._seeded
         given: list[int | None] = [None] * n
         if seed is not None and isinstance(seed, (Sequence, np.ndarray)):
             if (isinstance(seed, np.ndarray) and seed.ndim != 1) or len(seed) != n:
@@ -278,7 +296,9 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         _ = self.np_random
         first = self.np_random_seed
         assert first is not None
-        for i, own in enumerate(given):
+        self._seeded = True
+        for i in range(n) if first_time else rows.tolist():
+            own = given[i]
             if own is not None or fresh:
                 self.simulation.seed(i, first + i if own is None else own)
 
@@ -296,7 +316,11 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def _per_row(self, name: str, values: Any, rows: np.ndarray) -> Any:
         """One value per environment to be reset, from one for all or one for each of the batch."""
         if name == "state":
-            return self._states(values, rows)
+            try:
+                array = np.asarray(values) if isinstance(values, (Sequence, np.ndarray)) else np.zeros(0)
+            except ValueError:  # rows of several lengths, which raise an error with the other invalid states
+                return values
+            return array[rows] if array.ndim == 2 and len(array) == self.num_envs else values
         accepted = f"options[{name!r}] must have one entry per environment ({self.num_envs})"
         if not isinstance(values, (Sequence, np.ndarray)) or (isinstance(values, np.ndarray) and values.ndim == 0):
             if name == "changes":
@@ -306,22 +330,14 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise ValueError(f"{accepted}, got {len(values)}")
         return [values[i] for i in rows]
 
-    def _states(self, states: Any, rows: np.ndarray) -> Any:
-        """The states of the environments to be reset, from one for all or one for each of the batch."""
-        try:
-            array = np.asarray(states) if isinstance(states, (Sequence, np.ndarray)) else None
-        except ValueError:  # rows of several lengths, which raise an error with the other invalid states
-            return states
-        return states if array is None or array.ndim != 2 or len(array) != self.num_envs else array[rows]
-
 
 def _find_mode(mode: AutoresetMode | str) -> AutoresetMode:
     """The autoreset mode with this name or value."""
-    for candidate in AutoresetMode:
-        if mode is candidate or (isinstance(mode, str) and mode in (candidate.name, candidate.value)):
-            return candidate
-    names = [candidate.name for candidate in AutoresetMode]
-    raise ValueError(f"autoreset_mode must be an AutoresetMode or one of {names}, got {written(mode)}")
+    modes = {name: each for each in AutoresetMode for name in (each.name, each.value)}
+    if not isinstance(mode, AutoresetMode) and not (isinstance(mode, str) and mode in modes):
+        names = list(AutoresetMode.__members__)
+        raise ValueError(f"autoreset_mode must be an AutoresetMode or one of {names}, got {written(mode)}")
+    return mode if isinstance(mode, AutoresetMode) else modes[mode]
 
 
 def _masked(values: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:

@@ -1,8 +1,11 @@
 """skrl: PPO on the native batch."""
 
 import argparse
+from typing import Any
 
 import gymnasium as gym
+import numpy as np
+import torch
 from skrl.agents.torch.ppo import PPO, PPO_CFG
 from skrl.envs.wrappers.torch import wrap_env
 from skrl.memories.torch import RandomMemory
@@ -13,13 +16,27 @@ ID = "capsule_gym:CapsuleStickSlip-v0"
 LAYERS = [{"name": "net", "input": "OBSERVATIONS", "layers": [64, 64], "activations": "tanh"}]
 
 
+class TimeLimitPPO(PPO):
+    """Takes the value of an episode's last observation where the time limit truncates it.
+
+    With SAME_STEP, a step returns the first observation of the next episode, whose value skrl would take.
+    """
+
+    def record_transition(self, *, next_observations: torch.Tensor, infos: dict[str, Any], **transition: Any) -> None:
+        """Records the last observations of the episodes that end."""
+        if "final_obs" in infos:
+            ended = np.flatnonzero(infos["_final_obs"])
+            next_observations = next_observations.clone()
+            next_observations[ended] = torch.as_tensor(np.stack(infos["final_obs"][ended])).to(next_observations)
+        super().record_transition(next_observations=next_observations, infos=infos, **transition)
+
+
 def main() -> None:
     """Trains."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=20_000, help="of each environment")
     steps = parser.parse_args().steps
 
-    # skrl takes the returned observation for the next one. With SAME_STEP, it is the first of the new episode.
     env = wrap_env(gym.make_vec(ID, num_envs=64, autoreset_mode="SAME_STEP"))
     spaces = {"observation_space": env.observation_space, "action_space": env.action_space, "device": env.device}
     models = {
@@ -28,7 +45,7 @@ def main() -> None:
     }
     memory = RandomMemory(memory_size=128, num_envs=env.num_envs, device=env.device)
     cfg = PPO_CFG(rollouts=128, mini_batches=8, time_limit_bootstrap=True)
-    agent = PPO(models=models, memory=memory, cfg=cfg, **spaces)
+    agent = TimeLimitPPO(models=models, memory=memory, cfg=cfg, **spaces)
     SequentialTrainer(env=env, agents=agent, cfg={"timesteps": steps, "headless": True}).train()
 
 

@@ -15,15 +15,15 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 from urllib.parse import quote
 
-from tyro.conf import arg
+import numpy as np
 
 from baselines import drawing
 from capsule_gym import rendering
 from capsule_gym.command_line import parse, refuse
 from capsule_gym.files import write_atomically
+from web.data import pack_data
 
 PROG = "python -m web.build"
 SOURCES = Path(__file__).parent
@@ -38,13 +38,7 @@ COMPILER = (
 
 
 def compile_wasm(source: Path = CORE / "web.cpp") -> bytes:
-    """The WebAssembly module of a C++ file, by default of the core.
-
-    The target is fixed, so the same version of `ziglang` gives the same bytes.
-
-    Raises:
-        RuntimeError: if the compiler fails.
-    """
+    """The WebAssembly module of a C++ file, the same bytes with the same version of `ziglang`, or a RuntimeError."""
     with tempfile.TemporaryDirectory() as folder:
         module = Path(folder, "core.wasm")
         done = subprocess.run([*COMPILER, "-o", str(module), str(source)], capture_output=True, text=True, check=False)
@@ -55,9 +49,7 @@ def compile_wasm(source: Path = CORE / "web.cpp") -> bytes:
 
 def build_module(archive: str) -> str:
     """The text of capsule.mjs with the archive inserted."""
-    source = (SOURCES / "capsule.mjs").read_text(encoding="utf-8")
-    before, after = source.split('const ARCHIVE = "";')
-    return f'{before}const ARCHIVE = "{archive}";{after}'
+    return (SOURCES / "capsule.mjs").read_text("utf-8").replace('ARCHIVE = ""', f'ARCHIVE = "{archive}"', 1)
 
 
 def build_page(module: str) -> str:
@@ -69,10 +61,8 @@ def build_page(module: str) -> str:
     sources |= {path.name: path.read_text("utf-8") for path in sorted(folder.glob("*.js"))}
     imports = {name: "data:text/javascript," + quote(text, safe="/+= ;:,()[]{}*!?&|") for name, text in sources.items()}
     # The colours of the robot and the figures as CSS properties, for example --ink for INK.
-    robot = {
-        name: "#" + bytes(value).hex() for name, value in names.items() if isinstance(value, tuple) and len(value) == 3
-    }
-    colours = {**robot, "RIVAL": drawing.PURPLE, "ACCENT": drawing.BLUE, "WARNING": drawing.VERMILION}
+    robot = {name: "#" + bytes(value).hex() for name, value in names.items() if np.shape(value) == (3,)}
+    colours = robot | {"RIVAL": drawing.PURPLE, "ACCENT": drawing.BLUE, "WARNING": drawing.VERMILION}
     lines = (f"  --{name.lower().replace('_', '-')}: {value};\n" for name, value in colours.items())
     style = ":root {\n" + "".join(lines) + "}\n" + (folder / "page.css").read_text("utf-8")
     parts = {"style": style, "import map": json.dumps({"imports": imports})}
@@ -87,20 +77,16 @@ class Args:
     """Builds the environment for browsers and node, and the live page.
 
     Examples:
-      python -m web.build
-      python -m web.build --output elsewhere
+      python -m web.build --output site/live
     """
 
-    output: Annotated[Path, arg(metavar="DIR", aliases=["-o"])] = Path("site/live")
+    output: Path = Path("site/live")
     """Folder of the files; created if it does not exist."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """The command line."""
     args = parse(Args, PROG, arguments)
-    # Imported after the command line is checked: --help does not need it.
-    from web.data import pack_data
-
     try:
         args.output.mkdir(parents=True, exist_ok=True)
         module = build_module(pack_data(compile_wasm()))

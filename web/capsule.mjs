@@ -52,7 +52,7 @@ export const controllers = Object.keys(CONTROLLERS);
 export const tasks = Object.keys(TASKS);
 /**
  * Names of the rows of `world`, in their order. The law's memory, its row of the reference table, the task's memory,
- * and the history of a disturbed plant follow.
+ * the history of a disturbed plant, and the filter of observed estimates follow.
  */
 export const quantities = CORE.rows;
 
@@ -656,7 +656,8 @@ async function prepare(controller, task, settings, given, driver) {
     columns: table.columns, table: drawTable(task, memoryRow, given.capsule ?? settings.capsule, disturbed),
   };
   const network = networkOf(driver);
-  const rows = memoryRow + TASKS[task].memory.length + CORE.history_rows * packed[SETTING.history];
+  const filter = packed[SETTING.with_estimates] ? CORE.cells : 0;
+  const rows = memoryRow + TASKS[task].memory.length + CORE.history_rows * packed[SETTING.history] + filter;
   const placed = await place({
     world: [Float64Array, rows],
     settings: [Float64Array, packed.length],

@@ -25,11 +25,10 @@ from capsule_gym import Policy, _core, evaluation_sets, parameters, resets, task
 from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.controller import CoreLaw, find_controller
 from capsule_gym.layout import Row
-from capsule_gym.native import ordered
-from capsule_gym.observation import M_BOUND, MU_BOUND, observation_names
+from capsule_gym.observation import M_BOUND, MU_BOUND
 from capsule_gym.parameters import CONSTANTS, DISTURBANCES, NOMINAL, Capsule, Disturbances, Randomization
-from capsule_gym.settings import NO_CONTROLLER, check_step, make_settings
-from capsule_gym.simulation import LARGEST_KEY
+from capsule_gym.settings import NO_CONTROLLER
+from capsule_gym.simulation import LARGEST_KEY, Simulation
 from web.episodes import FILE, OVER, RECORDED, RECORDINGS, SEEDS, drivers
 
 # The name for no law; the other names are those of laws.
@@ -73,8 +72,8 @@ def pack_data(module: bytes) -> str:
     """The archive with all data for the JavaScript, compressed, in base64; `module` is the compiled core."""
     archive = Archive()
     # The names and sizes of what the core takes.
-    core = {name.lower(): getattr(_core, name) for name in ("ROWS", "SETTINGS", "BATCH", "NETWORK", "CELLS")}
-    core |= {"history_rows": _core.HISTORY_ROWS, "parameters": len(PARAMETERS)}
+    names = "ROWS", "SETTINGS", "BATCH", "NETWORK", "CELLS", "HISTORY_ROWS"
+    core = {"parameters": len(PARAMETERS), **{name.lower(): getattr(_core, name) for name in names}}
     # The fields of a task's memory, those shown in `info`, and the draws at a reset, whose rows follow the rest.
     tasks = {}
     for own in map(find_task, _core.TASKS):
@@ -82,31 +81,28 @@ def pack_data(module: bytes) -> str:
         tasks[own.name] = {"memory": own.fields, "shown": own.shown, "options": list(own.options), "table": table}
     # What a varied plant draws.
     draws = [task.Draw(0.0, 0.0)] * (len(CONSTANTS) + len(DISTURBANCES)) + [task.Draw(0.0, LARGEST_KEY)]
-    limits = {name: Disturbances.limits(name) for name in DISTURBANCES}
-    ranges = parameters.RANDOMIZATIONS.items()
+    ranges, motor = parameters.RANDOMIZATIONS.items(), {"motor_friction": (0.0, LARGEST_MOTOR_FRICTION)}
     header = {
         "module": archive.add(module),
         "core": {**core, "terminations": [termination.name for termination in task.Termination]},
         "tasks": tasks,
         "variation": {
-            "constants": CONSTANTS,
-            "disturbances": DISTURBANCES,
+            **{"constants": CONSTANTS, "disturbances": DISTURBANCES},
             "table": resets.draw_table(Row.drawn_m, resets.Stream.variation, draws).tolist(),
-            "limits": {**limits, "motor_friction": (0.0, LARGEST_MOTOR_FRICTION)},
+            "limits": {**dict(zip(DISTURBANCES, map(Disturbances.limits, DISTURBANCES), strict=True)), **motor},
             "ideal": asdict(Disturbances()),
         },
         "controllers": {name: describe_controller(name, archive) for name in LAWS},
         "drivers": [describe_driver(policy, archive) for policy in drivers().values()],
         "torques": TORQUES.tolist(),
         "sets": {name: describe_set(evaluation_sets.load_set(name)) for name in SETS},
-        # In SI units.
-        "constants": {
+        "constants": {  # in SI units
             **{name.lower(): getattr(task, name) for name in ("CONTROL_DT", "TORQUE_LIMIT", "THETA_LIMIT")},
             "steps": task.EPISODE_STEPS,
             "horizons": {name: steps * task.CONTROL_DT for name, (_, steps) in task.TASKS.items()},
             **{name: getattr(NOMINAL, name) for name in ("m", "l", "g")},
             "nominal": {name: getattr(NOMINAL, name) for name in ("M", "mu", *CONSTANTS)},
-            "ranges": {name: {"M": each.M, "mu": each.mu} for name, each in ranges if each.M and each.mu},
+            "ranges": {name: {"M": each.M, "mu": each.mu} for name, each in ranges if each.M},
             "limits": {name: getattr(RANGES, name) for name in ("M", "mu", *CONSTANTS)},
             "real": asdict(parameters.REAL),
             "start": {"theta": task.START_THETA, "theta_dot": 0.0, "x": 0.0, "x_dot": 0.0},
@@ -135,30 +131,22 @@ def describe_controller(name: str, archive: Archive) -> dict[str, Any]:
 
 
 def describe_settings(options: EnvConfig) -> dict[str, Any]:
-    """The settings of the step for an environment, ideal and disturbed, and the length of its episodes.
-
-    Raises:
-        ValueError: if the plant is extended, or the step is too long for a plant that the page accepts.
-    """
-    capsule, own, law = options.capsule or NOMINAL, find_task(options.task), find_controller(options.controller)
-    plant = capsule.plant()
-    if plant.extended or plant.pivot_torque_on_contact:
+    """The settings of the step for an environment, ideal and disturbed, and the length of its episodes."""
+    # The stiffest plants that the page accepts; motors have the friction of the capsule and of disturbances.
+    stiffest = Disturbances(motor_friction=LARGEST_MOTOR_FRICTION)
+    capsule = Simulation(1, replace(options, randomization=RANGES, disturbances=stiffest)).capsule
+    if capsule.plant().extended or capsule.normal_force != "newton":
         raise ValueError(f"options must be of a level floor with Coulomb's friction and Newton's force, got {options}")
-    packed = {}
-    # The stiffest plants that the page accepts, including the motor friction of disturbances.
-    corners = list(replace(RANGES, motor_friction=(0.0, 2.0 * LARGEST_MOTOR_FRICTION)).corners(capsule))
-    for name, disturbances in (("ideal", "none"), ("disturbed", Disturbances())):
-        settings = make_settings(replace(options, randomization="none", disturbances=disturbances), law)
-        for corner in corners:
-            check_step(corner, corner.M, corner.mu, settings)
-        given = {**settings._asdict(), **plant._asdict(), "varied": bool(settings.history)}
-        packed[name] = ordered(_core.SETTINGS, given).tolist()
+    ideal, disturbed = (
+        Simulation(1, replace(options, randomization="none", disturbances=given)) for given in ("none", Disturbances())
+    )
     return {
-        **packed,
+        "ideal": ideal.arrays["settings"].tolist(),
+        "disturbed": disturbed.arrays["settings"].tolist(),
         **_common(capsule, options.disturbances),
-        "entries": len(observation_names(law is not None, options.observe_parameters, own.entries, options.stack_size)),
+        "entries": ideal.observations.shape[1],
         "control_dt": options.control_dt,
-        "steps": round(own.episode_steps * task.CONTROL_DT / options.control_dt),
+        "steps": round(ideal.task.episode_steps * task.CONTROL_DT / options.control_dt),
     }
 
 
@@ -180,10 +168,10 @@ def describe_policy(name: str, policy: Policy | ScriptedPolicy) -> dict[str, Any
         raise ValueError(f"controller must be None or a law of baselines, got {options.controller}")
     described: dict[str, Any] = {"name": name, "description": policy.description, "task": find_task(options.task).name}
     described |= {"controller": law, "settings": describe_settings(options)}
-    if not isinstance(policy, Policy):
-        return described
-    described |= {"energyWeight": TRAINED_WEIGHTS} if policy.observes_energy_weight else {}
-    return {**described, "kind": "policy", "seed": policy.training_seed, "network": policy._network}
+    if isinstance(policy, Policy):
+        described |= {"energyWeight": TRAINED_WEIGHTS} if policy.observes_energy_weight else {}
+        described |= {"kind": "policy", "seed": policy.training_seed, "network": policy._network}
+    return described
 
 
 def describe_driver(policy: Policy | ScriptedPolicy, archive: Archive) -> dict[str, Any]:

@@ -12,7 +12,6 @@ its own step.
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import sys
 from collections.abc import Sequence
@@ -28,7 +27,7 @@ from baselines.dynamic_programming.policy import TORQUES
 from baselines.policies import ALL_SCRIPTED
 from capsule_gym.command_line import parse
 from capsule_gym.evaluation_sets import SET_NAMES, PlantSpec, load_set
-from capsule_gym.files import write_atomically
+from capsule_gym.files import replacing, write_atomically
 from capsule_gym.layout import ROWS, Row
 from capsule_gym.policy import policy_names
 from capsule_gym.task import CONTROL_DT, EPISODE_STEPS, TASKS
@@ -44,8 +43,6 @@ RECORDINGS = Path(__file__).with_name("recordings.npz")
 # Fills a recording after the last action of an episode.
 OVER = 255
 
-Episode = dict[str, Any]
-
 
 @cache
 def drivers() -> dict[str, Any]:
@@ -56,8 +53,8 @@ def drivers() -> dict[str, Any]:
     return scripted | {each.name: each for each in sorted(trained, key=lambda policy: "task" in policy.env_kwargs)}
 
 
-def compute(episode: Episode) -> tuple[int, str]:
-    """Runs an episode in Python's environment; returns the number of steps and the hash."""
+def compute(episode: dict[str, Any]) -> dict[str, Any]:
+    """Runs an episode in Python's environment; returns it with the number of steps and the hash."""
     policy, found = drivers()[episode["driver"]], load_set(episode["set"])
     plant, kwargs = found.plants[episode["plant"]], {**policy.env_kwargs, **found.env_kwargs}
     env = capsule_gym.CapsuleEnv(**kwargs)
@@ -76,8 +73,7 @@ def compute(episode: Episode) -> tuple[int, str]:
         observation, _, terminated, _, _ = env.step(action)
         digest.update(env.simulation.world[0, rows, 0].tobytes() + observation.tobytes())
         step += 1
-    env.close()
-    return step, digest.hexdigest()
+    return {**episode, "steps": step, "sha256": digest.hexdigest()}
 
 
 def record(name: str, plants: Sequence[PlantSpec]) -> np.ndarray:
@@ -86,18 +82,17 @@ def record(name: str, plants: Sequence[PlantSpec]) -> np.ndarray:
     Returns:
         Shape (plants, `EPISODE_STEPS`), uint8; `OVER` after the end of an episode.
     """
-    policy, count = ALL_SCRIPTED[name], len(plants)
-    env = capsule_gym.CapsuleVectorEnv(count, autoreset_mode="DISABLED", **policy.env_kwargs)
+    policy = ALL_SCRIPTED[name]
+    env = capsule_gym.CapsuleVectorEnv(len(plants), autoreset_mode="DISABLED", **policy.env_kwargs)
     options = [plant.reset_options() for plant in plants]
     observations, _ = env.reset(options={key: [each[key] for each in options] for key in options[0]})
-    act, running = policy.start([plant.seed for plant in plants]), np.ones(count, bool)
-    places = np.full((count, EPISODE_STEPS), OVER, np.uint8)
+    act, running = policy.start([plant.seed for plant in plants]), np.ones(len(plants), bool)
+    places = np.full((len(plants), EPISODE_STEPS), OVER, np.uint8)
     for step in range(EPISODE_STEPS):
         actions = act(observations)
         places[running, step] = np.searchsorted(TORQUES, actions[running, 0])
         observations, _, terminated, _, _ = env.step(actions)
         running &= ~terminated
-    env.close()
     return places
 
 
@@ -106,7 +101,6 @@ class Args:
     """Computes the episodes of the live page and the optimum's actions; the exit status is 1 if they differ.
 
     Examples:
-      python -m web.episodes
       python -m web.episodes --write
     """
 
@@ -118,26 +112,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = parse(Args, "python -m web.episodes", arguments)
     committed = json.loads(FILE.read_text(encoding="utf-8"))
-    known, found = {episode["driver"] for episode in committed}, []
     for n, (name, policy) in enumerate(drivers().items()):
-        if name not in known:
-            task = policy.env_kwargs.get("task", "speed")
-            committed.append({"name": name, "driver": name, "set": "drift" if task == "speed" else task, "plant": n})
-    for episode in committed:
-        steps, sha256 = compute(episode)
-        found.append({**episode, "steps": steps, "sha256": sha256})
-    plants = {each: load_set(each).plants[:SEEDS] for each in SET_NAMES}
-    recorded = {f"{name} {each}": record(name, plants[each]) for name in RECORDED for each in SET_NAMES}
+        if all(episode["driver"] != name for episode in committed):
+            found_set = policy.env_kwargs.get("task", "drift")
+            committed.append({"name": name, "driver": name, "set": found_set, "plant": n})
+    found = [compute(episode) for episode in committed]
+    pairs = [(name, load_set(each)) for name in RECORDED for each in SET_NAMES]
+    recorded = {f"{name} {each.name}": record(name, each.plants[:SEEDS]) for name, each in pairs}
     if args.write:
         write_atomically(FILE, "[\n" + ",\n".join(json.dumps(episode) for episode in found) + "\n]\n")
-        content = io.BytesIO()
-        np.savez_compressed(content, allow_pickle=False, **recorded)
-        write_atomically(RECORDINGS, content.getvalue())
+        with replacing(RECORDINGS) as temporary:
+            np.savez_compressed(temporary, allow_pickle=False, **recorded)
         committed = found
-    recordings = np.load(RECORDINGS)
-    wrong = [episode["name"] for episode in found if episode not in committed]
-    wrong += [key for key, places in recorded.items() if not np.array_equal(places, recordings[key])]
-    wrong = [f"{name}: differs" for name in wrong]
+    saved = np.load(RECORDINGS)
+    wrong = [f"{episode['name']}: differs" for episode in found if episode not in committed]
+    wrong += [f"{key}: differs" for key, taken in recorded.items() if not np.array_equal(taken, saved[key])]
     print(*wrong, f"{len(found) + len(recorded)} compared, {len(wrong)} differ", sep="\n")
     return int(bool(wrong))
 

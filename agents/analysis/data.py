@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from agents.evaluation.criteria import CRITERIA
-from agents.evaluation.statistics import estimate
 from agents.leaderboard.rows import Row
 from agents.training.config import EVALUATIONS
 from baselines.dynamic_programming.archive import optimal_front
+from baselines.evaluation.statistics import estimate
 from baselines.gaits.archive import pareto_front
 from capsule_gym.evaluation_sets import EvaluationSet
 

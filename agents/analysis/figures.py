@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from agents.analysis.data import SPEED, Learning, fronts
-from agents.evaluation.episodes import TABLE_METRICS, TableMetric
-from agents.evaluation.statistics import Curve, estimate, learning_curve, performance_profile
 from agents.leaderboard.rows import Row
 from baselines.drawing import BLUE, GREEN, INK, MUTED, VERMILION, Pen, add_note, new_figure, save, style
+from baselines.evaluation.episodes import TABLE_METRICS, TableMetric
+from baselines.evaluation.statistics import Curve, estimate, learning_curve, performance_profile
 
 # Sets with random, constant plants, and their pens.
 PROFILED_SETS = ("paper", "wide")

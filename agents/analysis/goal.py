@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from agents.analysis.data import Document
-from agents.evaluation.episodes import evaluate, scores
+from baselines.evaluation.episodes import evaluate, scores
 from baselines.tables import markdown_table
 from capsule_gym._core import HOLD, TOLERANCE
 from capsule_gym.evaluation_sets import PlantSpec, load_set

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from agents.analysis.data import Document
-from agents.evaluation.episodes import TABLE_METRICS
-from agents.evaluation.statistics import estimate, paired_difference
+from baselines.evaluation.episodes import TABLE_METRICS
+from baselines.evaluation.statistics import estimate, paired_difference
 from baselines.tables import markdown_table
 
 RESULTS = Path(__file__).with_name("residual_limit.json")

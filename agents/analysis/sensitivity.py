@@ -12,11 +12,11 @@ from tqdm import tqdm
 
 from agents.analysis.data import SPEED, Document
 from agents.analysis.figures import write_with
-from agents.evaluation.episodes import TABLE_METRICS, evaluate, failures, scores
-from agents.evaluation.policies import Candidate, all_candidates
 from agents.evaluation.sets import validation_set
-from agents.evaluation.statistics import interquartile_mean
 from baselines.drawing import INK, VERMILION, add_note, new_figure
+from baselines.evaluation.episodes import TABLE_METRICS, evaluate, failures, scores
+from baselines.evaluation.policies import Candidate, all_candidates
+from baselines.evaluation.statistics import interquartile_mean
 from baselines.tables import markdown_table
 from capsule_gym.parameters import DISTURBANCES, REAL, SENSORS, Disturbances
 

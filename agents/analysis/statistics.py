@@ -7,10 +7,10 @@ from pathlib import Path
 
 from agents.analysis.data import SPEED, Document, Learning, rank, read_learning
 from agents.analysis.figures import draw_learning, draw_profiles, draw_transport, write_with
-from agents.evaluation.episodes import TABLE_METRICS
-from agents.evaluation.policies import CHECKPOINTS, all_candidates
-from agents.evaluation.statistics import learning_curve
 from agents.leaderboard.rows import RESULTS, Row, load_rows
+from baselines.evaluation.episodes import TABLE_METRICS
+from baselines.evaluation.policies import CHECKPOINTS, all_candidates
+from baselines.evaluation.statistics import learning_curve
 from baselines.tables import markdown_table
 from capsule_gym.evaluation_sets import SET_NAMES, load_set
 

@@ -14,13 +14,12 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from agents.distillation.config import Student
-from agents.evaluation.policies import Act
 from baselines.dynamic_programming.policy import TORQUES, Oracle
+from baselines.evaluation.policies import Act
 from capsule_gym import CapsuleVectorEnv
-from capsule_gym._core import CELLS
+from capsule_gym._core import CELLS, ESTIMATES
 from capsule_gym.config import EnvConfig
 from capsule_gym.network import make_header, write_inputs
-from capsule_gym.observation import ESTIMATES
 from capsule_gym.parameters import NOMINAL, Randomization
 from capsule_gym.resets import draw_plant
 from capsule_gym.task import CONTROL_DT
@@ -28,7 +27,7 @@ from capsule_gym.task import CONTROL_DT
 # Probabilities per step that the acting policy is drawn again, and that the action is random.
 SWITCH_PROBABILITY, EXPLORATION_PROBABILITY = 0.02, 0.01
 # Index of the standard deviation of the estimate of M, counted from the end of the inputs.
-M_DEVIATION = ESTIMATES.index("M_deviation") - len(ESTIMATES)
+M_DEVIATION = list(ESTIMATES).index("M_deviation") - len(ESTIMATES)
 
 
 class Dataset(NamedTuple):

@@ -1,1 +1,1 @@
-"""Evaluation of policies: frozen sets, episodes, statistics and tables."""
+"""The frozen evaluation sets, and the criteria of each task."""

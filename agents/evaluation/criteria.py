@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from agents.evaluation.episodes import TABLE_METRICS, TASK_METRICS, TableMetric
-from agents.evaluation.policies import BASELINE
+from baselines.evaluation.episodes import TABLE_METRICS, TASK_METRICS, TableMetric
+from baselines.evaluation.policies import BASELINE
 
 _OF_TASKS = {metric.name: metric for metric in TASK_METRICS}
 

@@ -21,9 +21,9 @@ from typing import Annotated
 
 import numpy as np
 
-from agents.evaluation.policies import Candidate, all_candidates
 from agents.leaderboard.page import COMMAND, build, files, training_commands
 from agents.leaderboard.rows import RESULTS, Row, evaluate, load_rows, save_row, static_header
+from baselines.evaluation.policies import Candidate, all_candidates
 from capsule_gym.checks import nearest
 from capsule_gym.command_line import Count, Positional, arg, parse, refuse
 from capsule_gym.evaluation_sets import FURTHER_SET_NAMES, SET_NAMES, TASK_SET_NAMES, EvaluationSet, load_set

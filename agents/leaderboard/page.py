@@ -12,10 +12,10 @@ from string import Template
 from typing import Any
 
 from agents.evaluation.criteria import CRITERIA
-from agents.evaluation.episodes import LABELS, SHARE_OF_OPTIMUM, TABLE_METRICS, TASK_METRICS, TableMetric, summarise
-from agents.evaluation.policies import BASELINE, CHECKPOINTS
-from agents.evaluation.statistics import paired_difference
 from agents.leaderboard.rows import Row
+from baselines.evaluation.episodes import LABELS, SHARE_OF_OPTIMUM, TABLE_METRICS, TASK_METRICS, TableMetric, summarise
+from baselines.evaluation.policies import BASELINE, CHECKPOINTS
+from baselines.evaluation.statistics import paired_difference
 from baselines.tables import markdown_table
 from capsule_gym.evaluation_sets import FURTHER_SET_NAMES, EvaluationSet
 from capsule_gym.files import to_json, without_nonfinite

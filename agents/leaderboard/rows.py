@@ -23,8 +23,6 @@ import hashlib
 import io
 import json
 import sys
-import zipfile
-import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,9 +32,10 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from agents.evaluation.episodes import Episode, as_episodes, versions
-from agents.evaluation.episodes import evaluate as evaluate_policy
-from agents.evaluation.policies import Candidate, Policy
+from baselines.archive import UNREADABLE
+from baselines.evaluation.episodes import Episode, as_episodes, versions
+from baselines.evaluation.episodes import evaluate as evaluate_policy
+from baselines.evaluation.policies import Candidate, Policy
 from baselines.policies import SCRIPTED
 from capsule_gym.config import find_task
 from capsule_gym.evaluation_sets import NOMINAL_PLANT, EvaluationSet
@@ -86,7 +85,7 @@ class Row:
         return found
 
     def episodes(self, evaluation_set: EvaluationSet) -> list[Episode]:
-        """The episodes as `agents.evaluation.episodes.evaluate` returns them, without the omitted metrics.
+        """The episodes as `baselines.evaluation.episodes.evaluate` returns them, without the omitted metrics.
 
         Raises:
             ValueError: if the row was evaluated on another set of this name, or on none.
@@ -242,7 +241,7 @@ def load_row(path: Path) -> Row:
         fits = all(values.dtype == np.float64 and values.shape[:2] == shape for values in scores.values())
         if header["policy"] != path.stem or not fits:
             raise ValueError("its header does not match its name or arrays")
-    except (KeyError, TypeError, ValueError, EOFError, OSError, zipfile.BadZipFile, zlib.error) as error:
+    except UNREADABLE as error:
         raise ValueError(f"{path.stem}: {path.name} contains no results: {type(error).__name__}: {error}") from error
     return Row(header, scores)
 

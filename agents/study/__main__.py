@@ -37,7 +37,7 @@ class Args:
     jobs: int | None = None
     """Number of runs in parallel; one per core by default."""
     backend: Literal["loky", "ray"] = "loky"
-    """Backend of joblib: processes of this machine, or the Ray cluster that RAY_ADDRESS names (extra `cluster`)."""
+    """joblib's processes of this machine, or the Ray cluster that RAY_ADDRESS names (extra `cluster`)."""
     runs: Path = Path("runs/study")
     """Folder of the runs, each in NAME/seed-N with its output in NAME/seed-N.log; a cluster must share it."""
     resume: bool = False

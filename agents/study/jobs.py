@@ -11,12 +11,14 @@ from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
+
+from tqdm import tqdm
 
 from agents.evaluation.criteria import CRITERIA
-from agents.evaluation.policies import CHECKPOINTS
 from agents.training.config import BEST, CONFIG, EVALUATIONS, Config, RunError, read_config
 from agents.training.presets import row_settings
+from baselines.evaluation.policies import CHECKPOINTS
 from baselines.tables import text_table
 from capsule_gym.files import write_atomically
 from capsule_gym.policy import POLICY
@@ -104,31 +106,62 @@ def train_all(
     """Trains or resumes the runs that are not finished, `parallel` at a time (one per core by default).
 
     Ctrl-C stops all runs; each can be resumed from its last checkpoint. The backend `ray` uses the cluster that
-    RAY_ADDRESS names, or a new one on this machine; all machines need the checkout and the runs at the same paths.
+    RAY_ADDRESS names, or a new one on this machine; all machines need the checkout and the runs at the same paths. If a
+    machine is lost, its runs are resumed on another one.
 
     Returns:
         The reasons for the failures, by run.
     """
-    from joblib import Parallel, delayed, parallel_config
+    # Imported here, since both take long.
+    from joblib import Parallel, delayed
 
     waiting = [job for job in jobs if not job.finished]
+    if backend == "ray" and waiting:
+        found = _train_on_ray([dataclasses.replace(job, run=job.run.resolve()) for job in waiting], parallel)
+        return {job: reason for job, reason in zip(waiting, found, strict=True) if reason}
     try:
-        if backend == "ray" and waiting:
-            import ray
-            from ray.util.joblib import register_ray
-
-            root = str(Path(__file__).resolve().parents[2])
-            ray.init(runtime_env={"env_vars": {"PYTHONPATH": root}}, log_to_driver=False, logging_level="error")
-            register_ray()
-            waiting = [dataclasses.replace(job, run=job.run.resolve()) for job in waiting]
         # One run per task, since joblib would otherwise batch several short runs.
-        with parallel_config(backend=backend, n_jobs=parallel or -1, verbose=10):
-            found = Parallel(batch_size=1, pre_dispatch="n_jobs")(delayed(train_job)(job) for job in waiting)
+        work = Parallel(parallel or -1, verbose=10, batch_size=1, pre_dispatch="n_jobs")
+        found = work(delayed(train_job)(job) for job in waiting)
     except Exception as error:
-        # `train_job` does not raise: this is an error of the backend, for example because a worker was killed.
+        # `train_job` does not raise: a worker was killed.
         reason = f"{type(error).__name__}: {str(error).partition(chr(10))[0]}; --resume continues"
         found = ["" if job.finished else reason for job in waiting]
     return {job: reason for job, reason in zip(waiting, found, strict=True) if reason}
+
+
+def _train_on_ray(jobs: Sequence[Job], parallel: int | None) -> list[str]:
+    """Trains or resumes runs on a Ray cluster; a run whose node is lost is resumed on another one.
+
+    joblib's backend for Ray would wait forever for a lost node, whose actor holds its place.
+
+    Returns:
+        The reasons for the failures, as `train_job`.
+    """
+    import ray
+
+    root = str(Path(__file__).resolve().parents[2])
+    ray.init(runtime_env={"env_vars": {"PYTHONPATH": root}}, log_to_driver=False, logging_level="error")
+    try:
+        # Ray starts as many as it has processors.
+        task = ray.remote(num_cpus=1, max_retries=-1)(train_job)
+        running: dict[Any, int] = {}
+        reasons = [""] * len(jobs)
+        progress = tqdm(total=len(jobs), unit=" runs", disable=None)
+        for i, job in enumerate(jobs):
+            running[task.remote(job)] = i
+            while running and (len(running) == parallel or i == len(jobs) - 1):
+                (done,), _ = ray.wait(list(running))
+                try:
+                    reasons[running[done]] = ray.get(done)
+                except ray.exceptions.RayError as error:
+                    reasons[running[done]] = f"{type(error).__name__}: {error}; --resume continues"
+                del running[done]
+                progress.update()
+        progress.close()
+    finally:
+        ray.shutdown()
+    return reasons
 
 
 def results_table(jobs: Sequence[Job]) -> str:

@@ -5,6 +5,7 @@ To train with another algorithm, pass it the environments that `make_env(config,
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import pkgutil
 from collections.abc import Mapping
@@ -20,9 +21,21 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, OrnsteinUhlenbeckActionNoise
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
+from torch import nn
 
-from agents.training.config import Algorithm, Config, OffPolicyConfig, OnPolicyConfig, RunError, SACConfig, TQCConfig
-from capsule_gym.sb3 import CapsuleSB3VecEnv
+from agents.training.config import (
+    Algorithm,
+    Config,
+    OffPolicyConfig,
+    OnPolicyConfig,
+    RunError,
+    SACConfig,
+    TQCConfig,
+)
+from capsule_gym.config import EnvConfig
+from capsule_gym.observation import observation_entries
+from capsule_gym.parameters import Disturbances
+from capsule_gym.sb3 import AsymmetricPolicy, CapsuleSB3VecEnv, FixedScale
 from capsule_gym.tasks import velocity
 
 CLASSES: dict[Algorithm, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "td3": TD3, "tqc": TQC}
@@ -69,13 +82,16 @@ def make_env(config: Config, seed: int) -> VecNormalize:
     A wrong argument of the environment raises a TypeError or ValueError that names it.
     """
     kwargs = config.env_kwargs()
-    # Only for training: policies are selected with `residual_limit`, on the commands of the task.
+    # Only for training: policies are selected with `residual_limit`, and the task's commands and sensors.
     if config.training_limit is not None:
         kwargs["residual_limit"] = config.training_limit
     if config.command_range:
         if config.env_task != "velocity":
             raise ValueError(f"command_range must be None in {config.env}, which has no commands")
         kwargs["task"] = velocity.with_commands(*config.command_range)
+    if config.latency_range is not None:
+        disturbances = Disturbances.named(config.disturbances) or Disturbances()
+        kwargs["disturbances"] = dataclasses.replace(disturbances, latency=config.latency_range)
     steps = max(1, round((config.episode_seconds or config.horizon) / config.control_dt))
     venv: VecEnv
     if config.wrapper:
@@ -84,13 +100,19 @@ def make_env(config: Config, seed: int) -> VecNormalize:
             raise RunError(f"--wrapper must leave observations and actions Box, got {venv.observation_space}")
         venv.seed(seed)
     else:
-        venv = CapsuleSB3VecEnv(config.num_envs, seed, max_episode_steps=steps, **kwargs)
+        venv = CapsuleSB3VecEnv(config.num_envs, seed, privileged=config.asymmetric, max_episode_steps=steps, **kwargs)
     env = VecNormalize(venv, norm_reward=config.algo == "ppo", gamma=config.gamma)
-    if isinstance(config, OffPolicyConfig) and config.observation_scale is not None:
-        # Running statistics would magnify `stick`, which is almost constant.
-        env.training = False
+    if config.observation_scale is not None:
         statistics: Any = env.obs_rms
-        statistics.var[:3] = np.array(config.observation_scale) ** -2.0
+        observed = statistics["policy"] if config.asymmetric else statistics
+        factors = np.ones(observed.mean.shape)
+        of = dict(zip(("theta", "theta_dot", "x_dot"), config.observation_scale, strict=True))
+        of |= {"theta_d": of["theta"], "theta_d_dot": of["theta_dot"]}
+        # Wrappers may add entries, or remove some; the names of stacked observations end with a number.
+        for i, name in zip(range(len(factors)), observation_entries(EnvConfig(**kwargs)), strict=False):
+            factors[i] = of.get(name.partition(" ")[0], 1.0)
+        fixed: Any = FixedScale(factors)
+        env.obs_rms = {**statistics, "policy": fixed} if config.asymmetric else fixed
     return env
 
 
@@ -101,10 +123,13 @@ def schedule(config: Config) -> LinearSchedule:
 
 def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
     """Creates an untrained agent in the environments of `make_env`."""
-    network: dict[str, Any] = {"net_arch": [config.hidden, config.hidden]}
+    critic = "vf" if isinstance(config, OnPolicyConfig) else "qf"
+    units = {"pi": config.hidden, critic: config.critic_hidden or config.hidden}
+    network: dict[str, Any] = {"net_arch": {name: [count, count] for name, count in units.items()}}
+    network["activation_fn"] = {"tanh": nn.Tanh, "relu": nn.ReLU}[config.activation]
     kwargs: dict[str, Any] = {"learning_rate": schedule(config), "device": "cpu"}
     names: tuple[str, ...] = ("batch_size", "gamma", "seed")
-    policy = "MlpPolicy"
+    policy: Any = "MlpPolicy"
     if isinstance(config, OnPolicyConfig):
         network["log_std_init"] = config.log_std_init
         names += ("n_steps", "n_epochs", "gae_lambda", "ent_coef")
@@ -123,6 +148,8 @@ def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
     if config.algo == "recurrent-ppo":
         policy = "MlpLstmPolicy"
         network |= {"lstm_hidden_size": config.hidden, "enable_critic_lstm": False}
+    elif config.asymmetric:
+        policy = AsymmetricPolicy
     elif isinstance(config, TQCConfig):
         kwargs["top_quantiles_to_drop_per_net"] = config.dropped_quantiles
         network["n_quantiles"] = config.quantiles

@@ -19,16 +19,16 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from tqdm import tqdm
 
 from agents.evaluation.criteria import CRITERIA
-from agents.evaluation.episodes import Episode, evaluate, scores
-from agents.evaluation.policies import Policy
 from agents.evaluation.sets import validation_set
-from agents.evaluation.statistics import interquartile_mean
 from agents.training import checkpoint
 from agents.training.algorithms import wrapped_env
 from agents.training.checkpoint import Progress
 from agents.training.config import BEST, EVALUATIONS, Config
 from agents.training.export import export, normalisation, recurrent_policy, save
 from agents.training.signals import Stop
+from baselines.evaluation.episodes import Episode, evaluate, scores
+from baselines.evaluation.policies import Policy
+from baselines.evaluation.statistics import interquartile_mean
 from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, EvaluationSet
 from capsule_gym.files import write_atomically
@@ -87,10 +87,10 @@ class TrainingCallback(BaseCallback):
         self.restore_streams()
 
     def _on_step(self) -> bool:
-        for info in self.locals["infos"]:
-            if "metrics" in info:
-                # SB3 keeps "episode" for the last episodes, also in checkpoints.
-                info["episode"] |= info["metrics"]
+        for i in np.flatnonzero(self.locals["dones"]):
+            info = self.locals["infos"][i]
+            # SB3 keeps "episode" for the last episodes, also in checkpoints.
+            info["episode"] |= info["metrics"]
         # The last rollout exceeds the total; a bar beyond its total shows no percentage.
         self.bar.update(min(self.num_timesteps, self.config.total_steps) - self.bar.n)
         return True

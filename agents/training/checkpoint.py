@@ -38,11 +38,14 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
-from agents.training.config import RunError
+from agents.training.config import CONFIG, EVALUATIONS, MODEL, NORMALISATION, RunError
 from agents.training.export import archive, normalisation
 from capsule_gym.files import synchronise, write_atomically
+from capsule_gym.policy import POLICY
 
 LOCK = "lock"
+# Names, without suffix, of the files that the process with the lock replaces.
+WRITTEN = ("checkpoint-*", *(Path(name).stem for name in (CONFIG, EVALUATIONS, MODEL, NORMALISATION, POLICY)))
 DIGEST_SIZE = hashlib.sha256().digest_size
 
 

@@ -94,7 +94,10 @@ class Config:
     static_ratio: float | None = None
     """Static over kinetic friction coefficient of the floor; None for the environment's default."""
     disturbances: Annotated[Literal["none", "real"], _option("disturbances")] = "none"
+    latency_range: tuple[float, float] | None = None
+    """Ends of the range of the sensors' latency in training, s; None for that of the disturbances."""
     observe_parameters: Annotated[bool, _option("observe_parameters")] = EnvConfig.observe_parameters
+    observe_estimates: Annotated[bool, _option("observe_estimates")] = EnvConfig.observe_estimates
     stack_size: Annotated[Count, _option("stack_size")] = 1
     initial_range: Annotated[tuple[float, float] | None, _option("initial_range")] = None
     control_dt: Annotated[float, _option("control_dt")] = EnvConfig.control_dt
@@ -110,6 +113,13 @@ class Config:
     """Discount factor per agent step."""
     hidden: Count = 64
     """Units in each of the two hidden layers, and of an LSTM before them."""
+    critic_hidden: Count | None = None
+    """Units in each hidden layer of the critic; None for as many as in the actor."""
+    activation: Literal["tanh", "relu"] = "tanh"
+    """Activation of the hidden layers."""
+    observation_scale: tuple[float, float, float] | None = None
+    """Factors of the observed angle (rad), angular velocity (rad/s) and x_dot (m/s), those of a reference included;
+    without them the observation is normalised by its running statistics."""
     batch_size: Count = 2048
     """Samples in a gradient step."""
     evaluate_every: Count = 500_000
@@ -128,7 +138,7 @@ class Config:
         if self.randomization == "default":
             del kwargs["randomization"]
         # Policies that are older than these options do not contain them.
-        for name in ("total_torque", "disturbances", "stack_size", "initial_range"):
+        for name in ("total_torque", "disturbances", "observe_estimates", "stack_size", "initial_range"):
             if kwargs[name] == getattr(EnvConfig, name):
                 del kwargs[name]
         if self.static_ratio is not None:
@@ -140,6 +150,11 @@ class Config:
         if self.task == "direct":
             kwargs |= {"controller": None, "residual_limit": min(self.residual_limit, self.torque_limit)}
         return kwargs
+
+    @property
+    def asymmetric(self) -> bool:
+        """Whether the critic observes more than the actor."""
+        return False
 
     @property
     def env_task(self) -> str:
@@ -162,7 +177,7 @@ class Config:
         """
         for field in dataclasses.fields(self):
             name, value = field.name, getattr(self, field.name)
-            if field.type == "Count":
+            if field.type == "Count" or (field.type == "Count | None" and value is not None):
                 least, most = LEAST.get(name, 1), LARGEST_SEED if name == "seed" else sys.maxsize
                 accepted = f"an integer >= {least}" + (f" and <= {most}" if name == "seed" else "")
                 check_integer(name, value, accepted, least, most)
@@ -194,6 +209,14 @@ class PPOConfig(OnPolicyConfig):
 
     algo: ClassVar[Algorithm] = "ppo"
 
+    privileged: bool = False
+    """The critic also observes the true plant and, where sensors are disturbed, the true state; not under wrappers."""
+
+    @property
+    def asymmetric(self) -> bool:
+        """Whether the critic observes more than the actor."""
+        return self.privileged and not self.wrapper
+
 
 @dataclass(frozen=True, kw_only=True)
 class RecurrentPPOConfig(OnPolicyConfig):
@@ -216,9 +239,7 @@ class OffPolicyConfig(Config):
     """Steps whose rewards the target of a value sums before it adds the value of the state after them."""
     tau: float = 0.01
     """Rate of the moving average that the target networks are."""
-    observation_scale: tuple[float, float, float] | None = None
-    """Factors of the observed theta (rad), theta_dot (rad/s) and x_dot (m/s); without them the observation is
-    normalised by its running statistics."""
+    activation: Literal["tanh", "relu"] = "relu"
     action_noise: float = 0.0
     """Standard deviation of the noise that training adds to the actions."""
     noise_time: float = 0.0

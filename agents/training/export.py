@@ -13,10 +13,11 @@ from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
+from torch import nn
 
-from agents.evaluation.policies import Policy as EvaluatedPolicy
-from agents.evaluation.policies import wrap_policy
 from agents.training.config import BEST, MODEL, NORMALISATION, Config, RecurrentPPOConfig, read_config
+from baselines.evaluation.policies import Policy as EvaluatedPolicy
+from baselines.evaluation.policies import wrap_policy
 from capsule_gym import Policy, load_policy
 from capsule_gym.files import write_atomically
 from capsule_gym.policy import POLICY
@@ -76,24 +77,25 @@ def recurrent_policy(name: str, model: RecurrentPPO, env: VecNormalize, env_kwar
 
 def export(name: str, model: BaseAlgorithm, config: Config, revision: str) -> Policy:
     """The deterministic policy of an agent without an LSTM."""
-    activation, squashing = "relu", "tanh"
+    squashing = "tanh"
     if isinstance(model, PPO):
-        activation, squashing = "tanh", "clip"
+        squashing = "clip"
         modules = [*model.policy.mlp_extractor.policy_net, model.policy.action_net]
     elif isinstance(model, TD3):
-        # Without the last module, which is the tanh.
-        modules = list(model.actor.mu)[:-1]
+        modules = list(model.actor.mu)
     else:
         actor: Any = model.policy.actor
         modules = [*actor.latent_pi, actor.mu]
-    arrays = ((layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy()) for layer in modules[::2])
+    layers = [module for module in modules if isinstance(module, nn.Linear)]
+    arrays = ((layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy()) for layer in layers)
     env = normalisation(model)
-    rms: Any = env.obs_rms
+    # With a privileged critic, the observations are dicts.
+    rms: Any = env.obs_rms["policy"] if isinstance(env.obs_rms, dict) else env.obs_rms
     return Policy(
         name=name,
         algorithm=config.algo,
         layers=tuple(arrays),
-        activation=activation,
+        activation=config.activation,
         squashing=squashing,
         mean=rms.mean.copy(),
         variance=rms.var.copy(),

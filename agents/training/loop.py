@@ -7,6 +7,7 @@ import json
 import pickle
 import sys
 import warnings
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +15,14 @@ import torch
 from stable_baselines3.common.logger import Logger, make_output_format
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
-from agents.evaluation.episodes import versions
 from agents.training import checkpoint
 from agents.training.algorithms import CLASSES, make_env, make_model, schedule
 from agents.training.callbacks import Stopped, TrainingCallback
-from agents.training.checkpoint import Progress, git_revision, locked
+from agents.training.checkpoint import LOCK, Progress, git_revision, locked
 from agents.training.config import BEST, CONFIG, LOGS, MODEL, Config, RunError, read_config
 from agents.training.export import save
 from agents.training.signals import Stop
+from baselines.evaluation.episodes import versions
 from capsule_gym.files import canonical_hash, naming, to_json, write_atomically
 
 
@@ -29,12 +30,12 @@ def begin(run: Path, config: Config) -> None:
     """Creates the folder of a new run, after the environments and the agent have accepted its configuration.
 
     Raises:
-        FileExistsError: if the folder exists and is not empty.
+        FileExistsError: if the folder exists and is not empty; of two processes that begin a run there, for the second.
         OSError: if the folder cannot be created.
+        RunError: if another process holds the folder's lock.
         TypeError, ValueError: if a field of the configuration has the wrong type or is out of range.
     """
-    if run.exists() and any(run.iterdir()):
-        raise FileExistsError(f"{run} already exists")
+    check_unused(run)
     config.check()
     # Raises an agent's errors before the folder is created. `train` creates the agent again and shows its warnings.
     with warnings.catch_warnings():
@@ -61,7 +62,16 @@ def begin(run: Path, config: Config) -> None:
         "revision": git_revision(Path(__file__).parent),
     }
     run.mkdir(parents=True, exist_ok=True)
-    write_atomically(run / CONFIG, to_json(content))
+    with locked(run):
+        # Another process may have begun a run here while the agent was created.
+        check_unused(run)
+        write_atomically(run / CONFIG, to_json(content))
+
+
+def check_unused(run: Path) -> None:
+    """Raises a FileExistsError for a folder that contains anything but a lock."""
+    if run.exists() and any(path.name != LOCK for path in run.iterdir()):
+        raise FileExistsError(f"{run} already exists")
 
 
 def train(run: Path, total_steps: int | None = None, *, wandb: bool = False) -> bool:
@@ -82,9 +92,10 @@ def train(run: Path, total_steps: int | None = None, *, wandb: bool = False) -> 
     with naming(run), locked(run):
         config, revision = _read(run, total_steps)
         torch.set_num_threads(1)
-        # Left by a process that was killed while writing.
-        for file in (*run.glob(".*.tmp*"), *(run / BEST).glob(".*.tmp*")):
-            file.unlink()
+        # Left by a process that was killed while writing; only the holder of the lock writes files of these names.
+        for folder, name in product((run, run / BEST), checkpoint.WRITTEN):
+            for file in folder.glob(f".{name}.*.tmp*"):
+                file.unlink()
         latest = checkpoint.newest_whole(run)
         if latest is None and (run / MODEL).exists():
             raise RunError(f"{run} has a trained agent, {MODEL}, but no checkpoint to resume from")

@@ -20,11 +20,12 @@ DIRECT_OFF_POLICY: dict[str, Any] = {
     **{"learning_rate": 1e-3, "num_envs": 32, "batch_size": 256, "learning_starts": 2000, "n_steps": 3, "tau": 0.005},
     **{"action_noise": 0.25, "noise_time": 0.25, "observation_scale": (2.0, 0.25, 6.0)},
 }
-# With wide starts and, on a law, the total torque as action, nine of nine runs made 15 cm/s (docs/algorithms.md).
+# Wide starts and, on a law, the total torque as action lead out of slow gaits; a critic that knows the plant makes the
+# seeds alike (docs/algorithms.md).
 PPO: dict[str, Any] = {
-    **{"total_steps": 2_800_000, "num_envs": 128, "n_steps": 128, "batch_size": 1024, "n_epochs": 6},
+    **{"total_steps": 4_000_000, "num_envs": 128, "n_steps": 128, "batch_size": 1024, "n_epochs": 6},
     **{"learning_rate": 1e-3, "final_learning_rate": 0.0, "gae_lambda": 0.95, "ent_coef": 0.003},
-    **{"initial_range": (1.047, 8.0), "termination_penalty": 10.0, "evaluate_every": 280_000},
+    **{"initial_range": (1.047, 8.0), "termination_penalty": 10.0, "privileged": True, "evaluate_every": 400_000},
 }
 RECURRENT: dict[str, Any] = {"total_steps": 1_000_000, "n_steps": 128, "evaluate_every": 100_000}
 # From agents/study/data/direct-recurrent-ppo.json.
@@ -34,7 +35,8 @@ DIRECT_RECURRENT: dict[str, Any] = {
 }
 SETTINGS: dict[tuple[Task, Algorithm], dict[str, Any]] = {
     ("residual", "ppo"): {**PPO, "total_torque": True},
-    ("direct", "ppo"): PPO,
+    # From the default start, where a failure costs more, every direct torque of the tried seeds learnt wide swings.
+    ("direct", "ppo"): {**PPO, "initial_range": None, "termination_penalty": 30.0},
     ("residual", "sac"): OFF_POLICY,
     ("direct", "sac"): {**DIRECT_OFF_POLICY, "target_entropy": -3.0},
     ("residual", "td3"): {**OFF_POLICY, "action_noise": 0.2},
@@ -87,8 +89,9 @@ LARGE_BATCHES: dict[str, Any] = {"n_steps": 128, "batch_size": 4096, "learning_r
 ON_PREDICTION = _vary(
     ON_GAIT,
     {"controller": "baselines:gait_predictive", "disturbances": "real", "randomization": "real-wide"},
-    {**LARGE_BATCHES, "residual_limit": 1.0, "total_steps": 6_000_000, "termination_penalty": 100.0},
-    {"evaluate_every": 500_000, "evaluation_episodes": 512},
+    {**LARGE_BATCHES, "residual_limit": 1.0, "total_steps": 2_000_000, "termination_penalty": 100.0},
+    # Without latencies from 0 on, one of five seeds failed where the sensors have none.
+    {"latency_range": (0.0, 0.015), "privileged": True, "evaluate_every": 250_000, "evaluation_episodes": 512},
 )
 FRUGAL = PPOConfig(task="direct", controller=None, num_envs=256, n_steps=64)
 # Keys are the names of the folders in agents/checkpoints; each run sets its own seed. The committed policies are those
@@ -106,7 +109,7 @@ ROWS: dict[str, Config] = {
         {**LARGE_BATCHES, "total_steps": 8_000_000, "termination_penalty": 50.0, "evaluate_every": 1_000_000},
     ),
     "residual-real": _vary(ON_PREDICTION, {"randomization": "real"}),
-    "residual-real-wide": _vary(ON_PREDICTION, {"termination_penalty": 400.0}),
+    "residual-real-wide": ON_PREDICTION,
     "direct-real": _vary(
         FRUGAL,
         {"disturbances": "real", "randomization": "real", "stack_size": 8, "hidden": 128, "batch_size": 4096},

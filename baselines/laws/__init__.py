@@ -1,6 +1,7 @@
 """The control laws; an entry of `LAWS` or `TASK_LAWS` makes a law a controller and a scripted policy."""
 
-from typing import NamedTuple
+from importlib import import_module
+from typing import Any, NamedTuple
 
 
 class Law(NamedTuple):
@@ -65,3 +66,11 @@ TASK_LAWS = {
         "pulses", "velocity-pulses", "gait-guarded after the target, and pulses that adapt", "velocity"
     ),
 }
+
+
+def find_law(name: str) -> Any:
+    """The function of a law, whose module is imported at the first use; an AttributeError if there is none."""
+    law = LAWS.get(name) or TASK_LAWS.get(name)
+    if law is None:
+        raise AttributeError(f"module 'baselines' has no attribute {name!r}")
+    return getattr(import_module(f"baselines.laws.{law.module}"), name)

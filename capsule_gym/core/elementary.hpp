@@ -51,6 +51,9 @@ constexpr double E_0 = 0.5000000000000001, E_1 = 0.16666666666666669, E_2 = 0.04
 
 template <class T> struct Exponential { T scale, rest; };
 
+// 2^n for n + ROUNDING: the lowest digits of the sum become the exponent.
+template <class T> INLINE T power_of_two(T shifted) { return from_bits((bits_of(shifted) << 52) + (1023ULL << 52)); }
+
 // 2^n and exp(r) - 1 with x = n ln(2) + r and |r| <= ln(2) / 2; |n| must not exceed 1022.
 template <class T> INLINE Exponential<T> exponential(T x) {
   T shifted = fma(x, LOG2_E, ROUNDING);
@@ -59,8 +62,7 @@ template <class T> INLINE Exponential<T> exponential(T x) {
   T z = r * r, zz = z * z;
   T low = fma(fma(E_3, r, E_2), z, fma(E_1, r, E_0)), middle = fma(fma(E_7, r, E_6), z, fma(E_5, r, E_4));
   T p = fma(fma(fma(E_9, r, E_8), zz, middle), zz, low);
-  // The lowest digits of the sum become the exponent.
-  return {from_bits((bits_of(shifted) << 52) + (1023ULL << 52)), fma(z, p, r)};
+  return {power_of_two(shifted), fma(z, p, r)};
 }
 
 // e^x, within 1.7e-16 of the exact value relative to it; |x| must not exceed 708.

@@ -8,15 +8,16 @@
 // An iterated extended Kalman filter estimates M and log(mu) with their covariance from such pairs of observations. The
 // covariance grows a little with every pair and is reset where a pair contradicts the estimate, since M and mu can
 // change during an episode. For a capsule with another friction coefficient backwards, or with the paper's normal
-// force, the balance is approximate. The filter is part of a policy or a law, not of the environment.
+// force, the balance is approximate. The filter is part of a policy, of a law, or of an environment that shows the
+// estimates.
 #pragma once
 #include "elementary.hpp"
 
 namespace LEVEL {
 // The memory, 0.0 at the start of an episode: 1.0 once begun; M in kg, log(mu) and their covariance; cos(theta) theta',
 // sin(theta) theta' and x' of the last observation.
-struct Identification {
-  double begun, M, log_mu, P_MM, P_Mf, P_ff, across, along, x_dot;
+template <class T> struct Filter {
+  T begun, M, log_mu, P_MM, P_Mf, P_ff, across, along, x_dot;
 
   // Prior of M in kg and log(mu): a little wider than `randomization="wide"`.
   static constexpr double PRIOR_M = 0.55, PRIOR_LOG_MU = -3.25, DEVIATION_M = 0.2, DEVIATION_LOG_MU = 1.5;
@@ -29,33 +30,35 @@ struct Identification {
   static constexpr double RETAINED = 0.95, DOUBT = 5.0;
   static constexpr double SLOWEST = 0.02;  // m/s: below this speed the platform may have stuck in between
 };
+using Identification = Filter<double>;
 
 // Updates the estimates with an observation, c.dt seconds after the last, on a pendulum of mass c.m and length c.l.
-template <class C> inline void identify(Identification& f, double theta, double theta_dot, double x_dot, const C& c) {
+template <class T, class C> inline void identify(Filter<T>& f, T theta, T theta_dot, T x_dot, const C& c) {
   using I = Identification;
   constexpr double VARIANCE_M = I::DEVIATION_M * I::DEVIATION_M;
   constexpr double VARIANCE_LOG_MU = I::DEVIATION_LOG_MU * I::DEVIATION_LOG_MU;
   auto [sin, cos] = sincos(theta);
-  double across = cos * theta_dot, along = sin * theta_dot;
-  if (f.begun == 0.0) {
+  T across = cos * theta_dot, along = sin * theta_dot;
+  auto begins = f.begun == 0.0;
+  auto slips = (x_dot * f.x_dot > 0.0) & (min(abs(x_dot), abs(f.x_dot)) > I::SLOWEST) & !begins;
+  if (auto taken = when(begins))
     f = {1.0, I::PRIOR_M, I::PRIOR_LOG_MU, VARIANCE_M, 0.0, VARIANCE_LOG_MU, across, along, x_dot};
-    return;
-  }
-  if (x_dot * f.x_dot > 0.0 && min(abs(x_dot), abs(f.x_dot)) > I::SLOWEST) {
-    double s = x_dot > 0.0 ? 1.0 : -1.0;
-    double d_across = across - f.across, d_along = along - f.along, change = x_dot - f.x_dot;
-    double before_M = f.M, before_log_mu = f.log_mu;
-    double gain_M = 0.0, gain_f = 0.0, to_M = 0.0, to_f = 0.0;
+  if (auto taken = when(slips)) {
+    T s = select(x_dot > 0.0, T(1.0), T(-1.0));
+    T d_across = across - f.across, d_along = along - f.along, change = x_dot - f.x_dot;
+    T before_M = f.M, before_log_mu = f.log_mu;
+    T gain_M = 0.0, gain_f = 0.0, to_M = 0.0, to_f = 0.0;
     for (int i = 0; i < I::ITERATIONS; i++) {
       // The change of x' by the balance of momentum, and its slopes over M and log(mu).
-      double q = c.m * c.l / (f.M + c.m), mu = exp(f.log_mu);
-      double friction = mu * s * (c.g * c.dt - q * d_along);
-      double slope_M = -q / (f.M + c.m) * (d_across + mu * s * d_along), slope_f = -friction;
-      double predicted = q * d_across - friction;
-      double surprise = change - predicted - slope_M * (before_M - f.M) - slope_f * (before_log_mu - f.log_mu);
+      T q = c.m * c.l / (f.M + c.m), mu = exp(f.log_mu);
+      T friction = mu * s * (c.g * c.dt - q * d_along);
+      T slope_M = -q / (f.M + c.m) * (d_across + mu * s * d_along), slope_f = -friction;
+      T predicted = q * d_across - friction;
+      T surprise = change - predicted - slope_M * (before_M - f.M) - slope_f * (before_log_mu - f.log_mu);
       to_M = f.P_MM * slope_M + f.P_Mf * slope_f, to_f = f.P_Mf * slope_M + f.P_ff * slope_f;
-      double variance = slope_M * to_M + slope_f * to_f + I::NOISE * I::NOISE;
-      if (i == 0 && surprise * surprise > I::DOUBT * I::DOUBT * variance) {
+      T variance = slope_M * to_M + slope_f * to_f + I::NOISE * I::NOISE;
+      auto contradicts = surprise * surprise > I::DOUBT * I::DOUBT * variance;
+      if (auto taken = when(contradicts); taken && i == 0) {
         f.P_MM = VARIANCE_M, f.P_Mf = 0.0, f.P_ff = VARIANCE_LOG_MU;
         to_M = f.P_MM * slope_M, to_f = f.P_ff * slope_f;
         variance = slope_M * to_M + slope_f * to_f + I::NOISE * I::NOISE;
@@ -66,12 +69,19 @@ template <class C> inline void identify(Identification& f, double theta, double 
     }
     f.P_MM = f.P_MM - gain_M * to_M, f.P_Mf = f.P_Mf - gain_M * to_f, f.P_ff = f.P_ff - gain_f * to_f;
     // Never less certain than the prior.
-    double fading = max(max(I::RETAINED, f.P_MM / VARIANCE_M), f.P_ff / VARIANCE_LOG_MU);
+    T fading = max(max(I::RETAINED, f.P_MM / VARIANCE_M), f.P_ff / VARIANCE_LOG_MU);
     f.P_MM = f.P_MM / fading, f.P_Mf = f.P_Mf / fading, f.P_ff = f.P_ff / fading;
   }
   f.across = across, f.along = along, f.x_dot = x_dot;
 }
 
 // The standard deviation of an estimate from its variance, which rounding may have made negative.
-INLINE double deviation(double variance) { return sqrt(max(0.0, variance)); }
+template <class T> INLINE T deviation(T variance) { return sqrt(max(T(0.0), variance)); }
+
+// Writes M in kg, log(mu) and their standard deviations; returns the end of what is written.
+inline float* write_estimates(const Identification& f, float* next) {
+  *next++ = (float)f.M, *next++ = (float)f.log_mu;
+  *next++ = (float)deviation(f.P_MM), *next++ = (float)deviation(f.P_ff);
+  return next;
+}
 }  // namespace LEVEL

@@ -1,6 +1,7 @@
 // How the numbers of environments lie in memory: blocks of N environments, one row per quantity. The lists of names are
 // written here once; Python sees the same names.
 #pragma once
+#include "identification.hpp"
 #include "plant.hpp"
 
 // The constants that an episode draws besides M and mu, and the sizes of its disturbances, as in `Randomization` and
@@ -68,12 +69,13 @@ template <int N> struct Block {
 // Values of the row `halt`: under way; stopped in the present substep, with one call of the law left; and halted.
 constexpr double UNDER_WAY = 0.0, ENDING = 1.0, HALTED = 2.0;
 constexpr int HISTORY_ROWS = 3;  // rows of a state in the history: theta, theta_dot, x_dot
+constexpr int FILTER_ROWS = sizeof(LEVEL::Identification) / sizeof(double);  // only with observed estimates
 
 // The settings of a step, SI units; conditions are 0.0 or 1.0.
 #define CAPSULE_SETTINGS(FIELD)                                                                                        \
   FIELD(torque_limit) FIELD(residual_limit) FIELD(total_torque) FIELD(physics_dt) FIELD(physics_steps)                 \
   FIELD(law_steps) FIELD(energy_weight) FIELD(termination_penalty) FIELD(with_reference) FIELD(with_parameters)        \
-  FIELD(stack_size)                                                                                                    \
+  FIELD(with_estimates) FIELD(stack_size)                                                                                                    \
   /* Disturbances: number of states in the history, whether law and agent observe the sensors, the sensors that exist, \
      and the measured speed up to which the observation's `stick` is 1. */                                             \
   FIELD(history) FIELD(law_reads) FIELD(agent_reads) FIELD(with_theta) FIELD(with_theta_dot) FIELD(with_x_dot)         \
@@ -90,8 +92,8 @@ typedef void (*UserLaw)(void* data, double* block, double* torques, long long n)
 
 // Everything that belongs to the environments of a simulation: arrays, by their addresses, and their sizes.
 #define CAPSULE_BATCH(FIELD)                                                                                           \
-  /* The blocks, each with the law's memory, its line of the reference, the task's memory and the history behind it.   \
-     `lanes` is LANES or 1. */                                                                                         \
+  /* The blocks, each with the law's memory, its line of the reference, the task's memory, the history and the filter  \
+     of the estimates behind it. `lanes` is LANES or 1. */                                                                                         \
   FIELD(double*, world) FIELD(long long, num_envs) FIELD(long long, lanes)                                             \
   /* Shape (num_envs, entries). */                                                                                     \
   FIELD(float*, observations) FIELD(long long, entries)                                                                \
@@ -117,7 +119,9 @@ struct Batch {
 // Doubles of a block of N environments.
 template <int N> constexpr long long block_size(const Batch& batch) {
   long long rows = batch.memory_size + batch.reference_size + batch.task_size;
-  return sizeof(Block<N>) / 8 + (rows + HISTORY_ROWS * (long long)batch.settings->history) * N;
+  long long history = HISTORY_ROWS * (long long)batch.settings->history;
+  long long filter = batch.settings->with_estimates != 0.0 ? FILTER_ROWS : 0;
+  return sizeof(Block<N>) / 8 + (rows + history + filter) * N;
 }
 // What functions return where memory is short; else the index of an environment whose law has failed, or -1.
 constexpr long long NO_MEMORY = -2;

@@ -12,6 +12,7 @@
 #include "functions.hpp"
 #include "level.hpp"
 #include "rollout.hpp"
+#include "trace.hpp"
 
 extern "C" const Level capsule_level_portable, capsule_level_v3, capsule_level_v4;
 
@@ -121,6 +122,14 @@ PyObject* call(PyObject*, PyObject* const* args, Py_ssize_t count) {
   return result_of(broken);
 }
 
+// trace(function, number, constants, rows) -> number of rows: see trace.hpp; addresses of arrays
+PyObject* trace(PyObject*, PyObject* args) {
+  const char* function;
+  long long number, constants, rows;
+  if (!PyArg_ParseTuple(args, "sLLL", &function, &number, &constants, &rows)) return nullptr;
+  return PyLong_FromLong(portable::trace(function, number, (const double*)constants, (portable::TraceRow*)rows));
+}
+
 // --- laws that Python calls ---
 
 // A function that takes theta, theta_dot, x, x_dot, the cells of the memory, and the numbers of the reference, and
@@ -197,6 +206,14 @@ int fill(PyObject* module) {
 #define FUNCTION(name, arguments, results, call) #name ":" #results " "
   add("PLANT_FUNCTIONS", names_in(CAPSULE_PLANT_FUNCTIONS(FUNCTION)));
   add("ELEMENTARY_FUNCTIONS", names_in(CAPSULE_ELEMENTARY_FUNCTIONS(FUNCTION)));
+#define OP(name) CAPSULE_NAME(name)
+  add("OPERATIONS", names_in(CAPSULE_OPERATIONS(OP))), add("OBSERVED", names_in(OBSERVED(CAPSULE_NAME)));
+#undef OP
+#define CAPSULE_C(...) #__VA_ARGS__
+  add("FUSED", PyUnicode_FromString(
+#include "fused.h"
+  ));
+#undef CAPSULE_C
   // Laws and tasks in the order of their numbers.
   auto put = [&](PyObject* entries, const char* name, PyObject* value) {
     failed |= value && entries ? PyDict_SetItemString(entries, name, value) : -1;
@@ -210,10 +227,15 @@ int fill(PyObject* module) {
 #define REAL(name) add(#name, PyFloat_FromDouble(portable::name));
   REAL(THETA_LIMIT) REAL(THETA_DOT_BOUND) REAL(X_DOT_BOUND) REAL(MOTOR_WIDTH) REAL(MOTOR_SLOPE)
   REAL(ERROR_BOUND) REAL(TOLERANCE) REAL(HOLD) REAL(TIME_TOLERANCE) REAL(SPEED_BOUND) REAL(SETTLING) REAL(MEASURED)
+  REAL(ROUNDING)
+  using I = portable::Identification;
+  add("ESTIMATES", Py_BuildValue("{s(dd)s(dd)s(dd)s(dd)}", "M_estimate", I::LOW_M, I::HIGH_M, "log_mu_estimate",
+                                 I::LOW_LOG_MU, I::HIGH_LOG_MU, "M_deviation", 0.0, I::DEVIATION_M,
+                                 "log_mu_deviation", 0.0, I::DEVIATION_LOG_MU));
 #define WHOLE(name, value) add(#name, PyLong_FromLongLong((long long)(value)));
   WHOLE(LANES, LANES) WHOLE(HISTORY_ROWS, HISTORY_ROWS) WHOLE(MOST_CELLS, MOST_CELLS) WHOLE(PADDING, portable::PADDING)
   WHOLE(COMMANDS, portable::COMMANDS) WHOLE(CELLS, portable::WIDTH<portable::Identification>)
-  WHOLE(PLAIN_LAW, &call_plain)
+  WHOLE(PLAIN_LAW, &call_plain) WHOLE(LONGEST_TRACE, LONGEST_TRACE)
   return failed;
 }
 
@@ -223,6 +245,7 @@ PyMethodDef METHODS[] = {
     {"advance", (PyCFunction)(void*)advance, METH_FASTCALL, nullptr},
     {"step_one", (PyCFunction)(void*)step_one, METH_FASTCALL, nullptr},
     {"call", (PyCFunction)(void*)call, METH_FASTCALL, nullptr},
+    {"trace", trace, METH_VARARGS, nullptr},
     {nullptr, nullptr, 0, nullptr}};
 PyModuleDef_Slot SLOTS[] = {{Py_mod_exec, (void*)fill}, {0, nullptr}};
 PyModuleDef MODULE = {PyModuleDef_HEAD_INIT, "_core", nullptr, 0, METHODS, SLOTS, nullptr, nullptr, nullptr};

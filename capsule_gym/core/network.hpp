@@ -142,12 +142,20 @@ inline void write_inputs(const Header& header, const float* observations, long l
     const float* observed = observations + i * entries;
     for (int k = 0; k < header.observed; k++) *inputs++ = observed[k];
     if (header.identifies != 0.0) {
-      identify(memory[i], observed[0], observed[1], observed[2], header);
-      *inputs++ = (float)memory[i].M, *inputs++ = (float)memory[i].log_mu;
-      *inputs++ = (float)deviation(memory[i].P_MM), *inputs++ = (float)deviation(memory[i].P_ff);
+      identify<double>(memory[i], observed[0], observed[1], observed[2], header);
+      inputs = write_estimates(memory[i], inputs);
     }
     if (header.observes_energy_weight != 0.0) *inputs++ = (float)header.log_energy_weight;
   }
+}
+
+// The action in [-1, 1] for the output of the network and the law's torque, 0.0 without a law.
+template <class T> INLINE T action_of(const Header& header, T output, T law_torque) {
+  T action = clip(output, T(1.0));
+  if (header.outputs_torque == 0.0) return action;
+  // It is the total torque in torque limits.
+  T residual = clip((header.torque_limit * action - law_torque) / header.residual_limit, T(1.0));
+  return select(abs(action) > SATURATION, copysign(T(1.0), action), residual);
 }
 
 // Bytes of the working memory of `act` for n environments.
@@ -171,13 +179,8 @@ inline void act(const Network& network, const float* observations, long long ent
   for (int j = 0; j < n; j += together) {
     const double* outputs = forward<T>(network, inputs + j * (int)header.inputs, together, values, sums);
     for (int i = j; i < j + together; i++) {
-      double& action = actions[i];
-      action = clip(outputs[i - j], 1.0);
-      if (header.outputs_torque == 0.0) continue;
-      // It is the total torque in torque limits.
       double law_torque = header.law_torque < 0.0 ? 0.0 : observations[(first + i) * entries + (int)header.law_torque];
-      double residual = header.torque_limit * action - law_torque;
-      action = abs(action) > SATURATION ? copysign(1.0, action) : clip(residual / header.residual_limit, 1.0);
+      actions[i] = action_of(header, outputs[i - j], law_torque);
     }
   }
 }

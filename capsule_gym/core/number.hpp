@@ -43,35 +43,11 @@ typedef unsigned long long Word;
 // --- one environment ---
 
 #if defined(__wasm__)
-// WebAssembly has no fused instruction. Exact products and sums, the last but one rounded to odd (Boldo and Melquiond,
-// "Emulation of a FMA and correctly rounded sums", 2008). `const`: equal calls are made once.
-struct Sum {
-  double value, error;
-};
-INLINE Sum two_sum(double a, double b) {
-  double s = a + b, t = s - a;
-  return {s, (a - (s - t)) + (b - t)};
-}
-// Whether the size is between 2^-623 and 2^577: then no intermediate result over- or underflows.
-INLINE bool moderate(double x) { return (__builtin_bit_cast(Word, x) >> 52 & 2047) - 400 < 1200; }
-NOINLINE __attribute__((const)) inline double fma(double a, double b, double c) {
-  double p = a * b;
-  if (!(moderate(a) & moderate(b) & moderate(c) & moderate(p))) {
-    if (a == 0.0 || b == 0.0 || (c == 0.0 && moderate(p))) return p + c;
-    return __builtin_fma(a, b, c);
-  }
-  constexpr double SPLIT = 134217729.0;  // halves a significand of 53 bits (Veltkamp)
-  double a_h = a * SPLIT, b_h = b * SPLIT;
-  a_h = a_h - (a_h - a), b_h = b_h - (b_h - b);
-  double a_l = a - a_h, b_l = b - b_h;
-  double rest = ((a_h * b_h - p) + a_h * b_l + a_l * b_h) + a_l * b_l;
-  Sum t = two_sum(c, rest), v = two_sum(p, t.value), z = two_sum(t.error, v.error);
-  // Away from zero where the error has the sign of the sum, else towards it; without a branch, since no processor
-  // predicts it.
-  Word word = __builtin_bit_cast(Word, z.value), away = (z.error > 0.0) == (z.value > 0.0) ? 1 : -1;
-  word += away * ((z.error != 0.0) & ~word & 1);
-  return v.value + __builtin_bit_cast(double, word);
-}
+// WebAssembly has no fused instruction.
+#define CAPSULE_C(...) __VA_ARGS__
+#include "fused.h"
+#undef CAPSULE_C
+INLINE double fma(double a, double b, double c) { return fused(a, b, c); }
 #else
 INLINE double fma(double a, double b, double c) { return __builtin_fma(a, b, c); }
 #endif
@@ -80,6 +56,8 @@ INLINE double sqrt(double x) { return __builtin_sqrt(x); }
 INLINE double floor(double x) { return __builtin_floor(x); }
 INLINE double copysign(double size, double sign) { return __builtin_copysign(size, sign); }
 INLINE double select(bool condition, double a, double b) { return condition ? a : b; }
+// For branches of one environment, `if (auto taken = when(condition))`, which other number types may execute otherwise.
+INLINE bool when(bool condition) { return condition; }
 INLINE Word bits_of(double x) { return __builtin_bit_cast(Word, x); }
 INLINE double from_bits(Word word) { return __builtin_bit_cast(double, word); }
 // One bit per environment.

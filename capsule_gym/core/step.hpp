@@ -28,6 +28,37 @@ template <class T> INLINE auto continues(T theta, T normal_force) {
 // Whether the rates are those of a motion that the integrator resolves; false for NaN.
 template <class T> INLINE auto bounded(T theta_dot, T x_dot) { return abs(theta_dot) + abs(x_dot) <= RATE_LIMIT; }
 
+// The torque in N m for an action in [-1, 1]: u = clip(law torque + residual).
+template <class T> INLINE T total_torque(const Settings& q, T law_torque, T action) {
+  T residual = q.total_torque != 0.0 ? clip(q.torque_limit * action - law_torque, T(q.residual_limit))
+                                     : q.residual_limit * action;
+  return clip(law_torque + residual, T(q.torque_limit));
+}
+
+// What an observation shows of the environment: `phase` is the share of the reference's cycle.
+#define OBSERVED(FIELD)                                                                                    \
+  FIELD(theta) FIELD(theta_dot) FIELD(x_dot) FIELD(action) FIELD(theta_d) FIELD(theta_d_dot) FIELD(phase)  \
+  FIELD(law_torque) FIELD(M) FIELD(mu)
+template <class T> struct Observed { OBSERVED(CAPSULE_NUMBER) };
+
+// Puts the entries in the order of `observation_names`; `put_estimates` puts those of M and mu.
+template <class Task, class T, class Put, class PutEstimates>
+INLINE void put_entries(const Settings& q, const Observed<T>& o, const typename Task::template Memory<T>& memory,
+                        Put put, PutEstimates put_estimates) {
+  put(clip(o.theta, T(THETA_LIMIT))), put(clip(o.theta_dot, T(THETA_DOT_BOUND))), put(clip(o.x_dot, T(X_DOT_BOUND)));
+  put(select(abs(o.x_dot) <= q.stick_threshold, T(1.0), T(0.0))), put(o.action);
+  if (q.with_reference != 0.0) {
+    auto [sin, cos] = sincos(2.0 * PI * o.phase);
+    put(clip(o.theta_d, T(THETA_LIMIT))), put(clip(o.theta_d_dot, T(THETA_DOT_BOUND)));
+    put(sin), put(cos), put(o.law_torque);
+  }
+  if (q.with_parameters != 0.0) put(o.M), put(o.mu);
+  if (q.with_estimates != 0.0) put_estimates();
+  T own[Task::ENTRIES + 1];
+  Task::observe(own, memory);
+  for (int i = 0; i < Task::ENTRIES; i++) put(own[i]);
+}
+
 // A block of N environments, of which n take part in loops, stepped with the number type T.
 template <class T, int N> struct Step {
   const Batch& batch;
@@ -112,13 +143,9 @@ template <class T, int N> struct Step {
     }
   }
 
-  // u = clip(law torque + residual)
   template <Kind kind> INLINE void apply_torque(int j) {
     auto going = GET(halt) == UNDER_WAY;
-    T law_torque = GET(law_torque), action = GET(action), x_dot = GET(x_dot);
-    T residual = q.total_torque != 0.0 ? clip(q.torque_limit * action - law_torque, T(q.residual_limit))
-                                       : q.residual_limit * action;
-    T torque = clip(law_torque + residual, T(q.torque_limit));
+    T torque = total_torque(q, GET(law_torque), GET(action)), x_dot = GET(x_dot);
     if constexpr (Plant<T, kind>::varied) torque = disturbed.template drive<kind == Kind::varied>(j, torque, going);
     torque = select(going, torque, GET(torque));
     PUT(torque, torque);
@@ -375,7 +402,17 @@ template <class T, int N> struct Step {
     }
   }
 
-  // Writes the entries in the order of `observation_names`.
+  // Updates the estimates of M and mu with an observation, and writes them to it; returns the end of what is written.
+  NOINLINE float* estimate(int j, const float* observed, float* next) {
+    double* cells = disturbed.entry((int)q.history) + j;
+    Identification f;
+    for (int r = 0; r < WIDTH<Identification>; r++) ((double*)&f)[r] = cells[r * N];
+    struct { double m, l, g, dt; } nominal = {q.m, q.l, q.g, q.law_steps * q.physics_steps * q.physics_dt};
+    identify<double>(f, observed[0], observed[1], observed[2], nominal);
+    for (int r = 0; r < WIDTH<Identification>; r++) cells[r * N] = ((double*)&f)[r];
+    return write_estimates(f, next);
+  }
+
   template <class Task> NOINLINE void observe(bool begin) {
     int entries = (int)batch.entries / (int)q.stack_size, all = (int)batch.entries;
     bool reads = q.varied != 0.0 && q.agent_reads != 0.0;
@@ -384,21 +421,13 @@ template <class T, int N> struct Step {
       float* out = observations + j * batch.entries;
       // Shifts the stacked observations; at the start of an episode all of them are the first.
       for (int entry = all - 1; entry >= entries; entry--) out[entry] = out[entry - entries];
-      double x_dot = reads ? b.read_x_dot[j] : b.x_dot[j];
+      Observed<double> seen = {reads ? b.read_theta[j] : b.theta[j], reads ? b.read_theta_dot[j] : b.theta_dot[j],
+                               reads ? b.read_x_dot[j] : b.x_dot[j], begin ? 0.0 : b.action[j], line[j], line[N + j],
+                               b.clock[j] / (double)batch.reference_rows, b.law_torque[j], b.M[j], b.mu[j]};
       float* next = out;
-      *next++ = (float)clip(reads ? b.read_theta[j] : b.theta[j], THETA_LIMIT);
-      *next++ = (float)clip(reads ? b.read_theta_dot[j] : b.theta_dot[j], THETA_DOT_BOUND);
-      *next++ = (float)clip(x_dot, X_DOT_BOUND);
-      *next++ = abs(x_dot) <= q.stick_threshold ? 1.0f : 0.0f;
-      *next++ = begin ? 0.0f : (float)b.action[j];
-      if (q.with_reference != 0.0) {
-        auto [sin, cos] = sincos(2.0 * PI * (b.clock[j] / (double)batch.reference_rows));
-        // theta_d and its derivative, the phase of the cycle, and the law's torque.
-        *next++ = (float)clip(line[j], THETA_LIMIT), *next++ = (float)clip(line[N + j], THETA_DOT_BOUND);
-        *next++ = (float)sin, *next++ = (float)cos, *next++ = (float)b.law_torque[j];
-      }
-      if (q.with_parameters != 0.0) *next++ = (float)b.M[j], *next++ = (float)b.mu[j];
-      Task::observe(next, read_task<double, Task>(j));
+      put_entries<Task>(
+          q, seen, read_task<double, Task>(j), [&](double entry) { *next++ = (float)entry; },
+          [&] { next = estimate(j, out, next); });
       if (begin)
         for (int entry = entries; entry < all; entry++) out[entry] = out[entry - entries];
     }

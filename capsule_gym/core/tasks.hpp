@@ -22,7 +22,7 @@ struct Speed {
   // Centimetres of forward progress.
   template <class T> static INLINE T reward(T, T, T moved, double, Memory<T>&) { return 100.0 * moved; }
 
-  static INLINE void observe(float*, const Memory<double>&) {}
+  template <class T> static INLINE void observe(T*, const Memory<T>&) {}
 };
 
 // Bound of the observed error, m; largest distance from the goal at which the platform must rest, m; and duration of
@@ -60,10 +60,10 @@ struct Goal {
     return dt * rate;
   }
 
-  static INLINE void observe(float* out, const Memory<double>& memory) {
-    out[0] = (float)clip(memory.error, ERROR_BOUND);
-    out[1] = (float)tanh(memory.error / 0.02);
-    out[2] = (float)min(memory.held, HOLD);
+  template <class T> static INLINE void observe(T* out, const Memory<T>& memory) {
+    out[0] = clip(memory.error, T(ERROR_BOUND));
+    out[1] = tanh(memory.error / 0.02);
+    out[2] = min(memory.held, T(HOLD));
   }
 };
 
@@ -134,11 +134,11 @@ struct Velocity {
     return gain;
   }
 
-  static INLINE void observe(float* out, const Memory<double>& memory) {
-    out[0] = (float)memory.command;
-    out[1] = (float)tanh(memory.error / 0.05);
-    out[2] = (float)tanh(memory.error / 0.2);
-    out[3] = (float)clip(memory.speed, SPEED_BOUND);
+  template <class T> static INLINE void observe(T* out, const Memory<T>& memory) {
+    out[0] = memory.command;
+    out[1] = tanh(memory.error / 0.05);
+    out[2] = tanh(memory.error / 0.2);
+    out[3] = clip(memory.speed, T(SPEED_BOUND));
   }
 };
 }  // namespace LEVEL

@@ -37,7 +37,7 @@ episode.
 
 ## Info
 
-As in `CapsuleStickSlip-v0`, with `goal` (position, m), `error` (m) and `held` (s). `episode_metrics()` adds `success`
+As in `CapsuleStickSlip-v0`, with `goal` (position, m), `error` (m) and `held` (s). `episode_metrics` adds `success`
 (1 if the goal was reached) and `goal_time` (time at which the goal was reached, s, including the rest of 1 s; the
 length of the episode if it was not).
 

@@ -38,7 +38,7 @@ The terminations of `CapsuleStickSlip-v0`, and truncation after 1000 steps, 20 s
 
 ## Info
 
-As in `CapsuleStickSlip-v0`, with `command` (m/s), `target` (m) and `error` (m). `episode_metrics()` adds
+As in `CapsuleStickSlip-v0`, with `command` (m/s), `target` (m) and `error` (m). `episode_metrics` adds
 
 - `velocity_error`: the absolute differences between the mean velocity and the command, each measured from 1.5 s after
   the change of the command and weighted with the measured time, in percent of the commands;

@@ -2,7 +2,7 @@ import json
 
 import pytest
 
-from agents.evaluation import policies
+from baselines.evaluation import policies
 from tests.agents.fakes import PLANTS, Sine, write_run
 
 

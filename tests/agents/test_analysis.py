@@ -9,10 +9,10 @@ import pytest
 from agents.analysis import __main__ as analysis
 from agents.analysis import goal, sensitivity, statistics
 from agents.analysis.data import rank, read_learning
-from agents.evaluation.episodes import evaluate
-from agents.evaluation.policies import Candidate
 from agents.leaderboard.rows import COLUMNS, Row
 from baselines import drawing
+from baselines.evaluation.episodes import evaluate
+from baselines.evaluation.policies import Candidate
 from capsule_gym import Capsule, dynamics
 from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec
 from capsule_gym.parameters import REAL, Disturbances

@@ -1,5 +1,6 @@
 """The report of policies, and the comparison at the end of training."""
 
+import dataclasses
 import html
 import json
 import re
@@ -10,9 +11,10 @@ import numpy as np
 import pytest
 
 from agents import report
-from agents.evaluation.episodes import evaluate
-from agents.leaderboard.rows import evaluate_run
-from capsule_gym.evaluation_sets import SET_NAMES, EvaluationSet, PlantSpec
+from agents.leaderboard.rows import evaluate_run, load_row
+from agents.training.presets import ROWS
+from baselines.evaluation.episodes import evaluate
+from capsule_gym.evaluation_sets import SET_NAMES, EvaluationSet, PlantSpec, load_set
 from tests.agents.fakes import Sine, write_run
 from tests.agents.training.small import small
 
@@ -91,6 +93,41 @@ def test_a_finished_run_is_compared_and_drawn(tmp_path, monkeypatch, capsys, env
             report.render([str(folder), "direct-ppo"])
 
 
+@pytest.mark.parametrize(
+    ("changes", "theta", "speeds", "failed", "reason"),
+    [
+        ({}, 0.0, (1.0, 2.0), 0.0, None),
+        ({"gamma": 0.9}, 0.6, (1.0, 2.0), 1.0, "other settings than the row, gamma 0.9"),
+        ({}, 0.6, (1.0, 2.0), 1.0, "a one-sided gait about 34 degrees"),
+        ({}, 0.0, (1.0, 2.0), 1.0, "more failures"),
+        ({}, 0.0, (1.0, 2.0), 0.0, "the last evaluation was the best"),
+        ({}, 0.0, (2.0, 1.0), 0.0, "the spread of seeds"),
+    ],
+)
+def test_a_run_worse_than_its_row_names_a_likely_reason(tmp_path, changes, theta, speeds, failed, reason):
+    row, name = load_row(report.path_of(ROOT / report.RESULTS, "direct-ppo")), "paper"
+    config = dataclasses.replace(ROWS["direct-ppo"], seed=7, **changes)
+    content = {"task": "direct", "algo": "ppo", "hyperparameters": config.to_dict()}
+    (tmp_path / "config.json").write_text(json.dumps(content))
+    lines = [f"{step},{speed}" for step, speed in enumerate(speeds)]
+    (tmp_path / "evaluations.csv").write_text("\n".join(["steps,mean_speed_cm_s", *lines]))
+    worst = row.score(name, "mean_speed").mean(axis=1).min()
+    speed = worst + (1e-6 if reason is None else -1e-6)
+    episodes = [{"mean_speed": speed, "failed": failed}] * 3
+    text = report.compare_to_row(tmp_path, episodes, load_set(name), theta + 0.5 * np.sin(np.arange(100.0)))
+    assert f"Published row direct-ppo: mean of {len(row.header['training_seeds'])} seeds" in text
+    assert f"This run: {speed:.2f} cm/s" in text
+    assert ("worse than the row's worst seed" in text) is (reason is not None)
+    assert reason is None or f"A likely reason: {reason}" in text
+
+
+def test_a_run_of_no_published_kind_is_compared_with_no_row(tmp_path):
+    config = dataclasses.replace(ROWS["direct-ppo"], energy_weight=0.123)
+    content = {"task": "direct", "algo": "ppo", "hyperparameters": config.to_dict()}
+    (tmp_path / "config.json").write_text(json.dumps(content))
+    assert report.compare_to_row(tmp_path, [], load_set("paper"), np.zeros(10)) == ""
+
+
 @pytest.mark.parametrize("limit", [1.5, 1.0])
 def test_a_recording_is_the_motion_of_the_episode(limit):
     law = {} if limit == 1.5 else {"controller": "baselines:adaptive", "residual_limit": limit}
@@ -115,6 +152,15 @@ def test_two_policies_of_one_name_are_refused(tmp_path):
         write_run(folder, 4)
     with pytest.raises(ValueError, match=f"different names, got {re.escape(NAME)} more than once"):
         report.render([str(tmp_path / NAME), str(tmp_path / "other" / NAME)])
+
+
+def test_a_link_out_of_a_runs_folder_is_no_part_of_its_page(tmp_path):
+    make_run(tmp_path / "run")
+    log = tmp_path / "run" / "evaluations.csv"
+    log.rename(tmp_path / "private.csv").touch()
+    log.symlink_to(tmp_path / "private.csv")
+    with pytest.raises(ValueError, match=r"evaluations.csv must be a file in the run's folder.*private.csv"):
+        report.find_run(str(tmp_path / "run"))
 
 
 def test_an_existing_file_is_kept(capsys, tmp_path, monkeypatch):

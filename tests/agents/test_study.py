@@ -2,6 +2,8 @@
 
 import dataclasses
 import json
+import threading
+import time
 
 import pytest
 
@@ -10,7 +12,7 @@ from agents.study.jobs import FINISHED, Job, plan, publish, results_table, train
 from agents.training.config import RunError
 from agents.training.presets import ROWS
 from tests.agents.fakes import write_run
-from tests.agents.training.small import small
+from tests.agents.training.small import differences, small
 
 STEPS = 2048
 
@@ -74,6 +76,39 @@ def test_a_killed_worker_is_a_failure_of_the_unfinished_runs(tmp_path, monkeypat
     monkeypatch.setattr("joblib.Parallel.__call__", killed)
     failures = train_all(jobs, 1)
     assert list(failures) == [jobs[1]] and failures[jobs[1]].startswith("RuntimeError: a worker was killed")
+
+
+def test_a_lost_node_of_a_ray_cluster_loses_no_run(tmp_path, monkeypatch):
+    cluster_utils = pytest.importorskip("ray.cluster_utils")
+    # A busy machine starts nodes slowly.
+    monkeypatch.setenv("RAY_raylet_start_wait_time_s", "300")
+    cluster = cluster_utils.Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    other = cluster.add_node(num_cpus=1)
+    monkeypatch.setenv("RAY_ADDRESS", cluster.address)
+    jobs = [job(tmp_path, seed, total_steps=12_000, evaluate_every=2000) for seed in range(3)]
+    lost = []
+
+    def lose_node():
+        # Both nodes are in the middle of a run.
+        while sum(any(each.run.glob("checkpoint-*")) and not each.finished for each in jobs) < 2:
+            time.sleep(0.05)
+        cluster.remove_node(other, allow_graceful=False)
+        lost.append([each for each in jobs if not each.finished])
+
+    thread = threading.Thread(target=lose_node, daemon=True)
+    thread.start()
+    try:
+        assert train_all(jobs, backend="ray") == {}
+    finally:
+        cluster.shutdown()
+    thread.join()
+    assert len(lost[0]) == 3
+    for each in jobs:
+        assert each.finished
+        # Also the run that began on the lost node is, bit for bit, the run of a single process.
+        whole = dataclasses.replace(each, run=tmp_path / "whole" / each.run.name)
+        assert train_all([whole], 1) == {}
+        assert differences(each.run, whole.run) == []
 
 
 @pytest.fixture

@@ -7,12 +7,12 @@ import importlib
 import numpy as np
 import pytest
 
-from benchmarks import accuracy, measurement, mujoco, throughput
+from benchmarks import accuracy, measurement, mujoco, throughput, training
 from benchmarks.plain import find_compiler
 from capsule_gym.layout import Row
 from capsule_gym.parameters import Capsule
 
-COMMANDS = ("accuracy", "first_step", "throughput", "web")
+COMMANDS = ("accuracy", "first_step", "throughput", "training", "web")
 
 
 @pytest.mark.parametrize(
@@ -35,6 +35,28 @@ def test_contenders_take_turns_and_the_tenth_percentile_counts() -> None:
     assert measurement.take_turns(contenders, 3) == {"a": [1.0, 3.0, 5.0], "b": [2.0, 4.0, 6.0]}
     assert log == ["a", "b"] * 3
     assert measurement.fastest({"a": np.arange(1.0, 12.0).tolist()}) == {"a": pytest.approx(0.5)}
+
+
+def test_a_training_ends_at_its_speed_and_evaluations_cost_nothing(monkeypatch) -> None:
+    now, speeds = [0.0], iter([14.0, 15.0])
+    monkeypatch.setattr("time.process_time", lambda: now[0])
+
+    def evaluate(policy, plants):
+        now[0] += 100.0
+        return [{"mean_speed": next(speeds), "policy": policy}]
+
+    monkeypatch.setattr(training, "evaluate", evaluate)
+    clock = training.Clock(training.Args(seconds=50.0), 0)
+    for steps, over in ((training.EVERY, False), (training.EVERY + 1, False), (2 * training.EVERY, True)):
+        now[0] += 1.0
+        clock.check(steps, lambda: None)
+        assert clock.over is over
+    assert (clock.seconds, clock.steps, clock.speed) == (3.0, 2 * training.EVERY, 15.0)
+    clock = training.Clock(training.Args(seconds=0.5), 0)
+    speeds = iter([1.0])
+    now[0] += 1.0
+    clock.check(training.EVERY, lambda: None)
+    assert clock.over and clock.speed == 1.0
 
 
 def test_every_ratio_is_measured() -> None:

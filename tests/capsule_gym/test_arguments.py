@@ -17,9 +17,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Randomization
+from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Disturbances, Randomization
 from capsule_gym.config import EnvConfig
-from capsule_gym.simulation import CHANGE, MOST_ENVS
+from capsule_gym.parameters import DIVISORS
+from capsule_gym.simulation import MOST_ENVS
+from capsule_gym.task import CHANGE
 
 # numpy may warn of imaginary parts, and of numbers beyond float32, before an action is refused.
 pytestmark = [
@@ -212,7 +214,7 @@ def test_a_short_episode(batch, data, drive, steps):
         check_finite("info", {**info, "reward": reward})
         if not batch and terminated:
             break
-    check_finite("metrics", env.episode_metrics())
+    check_finite("metrics", env.episode_metrics() if batch else env.episode_metrics(1650))
     env.close()
 
 
@@ -236,6 +238,11 @@ TASK = r"^task must be a Task or one of \[.*'speed'.*\], got "
         (CapsuleEnv, {"controller": "baselines:adaptive", "control_dt": 0.0015}, ValueError, "dt must divide"),
         (CapsuleEnv, {"render_mode": np.array(["human", "human"])}, ValueError, "render_mode must be"),
         (CapsuleEnv, {"tusk": "goal"}, TypeError, "unexpected keyword argument 'tusk'; did you mean 'task'"),
+        (CapsuleEnv, {"mu": 0.1}, TypeError, r"'mu'; every reset draws it from randomization=Randomization\(mu="),
+        (CapsuleEnv, {"l": 0.2}, TypeError, r"'l'; it is set with capsule=Capsule\(l=\.\.\)"),
+        (CapsuleEnv, {"lag": 0.1}, TypeError, r"'lag'; it is set with disturbances=Disturbances\(lag=\.\.\)"),
+        (CapsuleEnv, {"capsule": {"wheels": 4}}, ValueError, r"^capsule must have fields out of .*, got 'wheels'"),
+        (CapsuleEnv, {"randomization": {"M": 0.5}}, TypeError, r"^randomization: Randomization.M must be a pair"),
         *((CapsuleEnv, {"task": value}, error, TASK) for value, error in (("fast", ValueError), (1, TypeError))),
         (CapsuleVectorEnv, {"num_envs": 0}, ValueError, "num_envs must be"),
         (CapsuleVectorEnv, {"residual_limit": 0.0}, ValueError, "residual_limit must be > 0"),
@@ -267,6 +274,8 @@ BAD_OPTIONS: dict[str, list[tuple[Any, type[Exception], str]]] = {
         ({"changes": [JUMP, {**JUMP, "t": 0.5}]}, ValueError, r"\[1\]\['t'\] must be later .*, 1 s, got 0.5 s"),
         ({"changes": [{"t": 1.0, "M": 0.001, "mu": 2.0}]}, ValueError, r"options\['changes'\]\[0\]: .*Painleve"),
         ({"commands": [COMMAND]}, ValueError, "options must have keys out of"),
+        ({"capsule": {"l": 0.3}}, ValueError, r"options\['capsule'\] needs an environment with disturbances"),
+        ({"capsule": 0}, ValueError, r"options\['capsule'\] needs an environment with disturbances"),
     ],
     "velocity": [
         ({"commands": 0.05}, TypeError, r"^options\['commands'\] must be a list"),
@@ -303,6 +312,21 @@ def test_bad_options_are_named_and_change_nothing(name, options, error, message)
     with pytest.raises(error, match=message):
         env.reset(options=options)
     assert env.simulation.world.tobytes() == before
+
+
+@pytest.mark.parametrize("name", DIVISORS)
+def test_what_the_core_divides_by_is_0_or_has_a_smallest_size(name):
+    kind, argument = (Capsule, "capsule") if name == "stribeck_speed" else (Disturbances, "disturbances")
+    for value in (1e-320, 0.5e-12):
+        with pytest.raises(ValueError, match=f"{name} must be 0 or at least 1e-12, got {value!r}"):
+            kind(**{name: value})
+        env = CapsuleEnv(disturbances="real")
+        with pytest.raises(ValueError, match=f"{name}.* must be 0 or at least 1e-12, got {value!r}"):
+            env.reset(options={argument: {name: value}})
+    for value in (0.0, 1e-12):
+        env = CapsuleEnv(**{"disturbances": "real", argument: kind(**{name: value})}, randomization="none")
+        env.reset(seed=0)
+        assert all(np.isfinite(env.step(np.full(1, 0.3, np.float32))[0]).all() for _ in range(5))
 
 
 @pytest.mark.parametrize(

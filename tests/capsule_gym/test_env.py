@@ -7,15 +7,17 @@ import math
 import multiprocessing
 import pickle
 import warnings
+from functools import partial
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_sb3
 
 import baselines
-from capsule_gym import Capsule, CapsuleEnv, Controller, Randomization
+from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Controller, Disturbances, Randomization
 from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.layout import Row
 from capsule_gym.parameters import NOMINAL
@@ -64,7 +66,7 @@ def test_the_checkers_are_silent_and_every_info_has_the_form_of_the_first(kwargs
     # Clipping would show as values exactly on the bounds of the rates.
     largest = np.abs(np.array(seen)).max(axis=0)
     assert largest[1] < space.high[1] and largest[2] < space.high[2]
-    metrics = env.episode_metrics()
+    metrics = env.episode_metrics(None)
     assert set(metrics) >= set(METRICS) and not np.isnan([*metrics.values()]).any()
 
 
@@ -109,7 +111,7 @@ def test_rewards_are_progress_and_the_integral_of_power_not_its_sample():
             riemann += abs(info["torque"] * info["state"][1]) * 1e-3
     assert total == pytest.approx(riemann, rel=0.01)
     # The sum over the finer environment is the same integral.
-    assert fine.episode_metrics()["energy"] == pytest.approx(total, rel=1e-5)
+    assert fine.episode_metrics(None)["energy"] == pytest.approx(total, rel=1e-5)
 
 
 UPRIGHT = math.nextafter(math.pi / 2, 0.0)
@@ -134,7 +136,7 @@ def test_termination_is_at_the_limit_itself(theta, theta_dot, ends):
     env.reset(seed=0, options={"state": [theta, theta_dot, 0.0, 0.1]})
     _, _, terminated, truncated, info = env.step(np.zeros(1, np.float32))
     assert info["termination"] == ends and not truncated
-    assert terminated == (ends != Termination.none) == env.episode_metrics()["failed"]
+    assert terminated == (ends != Termination.none) == env.episode_metrics(None)["failed"]
     assert (info["normal_force"] == 0.0) == (ends == Termination.contact)
     if terminated:
         with pytest.raises(gym.error.ResetNeeded):
@@ -164,12 +166,31 @@ def test_a_plant_that_the_step_does_not_resolve_ends_as_diverged():
     assert info["energy"] == 0.0
     assert 0.0 < info["normal_force"] < np.inf
     assert env.observation_space.contains(observation)
-    metrics = env.episode_metrics()
+    metrics = env.episode_metrics(None)
     assert metrics["failed"] == 1.0 and metrics["duration"] == 0.0
     assert all(np.isfinite(value) for name, value in metrics.items() if name != "cost_of_transport")
     with pytest.raises(gym.error.ResetNeeded):
         env.step(np.zeros(1, np.float32))
     assert not env.reset()[1]["termination"]
+
+
+RANGES = Randomization(mu=(0.1, 0.2), l=(0.2, 0.3), log_mu=True)
+NOISY = Disturbances(latency=(0.005, 0.015), unmeasured=("x_dot",))
+
+
+@pytest.mark.parametrize("make", [gym.make, partial(gym.make_vec, num_envs=2)])
+def test_a_spec_comes_back_from_json(make):
+    env = make(ENV_ID, capsule=Capsule(M=0.7), randomization=RANGES, disturbances=NOISY, initial_range=(0.1, 0.2))
+    again = make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.unwrapped.simulation.options == env.unwrapped.simulation.options
+    assert again.reset(seed=3)[0].tobytes() == env.reset(seed=3)[0].tobytes()
+
+
+@pytest.mark.parametrize(("control_dt", "fps"), [(0.02, 50), (0.03, 1 / 0.03), (2.5, 0.4), (1e3, 0.01), (1e-6, 1e3)])
+def test_the_frame_rate_is_real_time_where_a_video_can_have_it(control_dt, fps):
+    for kind in (CapsuleEnv, CapsuleVectorEnv):
+        env = kind(control_dt=control_dt, physics_dt=control_dt / (1e6 if control_dt > 1.0 else 20))
+        assert env.metadata["render_fps"] == pytest.approx(fps)
 
 
 def test_options_set_state_plant_and_changes():
@@ -204,7 +225,7 @@ def test_an_episode_is_truncated_after_33_seconds_and_its_metrics_follow_their_d
         x.append(info["state"][2])
         torques.append(abs(info["torque"]))
         energy += info["energy"]
-    metrics, distance = env.unwrapped.episode_metrics(), x[-1]
+    metrics, distance = env.unwrapped.episode_metrics(1650), x[-1]
     assert metrics["duration"] == pytest.approx(33.0) and metrics["failed"] == 0.0
     assert metrics["mean_speed"] == pytest.approx(100.0 * distance / 33.0)
     assert metrics["energy"] == pytest.approx(energy)

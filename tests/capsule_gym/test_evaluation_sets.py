@@ -6,6 +6,7 @@ import json
 
 import pytest
 
+from capsule_gym import CapsuleEnv
 from capsule_gym.evaluation_sets import SET_NAMES, TASK_SET_NAMES, load_set, parse_set
 
 
@@ -18,6 +19,25 @@ def test_hash_ignores_layout_and_integers_for_floats(tmp_path):
     one = parse_set({"name": "x", "plants": [{"M": 1, "mu": 0.1, "seed": 0}]})
     assert one.hash == parse_set({"name": "x", "plants": [{"M": 1.0, "mu": 0.1, "seed": 0, "changes": []}]}).hash
     assert one.hash != parse_set({"name": "x", "plants": [{"M": 1.0, "mu": 0.1, "seed": 2**128 - 1}]}).hash
+
+
+@pytest.mark.parametrize("name", ["x" * 10_000, "/dev/null", "a\0b", "papre"])
+def test_a_name_that_is_no_sets_is_refused(name):
+    with pytest.raises(ValueError, match=r"^set must be one of .*, or the path of a JSON file, got '"):
+        load_set(name)
+
+
+def test_deep_json_is_refused(tmp_path):
+    (tmp_path / "deep.json").write_text("[" * 100_000)
+    with pytest.raises(ValueError, match=r"deep\.json is not an evaluation set: "):
+        load_set(tmp_path / "deep.json")
+
+
+def test_an_empty_capsule_is_none():
+    (only,) = parse_set(plant(capsule={})).plants
+    assert only.capsule is None
+    for options in (only.reset_options(), {"capsule": {}, "disturbances": {}}):
+        CapsuleEnv().reset(options=options)
 
 
 def plant(**fields):
@@ -51,8 +71,11 @@ ONE_GOAL = {"name": "x", "task": "goal", "plants": [*plant()["plants"], *plant(g
         ({**plant(), "capsule": {"weight": 1.0}}, "set.capsule must be an object with the fields .*mu.*, got .*weight"),
         ({**plant(), "capsule": {"static_ratio": 0.5}}, "Capsule.static_ratio must be a finite number from 1 to"),
         (plant(changes=3), r"set.plants\[0\].changes must be a list"),
-        (change((33.0, 0.5, 0.01)), r"changes\[0\].t must be a number of seconds within \(0, 33\).*got 33.0"),
-        (change((5.0, 0.5, 0.01), (5.0, 0.5, 0.01)), r"changes\[1\].t .*later than the change before, got 5.0"),
+        (change((33.0, 0.5, 0.01)), r"changes\[0\]\['t'\] must be a number of seconds within \(0, 33\).*got 33.0"),
+        (
+            change((5.0, 0.5, 0.01), (5.0, 0.5, 0.01)),
+            r"changes\[1\]\['t'\] must be later than the one before, 5 s, got 5 s",
+        ),
         (change((5.0, -0.5, 0.01)), r"changes\[0\]: M must be a finite number"),
     ],
 )

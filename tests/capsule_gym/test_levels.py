@@ -28,7 +28,7 @@ CASES: dict[str, dict[str, Any]] = {
         "task": name, "controller": "baselines:gait_identifying", "disturbances": ROUGH, "randomization": "real-wide"
     } for name in TASKS},
     "adaptive": {"controller": "baselines:adaptive", "residual_limit": 3.0, "observe_parameters": True},
-    "stack": {"stack_size": 3, "initial_range": (1.0, 8.0)},
+    "stack": {"stack_size": 3, "initial_range": (1.0, 8.0), "observe_estimates": True},
 }  # fmt: skip
 
 

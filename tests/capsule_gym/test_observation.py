@@ -125,6 +125,37 @@ def test_a_policy_acts_on_the_estimates_of_its_own_environment(n):
     assert np.ptp(inputs[:, 5]) > 0.0 or n == 1
 
 
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"initial_range": (1.0, 8.0)},
+        {"controller": "baselines:gait", "control_dt": 0.01},
+        {"task": "goal", "disturbances": "real"},
+        {"randomization": "real-wide", "stack_size": 2, "observe_parameters": True},
+    ],
+)
+@pytest.mark.parametrize("count", [1, 70])
+def test_an_environment_shows_the_estimates_of_a_filter_of_its_observations(count, options):
+    steps = 150
+    env = CapsuleVectorEnv(count, max_episode_steps=40, autoreset_mode="SAME_STEP", observe_estimates=True, **options)
+    names = list(env.simulation.entries)
+    first = names.index("M_estimate")
+    header = make_header(make_layers((7, 1)), observed=3, identifies=1.0, dt=env.simulation.options.control_dt)
+    rng = np.random.default_rng(count)
+    memory, inputs = np.zeros((count, CELLS)), np.empty((count, 7), np.float32)
+    observations, _ = env.reset(seed=2)
+    ends = 0
+    for _ in range(steps):
+        write_inputs(header, np.ascontiguousarray(observations), memory.reshape(-1), inputs)
+        np.testing.assert_array_equal(observations[:, first : first + 4], inputs[:, 3:])
+        assert env.observation_space.contains(observations)
+        actions = rng.uniform(-1.0, 1.0, (count, 1)).astype(np.float32)
+        observations, _, terminated, truncated, _ = env.step(actions)
+        memory[terminated | truncated] = 0.0
+        ends += (terminated | truncated).sum()
+    assert ends >= 3 * count and (count == 1 or np.ptp(inputs[:, 3]) > 0.0)
+
+
 @pytest.mark.parametrize("options", [{"controller": "baselines:gait"}, {"task": "goal", "observe_parameters": True}])
 def test_a_stack_holds_the_observations_of_the_steps_before(options):
     count, size = 3, 4

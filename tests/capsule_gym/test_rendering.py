@@ -36,7 +36,7 @@ EXPECTED = Path(__file__).with_name("frames.png")
 BLOCK = 6
 SCENES: tuple[dict[str, Any], ...] = (
     {},
-    {"theta": -0.7, "torque": 1.1, "x_dot": 0.35, "ghost": ("rival", 0.9, 0.45), "note": "a note"},
+    {"theta": -0.7, "torque": 1.1, "x_dot": 0.35, "ghost": ("rival", 0.9, 0.45)},
     {"capsule": Capsule(l=0.39), "theta": 1.2, "torque": -0.2, "x_dot": -0.05, "x": -0.31, "mu": 0.3, "M": 0.75},
 )
 
@@ -65,7 +65,6 @@ def test_a_frame_holds_nothing_of_the_frames_before_it() -> None:
         state = dict(zip(NAMES, rng.normal(0.0, (0.5, 0.4, 0.2, 0.6, 9.0, 0.2, 0.1)), strict=True))
         state |= {"x_dot": 0.0} if n % 3 == 0 else {}
         state |= {"ghost": ("rival", 0.4, state["x"] + 0.3)} if n % 4 == 1 else {}
-        state |= {"note": f"note {n}"} if n % 5 == 2 else {}
         np.testing.assert_array_equal(renderer.draw(**state), frame(**state))
 
 
@@ -124,14 +123,10 @@ def dummy(monkeypatch: pytest.MonkeyPatch) -> Any:
     pygame.display.quit()
 
 
-def test_a_window_shows_the_frames_and_passes_keys_on(dummy) -> None:
-    keys: list[tuple[str, bool]] = []
-    renderer = Renderer(Capsule(), "human", 200, 1.5, title="a title", on_key=lambda *key: keys.append(key))
-    for kind in (pygame.KEYDOWN, pygame.KEYUP, pygame.MOUSEMOTION):
-        pygame.event.post(pygame.event.Event(kind, key=pygame.K_LEFT))
+def test_a_window_shows_the_frames(dummy) -> None:
+    renderer = Renderer(Capsule(), "human", 200, 1.5, title="a title")
     for k in range(3):
         assert renderer.draw(**{**STATE, "time": 0.02 * k}) is None
-    assert keys == [("left", True), ("left", False)]
     window = pygame.display.get_surface()
     assert window.get_size() == (WIDTH, HEIGHT) and pygame.display.get_caption()[0] == "a title"
     shown = pygame.surfarray.array3d(window).swapaxes(0, 1)

@@ -1,6 +1,7 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+import torch
 from gymnasium.vector import AutoresetMode
 from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
@@ -8,7 +9,7 @@ from stable_baselines3.common.monitor import Monitor
 
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.layout import Row
-from capsule_gym.sb3 import CapsuleSB3VecEnv
+from capsule_gym.sb3 import AsymmetricPolicy, CapsuleSB3VecEnv
 
 
 @pytest.mark.parametrize("kwargs", [{"controller": "baselines:adaptive", "residual_limit": 3.0}, {"task": "goal"}])
@@ -76,3 +77,50 @@ def test_an_evaluation_counts_whole_episodes_without_a_warning():
     model = PPO("MlpPolicy", env, n_steps=8, batch_size=8, seed=0, device="cpu")
     _, lengths = evaluate_policy(model, env, n_eval_episodes=6, return_episode_rewards=True)
     assert len(lengths) == 6 and set(lengths) <= set(range(1, 21))
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "entries"),
+    [({"randomization": "wide"}, 2), ({"disturbances": "real", "randomization": "real-wide"}, 2 + 4 + 4 + 3)],
+    ids=["ideal", "disturbed"],
+)
+def test_a_privileged_critic_observes_the_plant_and_the_true_state(kwargs, entries):
+    ours = CapsuleSB3VecEnv(70, seed=4, privileged=True, max_episode_steps=10, **kwargs)
+    native = CapsuleVectorEnv(70, autoreset_mode="SAME_STEP", max_episode_steps=10, **kwargs)
+    assert ours.observation_space["critic"].shape == (entries,)
+
+    def check(found, observations, info, rows):
+        assert found["policy"].tobytes() == observations.tobytes()
+        assert found["critic"].dtype == np.float32
+        expected = [info["M"], np.log(info["mu"])]
+        if "disturbances" in kwargs:
+            expected += [info["capsule"][name] for name in ("m", "l", "k", "c")]
+            expected += [info["disturbances"][f"{name}_bias"] for name in ("theta", "theta_dot", "x_dot")]
+            expected += [info["disturbances"]["latency"], *info["state"].T[[0, 1, 3]]]
+        np.testing.assert_array_equal(found["critic"], np.array(expected, np.float32).T[rows])
+
+    every = np.arange(70)
+    check(ours.reset(), *native.reset(seed=4), every)
+    rng = np.random.default_rng(0)
+    for _ in range(25):
+        actions = rng.uniform(-1, 1, (70, 1)).astype(np.float32)
+        found, _, dones, infos = ours.step(actions)
+        observations, _, _, _, info = native.step(actions)
+        check(found, observations, info, every)
+        for i in np.flatnonzero(dones):
+            check(infos[i]["terminal_observation"], info["final_obs"][i], info["final_info"], i)
+
+
+def test_the_actor_ignores_what_only_the_critic_observes(tmp_path):
+    env = CapsuleSB3VecEnv(4, seed=0, privileged=True, max_episode_steps=20, randomization="wide")
+    model = PPO(AsymmetricPolicy, env, n_steps=16, batch_size=32, seed=0, device="cpu")
+    before = [parameter.clone() for parameter in model.policy.parameters()]
+    model.learn(128)
+    assert all(not torch.equal(*each) for each in zip(before, model.policy.parameters(), strict=True))
+    model.save(tmp_path / "model.zip")
+    model = PPO.load(tmp_path / "model.zip", device="cpu")
+    observations = env.reset()
+    changed = {**observations, "critic": observations["critic"] + 1.0}
+    np.testing.assert_array_equal(*(model.predict(each, deterministic=True)[0] for each in (observations, changed)))
+    values = [model.policy.predict_values(model.policy.obs_to_tensor(each)[0]) for each in (observations, changed)]
+    assert (values[0] != values[1]).all()

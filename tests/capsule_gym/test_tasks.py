@@ -85,7 +85,7 @@ def test_velocity_is_measured_as_its_definition_says():
     spans = [(75, 200, 0.05), (275, 450, -0.05)]
     missed = sum(abs(x[last] - x[first] - v * 0.02 * (last - first)) for first, last, v in spans)
     commanded = sum(abs(v) * 0.02 * (last - first) for first, last, v in spans)
-    metrics = env.episode_metrics()
+    metrics = env.episode_metrics(750)
     assert metrics["velocity_error"] == pytest.approx(100.0 * missed / commanded, rel=1e-9)
     # The gait runs forwards at 20 cm/s, away from every target.
     assert metrics["unsettled"] == 1.0
@@ -105,13 +105,13 @@ def test_a_platform_that_moves_as_it_is_told_has_no_velocity_error():
     env.reset(seed=0, options={"commands": [{"t": 0.0, "v": 0.08}], "mu": 0.0, "state": [0.0, 0.0, 0.0, 0.08]})
     for _ in range(200):
         observation, reward, _, _, info = env.step(np.zeros(1, np.float32))
-    metrics = env.episode_metrics()
+    metrics = env.episode_metrics(750)
     assert metrics["velocity_error"] == pytest.approx(0.0, abs=1e-9) and metrics["unsettled"] == 0.0
     assert reward == pytest.approx(0.03) and abs(info["error"]) < 1e-12
     assert observation[-1] == pytest.approx(0.08, rel=1e-5)
     # A command does not count if too little of it was measured.
     env.reset(options={"commands": [{"t": 0.0, "v": 0.08}], "mu": 0.0})
-    assert env.episode_metrics()["velocity_error"] == 100.0
+    assert env.episode_metrics(750)["velocity_error"] == 100.0
 
 
 def test_the_goal_is_reached_after_a_second_of_rest_within_2_mm():
@@ -135,12 +135,12 @@ def test_the_goal_is_reached_after_a_second_of_rest_within_2_mm():
     for n in range(120):
         _, _, _, _, info = env.step(np.full(1, 1.0 if n == 100 else 0.0, np.float32))
         assert n > 100 or (info["held"] == 0.0) == (n in (0, 100))
-    first = env.episode_metrics()
+    first = env.episode_metrics(750)
     assert first["success"] == 1.0 and first["goal_time"] == pytest.approx(1.02)
     # After a failure, the time is that of the whole episode.
     env.reset(options={"state": [1.5, 5.0, 0.0, 0.0]})
     assert env.step(np.zeros(1, np.float32))[2]
-    assert env.episode_metrics()["goal_time"] == 15.0
+    assert env.episode_metrics(750)["goal_time"] == 15.0
 
 
 @pytest.mark.parametrize(("name", "place"), [("goal", "goal"), ("velocity", "target")])

@@ -13,6 +13,7 @@ from functools import partial
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import baselines
@@ -20,12 +21,13 @@ from capsule_gym import Capsule, CapsuleVectorEnv
 from capsule_gym.task import ENV_ID, METRICS, TASKS, Termination
 from tests.capsule_gym.fakes import picky_controller
 
+GOAL = TASKS["goal"][0]
 VARIANTS = [
     {"initial_range": (1.0, 8.0), "randomization": "wide"},
     {"controller": "baselines:adaptive", "residual_limit": 3.0, "observe_parameters": True},
     {"controller": "baselines:gait", "total_torque": True, "residual_limit": 0.5},
     {"disturbances": "real", "randomization": "real-wide"},
-    {"task": "goal"},
+    {"task": "goal", "observe_estimates": True},
     {"task": "velocity", "controller": "baselines:gait", "disturbances": "real", "observe_parameters": True},
 ]
 
@@ -36,7 +38,7 @@ class WithMetrics(gym.Wrapper):
     def step(self, action):
         *result, terminated, truncated, info = super().step(action)
         if terminated or truncated:
-            info["metrics"] = self.unwrapped.episode_metrics()
+            info["metrics"] = self.unwrapped.episode_metrics(self.spec.max_episode_steps)
         return *result, terminated, truncated, info
 
 
@@ -111,6 +113,48 @@ def test_make_vec_gives_the_native_batch_whose_spec_says_its_time_limit(kwargs, 
     assert CapsuleVectorEnv(2, **kwargs).spec is None
 
 
+@pytest.mark.parametrize(("steps", "limit"), [(200, 200), (-1, None)])
+def test_metrics_are_over_the_limit_that_acts(steps, limit):
+    single = gym.make(GOAL, max_episode_steps=steps)
+    batch = gym.make_vec(GOAL, num_envs=1, max_episode_steps=steps, autoreset_mode="DISABLED")
+    assert single.spec.max_episode_steps == batch.spec.max_episode_steps == batch.unwrapped.max_episode_steps == limit
+    for env, action in ((single, np.ones(1)), (batch, np.ones((1, 1)))):
+        env.reset(seed=0, options={"state": [1.5, 0.0, 0.0, 0.1]})
+        while not env.step(action)[2]:
+            pass
+    metrics = single.unwrapped.episode_metrics(limit)
+    assert {name: [value] for name, value in metrics.items()} == batch.unwrapped.episode_metrics()
+    assert metrics["goal_time"] == (metrics["duration"] if limit is None else 4.0)
+    again = gym.make_vec(EnvSpec.from_json(batch.spec.to_json()))
+    assert again.unwrapped.max_episode_steps == limit
+
+
+@pytest.mark.parametrize("steps", [0, -2, 1.5, True])
+def test_other_limits_are_refused(steps):
+    with pytest.raises((TypeError, ValueError), match="max_episode_steps must be an integer >= 1, or -1 for no limit"):
+        CapsuleVectorEnv(2, max_episode_steps=steps)
+
+
+def test_a_mask_holds_for_the_seeds():
+    env, other = (CapsuleVectorEnv(3, randomization="wide") for _ in range(2))
+    mask = np.array([True, False, False])
+    for each, kwargs in ((env, {"options": {"reset_mask": mask}}), (other, {})):
+        each.reset(seed=7, **kwargs)
+    env.reset(options={"reset_mask": ~mask})
+    for seed in (9, [9, 10, 11]):
+        env.reset(seed=seed, options={"reset_mask": mask})
+    expected = CapsuleVectorEnv(1, randomization="wide")
+    expected.reset(seed=9)
+    found = env.reset()[1]["M"]
+    assert found[0] == expected.reset()[1]["M"] and np.array_equal(found[1:], other.reset()[1]["M"][1:])
+
+
+@pytest.mark.parametrize("make", [gym.make, gym.make_vec])
+def test_reading_the_generator_before_the_first_reset_leaves_the_draws_different(make):
+    envs = [make(ENV_ID) for _ in range(2)]
+    assert len({(env.np_random, float(np.ravel(env.reset()[1]["M"])[0]))[1] for env in envs}) == 2
+
+
 def test_disabled_autoreset_stands_still_until_the_mask_names_it():
     env = CapsuleVectorEnv(3, max_episode_steps=50, autoreset_mode=AutoresetMode.DISABLED)
     states = np.array([[0.0, 0, 0, 0], [1.5, 5.0, 0, 0], [0.5, 0, 0, 0]])
@@ -152,7 +196,8 @@ def play(env, seed: int, steps: int) -> list:
         seen.append(flat(result))
         if isinstance(env, gym.Env) and (result[2] or result[3]):
             seen.append(flat(env.reset()))
-    return [*seen, flat(env.unwrapped.episode_metrics()), env.unwrapped.np_random.random()]
+    limit = (60,) if isinstance(env, gym.Env) else ()
+    return [*seen, flat(env.unwrapped.episode_metrics(*limit)), env.unwrapped.np_random.random()]
 
 
 LAWS = VARIANTS[1], VARIANTS[2], VARIANTS[3], VARIANTS[-1], {"controller": baselines.adaptive}
@@ -173,8 +218,8 @@ def test_a_copy_goes_on_with_the_episodes_bit_for_bit_and_on_its_own(make_copy, 
             each.unwrapped.step(np.zeros(env.action_space.shape, np.float32))
     changes = [{"t": 0.05, "M": 0.5, "mu": 0.01}, {"t": 0.4, "M": 0.6, "mu": 0.02}]
     env.reset(seed=4, options={"changes": changes if isinstance(env, gym.Env) else [changes] * 66})
-    # The environment is copied in the middle of the episodes, and just after they have ended.
-    for steps in (10, 20):
+    # A batch is copied just after its first episodes have ended, an environment in the middle of one, and the reverse.
+    for steps in (30, 60, 10):
         play(env, 0, steps)
         twin = make_copy(env)
         assert (twin.spec, twin.metadata, twin.observation_space) == (env.spec, env.metadata, env.observation_space)

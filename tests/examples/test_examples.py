@@ -11,7 +11,9 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -65,6 +67,20 @@ def test_program_runs(name: str, tmp_path: Path) -> None:
         pytest.skip("EXAMPLES is not set")
     pytest.importorskip(module)
     assert printed in run(command, tmp_path)
+
+
+def test_skrl_records_the_last_observation_of_an_episode(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("skrl")
+    from examples import skrl_ppo
+
+    recorded: list[dict[str, Any]] = []
+    monkeypatch.setattr(skrl_ppo.PPO, "record_transition", lambda agent, **transition: recorded.append(transition))
+    batch = gym.make_vec(ID, num_envs=2, max_episode_steps=1, autoreset_mode="SAME_STEP")
+    batch.reset(seed=0)
+    observations, *_, infos = batch.step(batch.action_space.sample())
+    agent = object.__new__(skrl_ppo.TimeLimitPPO)
+    agent.record_transition(next_observations=skrl_ppo.torch.as_tensor(observations), infos=infos)
+    assert np.array_equal(recorded[0]["next_observations"], np.stack(infos["final_obs"]))
 
 
 @pytest.mark.parametrize("script", CLEANRL)

@@ -24,10 +24,10 @@ PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("agen
 MODULES = sorted(path for package in ("capsule_gym", "baselines", "agents") for path in (ROOT / package).rglob("*.py"))
 FENCE = re.compile(r"^( *)```(\w+)\b[^\n]*\n(.*?)^\1```\s*$", re.DOTALL | re.MULTILINE)
 SHELL = ("bash", "sh", "shell", "console")
-# The JavaScript of docs/live.md runs in tests/web.
-KNOWN = {"python", "cpp", "text", "js", *SHELL}
+# The JavaScript of docs/live.md runs in tests/web, the C of docs/export.md in tests/capsule_gym/test_export.py.
+KNOWN = {"python", "c", "cpp", "text", "js", *SHELL}
 # Programs of other projects.
-ELSEWHERE = {"git", "bash", "cd", "tensorboard", "pre-commit", "pip", "venv", "uvx"}
+ELSEWHERE = {"gcc", "git", "bash", "cd", "tensorboard", "pre-commit", "pip", "venv", "uvx"}
 MODULES_ELSEWHERE = {"pytest", "venv", "pip", "rl_zoo3.train"}
 
 

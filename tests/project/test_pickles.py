@@ -86,8 +86,10 @@ READERS = {
     "agents.study": [["direct-ppo", "--runs", "study", "--seeds", "0"]],
     "baselines.dynamic_programming": [["--folder", name, "--report"] for name in ("archive", "empty")],
     "baselines.gaits": [["--folder", "archive", "--check"]],
-    "capsule_gym.demo": [*([path, "-o", "a.gif"] for path in PATHS), ["zero", "--set", "set.json", "-o", "a.gif"]],
-    "capsule_gym.play": [["--rival", "run"], ["--set", "set.json"]],
+    "capsule_gym.demo": [
+        *([path, "-o", "a.gif"] for path in PATHS),
+        *(["zero", *words, "-o", "a.gif"] for words in (["--set", "set.json"], ["--rival", "run"])),
+    ],
     "train": [["--run", "run"], ["--run", "lstm", "--task", "direct", "--algo", "recurrent-ppo"]],
 }
 # The commands with an option that trusts the path.

@@ -59,16 +59,16 @@ struct GaitCandidate {
 // The gait with a guard that estimates M while the platform slips and acts earlier on platforms lighter than `lightest`
 // kg. Its memory is the filter's.
 struct GaitIdentifying {
-  template <class T> using Memory = Identification;
+  template <class T> using Memory = Filter<T>;
 #define IDENTIFYING_CONSTANTS(ONE, MANY) GAIT_CONSTANTS(ONE, MANY) ONE(m) ONE(l) ONE(g) ONE(lightest) ONE(dt)
   CAPSULE_LAW(GaitIdentifying, "gait_identifying", true, Memory, NoReference, IDENTIFYING_CONSTANTS)
   // Factor by which the guard's threshold falls faster than the weight of a lighter platform: of 1.0, 1.2, 1.3 and 1.5
   // the first without a failure in 1000 episodes from the distribution of `extrapolation`.
   static constexpr double CAUTION = 1.3;
 
-  double torque(const State<double>& s, Identification& filter, const NoReference<double>&) const {
+  template <class T> INLINE T torque(const State<T>& s, Filter<T>& filter, const NoReference<T>&) const {
     identify(filter, s.theta, s.theta_dot, s.x_dot, q);
-    double share = 1.0 - CAUTION * (q.lightest - min(q.lightest, filter.M)) / (q.lightest + q.m);
+    T share = 1.0 - CAUTION * (q.lightest - min(T(q.lightest), filter.M)) / (q.lightest + q.m);
     return guarded_torque(s.theta, s.theta_dot, s.x_dot, q, share * q.guard_from, q.torque_limit);
   }
 };

@@ -31,49 +31,51 @@ constexpr double OUTERMOST = 1.25, GUARD = 100.0;
 
 // The torque in N m that gives the pendulum an acceleration while the platform sticks, but keeps it from falling: if
 // stopping the pendulum at OUTERMOST requires a deceleration above `grip`, rad/s^2, the stop has priority.
-template <class Q> double held_back(double theta, double theta_dot, double acceleration, double grip, const Q& q) {
-  double side = theta_dot > 0.0 ? 1.0 : -1.0;
-  double needed = theta_dot * theta_dot / (2.0 * max(0.02, OUTERMOST - side * theta));
-  if (needed > grip) acceleration = -1.05 * side * needed;
+template <class T, class Q> T held_back(T theta, T theta_dot, T acceleration, T grip, const Q& q) {
+  T side = select(theta_dot > 0.0, T(1.0), T(-1.0));
+  T needed = theta_dot * theta_dot / (2.0 * max(T(0.02), OUTERMOST - side * theta));
+  acceleration = select(needed > grip, -1.05 * side * needed, acceleration);
   return q.k * theta + q.c * theta_dot - q.m * q.l * q.g * sincos(theta).sin + q.m * q.l * q.l * acceleration;
 }
 
 // The velocity in m/s from which the platform stops within `way` metres.
-inline double arriving(double way) {
-  way = max(0.0, way);
+template <class T> inline T arriving(T way) {
+  way = max(T(0.0), way);
   return min(sqrt(2.0 * SLOWING_DOWN * way), ARRIVAL * way);
 }
 
 // The torque in N m and, in `phase`, the next phase, CREEP or STROKE, for a goal that lies `way` metres ahead. For a
 // goal behind the platform the state is mirrored. x_dot is exactly 0.0 in stick.
-template <class Q>
-double torque(double theta, double theta_dot, double x_dot, double way, double M, double mu, double& phase,
-              const Q& q) {
+template <class T, class Q> T torque(T theta, T theta_dot, T x_dot, T way, T M, T mu, T& phase, const Q& q) {
   auto [sin, cos] = sincos(theta);
-  double weight = (M + q.m) * q.g, shift = q.m * q.l / (M + q.m);
+  T weight = (M + q.m) * q.g, shift = q.m * q.l / (M + q.m);
   // The centre of mass, relative to the platform, and its velocity.
-  double centre = -shift * sin, velocity = x_dot - shift * cos * theta_dot;
-  double reach = centre + shift * REACH;
-  bool within = way <= reach + STROKE_TIME * max(0.0, velocity);
-  if (phase == CREEP && way > NEAR && (within || sin <= -REACH)) phase = STROKE;
-  else if (phase == STROKE && (way < NEAR || (reach < NEAR && !within))) phase = CREEP;
-  double normal = weight - q.m * q.l * theta_dot * theta_dot / cos, acceleration = 0.0, force;
-  if (phase == STROKE) {
-    double wanted = min(min(arriving(way), velocity + arriving(reach)), max(0.0, velocity) + FASTEST);
-    acceleration = min(SPEEDING_UP, max(-1.5 * SLOWING_DOWN, (wanted - x_dot) / VELOCITY_TIME));
-    double inertial = (M + q.m) * acceleration;
+  T centre = -shift * sin, velocity = x_dot - shift * cos * theta_dot;
+  T reach = centre + shift * REACH;
+  auto within = way <= reach + STROKE_TIME * max(T(0.0), velocity);
+  auto starts = (phase == CREEP) & (way > NEAR) & (within | (sin <= -REACH));
+  auto ends = (phase == STROKE) & ((way < NEAR) | ((reach < NEAR) & !within));
+  phase = select(starts, T(STROKE), select(ends, T(CREEP), phase));
+  T normal = weight - q.m * q.l * theta_dot * theta_dot / cos, acceleration = 0.0, force = 0.0;
+  auto strokes = phase == STROKE;
+  if (auto taken = when(strokes)) {
+    T wanted = min(min(arriving(way), velocity + arriving(reach)), max(T(0.0), velocity) + FASTEST);
+    acceleration = min(T(SPEEDING_UP), max(T(-1.5 * SLOWING_DOWN), (wanted - x_dot) / VELOCITY_TIME));
+    T inertial = (M + q.m) * acceleration;
     normal = (normal - sin / cos * inertial) / (1.0 + mu * sin / cos);
-    force = inertial + mu * normal * (x_dot >= 0.0 ? 1.0 : -1.0);
-  } else {
-    double limit = GRIP * mu * normal;
+    force = inertial + mu * normal * select(x_dot >= 0.0, T(1.0), T(-1.0));
+  }
+  if (auto taken = when(!strokes)) {
+    T limit = GRIP * mu * normal;
     // The pendulum may swing to the front until the centre of mass is there.
-    bool brakes = velocity * max(0.0, velocity) > 2.0 * GRIP * mu * q.g * max(0.0, way + shift * REACH - centre);
-    force = way <= NEAR ? clip((M + q.m) * velocity / END_TIME, limit) : brakes ? limit : -mu * normal;
-    force = force - (M + q.m) * x_dot / REST_TIME;
+    T before = max(T(0.0), way + shift * REACH - centre);
+    auto brakes = velocity * max(T(0.0), velocity) > 2.0 * GRIP * mu * q.g * before;
+    T stop = clip((M + q.m) * velocity / END_TIME, limit);
+    force = select(way <= NEAR, stop, select(brakes, limit, -mu * normal)) - (M + q.m) * x_dot / REST_TIME;
   }
   // The acceleration of the pendulum that exerts this force on the platform.
-  double swing = (force / (q.m * q.l) + sin * theta_dot * theta_dot) / cos;
-  return held_back(theta, theta_dot, swing, GUARD, q) - q.m * q.l * cos * acceleration;
+  T swing = (force / (q.m * q.l) + sin * theta_dot * theta_dot) / cos;
+  return held_back(theta, theta_dot, swing, T(GUARD), q) - q.m * q.l * cos * acceleration;
 }
 }  // namespace strokes
 
@@ -106,62 +108,69 @@ constexpr double BRAKED = 0.9;
 
 // The phase, and of the pulse the direction, the rate in rad/s, the start in m, the gain in m s^2 and the time since
 // its end in s.
-struct Memory {
-  Identification filter;
-  double phase, side, rate, start_x, gain, timer;
+template <class T> struct Memory {
+  Filter<T> filter;
+  T phase, side, rate, start_x, gain, timer;
 };
 
 // The acceleration, rad/s^2, that takes the pendulum to an angle and stops it there, within +-grip.
-inline double approach(double theta, double theta_dot, double aim, double grip) {
-  double way = aim - theta;
-  double rate = min(sqrt(1.6 * grip * abs(way)), 8.0 * abs(way));
-  return clip(40.0 * ((way > 0.0 ? rate : -rate) - theta_dot), grip);
+template <class T> inline T approach(T theta, T theta_dot, T aim, T grip) {
+  T way = aim - theta;
+  T rate = min(sqrt(1.6 * grip * abs(way)), 8.0 * abs(way));
+  return clip(40.0 * (select(way > 0.0, rate, -rate) - theta_dot), grip);
 }
 
 // The torque for a goal that lies `error` metres ahead; an error up to `near` is not corrected, at `stop` a run ends.
-template <class Q>
-double torque(const State<double>& s, Memory& memory, double error, double near, double stop, const Q& q) {
+template <class T, class Q>
+T torque(const State<T>& s, Memory<T>& memory, T error, double near, double stop, const Q& q) {
   auto& [filter, phase, side, rate, start_x, gain, timer] = memory;
   const auto& [theta, theta_dot, x, x_dot] = s;
   identify(filter, theta, theta_dot, x_dot, q);
-  double mu = deviation(filter.P_ff) > DOUBT ? UNKNOWN_MU : min(LARGEST_MU, max(LEAST_MU, exp(filter.log_mu)));
-  double grip = min(LARGEST_GRIP, max(LEAST_GRIP, GRIP * mu * (filter.M + q.m) * q.g / (q.m * q.l)));
-  double size = abs(error), home = 0.0;
-  bool rests = x_dot == 0.0, aims = false;
+  T mu = min(T(LARGEST_MU), max(T(LEAST_MU), exp(filter.log_mu)));
+  mu = select(deviation(filter.P_ff) > DOUBT, T(UNKNOWN_MU), mu);
+  T grip = min(T(LARGEST_GRIP), max(T(LEAST_GRIP), GRIP * mu * (filter.M + q.m) * q.g / (q.m * q.l)));
+  T size = abs(error), home = 0.0;
+  auto rests = x_dot == 0.0, far = size > FAR;
   timer = timer + q.dt;
-  if (phase == RUN) {
-    double slide = x_dot * side > 0.0 ? SLIDE * x_dot * x_dot / (2.0 * mu * q.g) : 0.0;
-    bool stalls = rests && abs(theta_dot) < STALL && side * theta > 0.0;
-    if (stalls || error * side < stop + slide) phase = BRAKE, timer = 0.0, rate = 0.0;
-  } else if (phase == BRAKE && rests && abs(theta_dot) < 2.0 && timer > 0.005) {
-    if (rate > 0.0) {
-      double observed = max(0.0, side * (x - start_x)) * mu / (rate * rate);
+  auto stopped = (phase == BRAKE) & rests & (abs(theta_dot) < 2.0) & (timer > 0.005);
+  if (auto taken = when(phase == RUN)) {
+    T slide = select(x_dot * side > 0.0, SLIDE * x_dot * x_dot / (2.0 * mu * q.g), T(0.0));
+    auto stalls = rests & (abs(theta_dot) < STALL) & (side * theta > 0.0);
+    if (auto also = when(stalls | (error * side < stop + slide))) phase = BRAKE, timer = 0.0, rate = 0.0;
+  }
+  if (auto taken = when(stopped)) {
+    if (auto also = when(rate > 0.0)) {
+      T observed = max(T(0.0), side * (x - start_x)) * mu / (rate * rate);
       gain = max(LESS * gain, min(MORE * gain, gain + LEARNING * (observed - gain)));
     }
     phase = RETURN;
   }
-  if (phase == RETURN && size > near && (rests || size > FAR)) {
-    side = error > 0.0 ? 1.0 : -1.0;
-    rate = min(FASTEST, max(SLOWEST, sqrt(size * mu / gain)));
-    double nearer = size > FAR ? 0.0 : ROUGHNESS * (mu - 0.1);
-    home = -side * min(HOME, max(LEAST_HOME, HOME - nearer)), aims = true;
+  auto aims = (phase == RETURN) & (size > near) & (rests | far);
+  if (auto taken = when(aims)) {
+    side = select(error > 0.0, T(1.0), T(-1.0));
+    rate = min(T(FASTEST), max(T(SLOWEST), sqrt(size * mu / gain)));
+    T nearer = select(far, T(0.0), ROUGHNESS * (mu - 0.1));
+    home = -side * min(T(HOME), max(T(LEAST_HOME), HOME - nearer));
     // The fastest pulse from here after which the pendulum stops in time.
-    double fastest = sqrt(2.0 * grip * max(0.0, BRAKED - side * theta - rate * rate / ACCELERATION));
-    if (size > FAR) {
-      grip = max(grip, FAST);
-      if (side * theta < -0.5 && abs(theta_dot) < 3.0) phase = RUN;
-    } else if (abs(theta_dot) < 0.5 + 0.1 * rate && -EARLIEST < side * (theta - home) && side * theta < START_END &&
-               (rate <= fastest || abs(theta - home) < 0.1)) {
-      phase = PULSE, rate = max(SLOWEST, min(rate, fastest)), start_x = x;
-    }
+    T fastest = sqrt(2.0 * grip * max(T(0.0), BRAKED - side * theta - rate * rate / ACCELERATION));
+    grip = select(far, max(grip, T(FAST)), grip);
+    phase = select(far & (side * theta < -0.5) & (abs(theta_dot) < 3.0), T(RUN), phase);
+    auto starts = (abs(theta_dot) < 0.5 + 0.1 * rate) & (-EARLIEST < side * (theta - home)) &
+                  (side * theta < START_END) & ((rate <= fastest) | (abs(theta - home) < 0.1)) & !far;
+    if (auto also = when(starts)) phase = PULSE, rate = max(T(SLOWEST), min(rate, fastest)), start_x = x;
   }
-  if (phase == PULSE && (side * theta_dot >= rate || side * theta > PULSE_END)) phase = BRAKE, timer = 0.0;
-  if (phase == RUN)
-    return side * guarded_torque(side * theta, side * theta_dot, side * x_dot, q, q.guard_from, q.torque_limit);
-  if (phase == PULSE) return side * q.torque_limit;
-  bool returns = phase == RETURN && aims;
-  double wanted = returns ? approach(theta, theta_dot, home, grip) : clip(-20.0 * theta_dot, grip);
-  return strokes::held_back(theta, theta_dot, wanted, grip, q);
+  auto ends = (phase == PULSE) & ((side * theta_dot >= rate) | (side * theta > PULSE_END));
+  if (auto taken = when(ends)) phase = BRAKE, timer = 0.0;
+  T found = side * q.torque_limit;
+  auto runs = phase == RUN;
+  auto brakes = (phase != PULSE) & !runs;
+  if (auto taken = when(runs))
+    found = side * guarded_torque(side * theta, side * theta_dot, side * x_dot, q, q.guard_from, q.torque_limit);
+  if (auto taken = when(brakes)) {
+    T wanted = select((phase == RETURN) & aims, approach(theta, theta_dot, home, grip), clip(-20.0 * theta_dot, grip));
+    found = strokes::held_back(theta, theta_dot, wanted, grip, q);
+  }
+  return found;
 }
 }  // namespace pulses
 
@@ -172,34 +181,39 @@ template <class T, class Task> struct TaskRow {
 
 // The law of the task `goal`: the gait and pulses, or strokes on smooth floors.
 struct GoalPulses {
-  template <class T> using Memory = pulses::Memory;
+  template <class T> using Memory = pulses::Memory<T>;
   template <class T> using Row = TaskRow<T, Goal>;
   CAPSULE_LAW(GoalPulses, "goal_pulses", true, Memory, Row, PULSES_CONSTANTS)
   // The platform moves by strokes if mu is below the first number, until mu is above the second.
   static constexpr double SMOOTH = 0.035, LEAVE = 0.06;
 
-  double torque(const State<double>& s, pulses::Memory& memory, const Row<double>& row) const {
+  template <class T> T torque(const State<T>& s, pulses::Memory<T>& memory, const Row<T>& row) const {
     auto& [filter, phase, side, rate, start_x, gain, timer] = memory;
-    double M = filter.M, mu = exp(filter.log_mu), error = row.task.goal - s.x;
-    bool creeps = phase >= strokes::CREEP;
-    if (mu > (creeps ? LEAVE : SMOOTH) || filter.begun == 0.0) {
-      if (creeps) phase = pulses::BRAKE, rate = 0.0;
-      return pulses::torque(s, memory, error, strokes::NEAR, 0.025, q);
+    T M = filter.M, mu = exp(filter.log_mu), error = row.task.goal - s.x, found = 0.0;
+    auto creeps = phase >= strokes::CREEP;
+    auto rough = (mu > select(creeps, T(LEAVE), T(SMOOTH))) | (filter.begun == 0.0);
+    if (auto taken = when(rough)) {
+      if (auto also = when(creeps)) phase = pulses::BRAKE, rate = 0.0;
+      found = pulses::torque(s, memory, error, strokes::NEAR, 0.025, q);
     }
-    identify(filter, s.theta, s.theta_dot, s.x_dot, q);
-    if (!creeps) phase = s.x_dot * side > 0.0 ? strokes::STROKE : strokes::CREEP;
-    if (phase == strokes::CREEP && s.x_dot == 0.0 && abs(error) > strokes::NEAR) side = error > 0.0 ? 1.0 : -1.0;
-    return side * strokes::torque(side * s.theta, side * s.theta_dot, side * s.x_dot, side * error, M, mu, phase, q);
+    if (auto taken = when(!rough)) {
+      identify(filter, s.theta, s.theta_dot, s.x_dot, q);
+      phase = select(creeps, phase, select(s.x_dot * side > 0.0, T(strokes::STROKE), T(strokes::CREEP)));
+      auto turns = (phase == strokes::CREEP) & (s.x_dot == 0.0) & (abs(error) > strokes::NEAR);
+      side = select(turns, select(error > 0.0, T(1.0), T(-1.0)), side);
+      found = side * strokes::torque(side * s.theta, side * s.theta_dot, side * s.x_dot, side * error, M, mu, phase, q);
+    }
+    return found;
   }
 };
 
 // The law of the task `velocity`: the gait and pulses towards the position of the target 0.3 s later.
 struct VelocityPulses {
-  template <class T> using Memory = pulses::Memory;
+  template <class T> using Memory = pulses::Memory<T>;
   template <class T> using Row = TaskRow<T, Velocity>;
   CAPSULE_LAW(VelocityPulses, "velocity_pulses", true, Memory, Row, PULSES_CONSTANTS)
 
-  double torque(const State<double>& s, pulses::Memory& memory, const Row<double>& row) const {
+  template <class T> T torque(const State<T>& s, pulses::Memory<T>& memory, const Row<T>& row) const {
     return pulses::torque(s, memory, row.task.target + 0.3 * row.task.command - s.x, 0.004, 0.0, q);
   }
 };

@@ -1,8 +1,8 @@
 import pytest
 
-from agents.evaluation import policies
 from agents.leaderboard import page, rows
 from agents.leaderboard.page import END, START
+from baselines.evaluation import policies
 from tests.agents.fakes import Sine, Twitch, write_run
 from tests.agents.leaderboard.world import write_all
 

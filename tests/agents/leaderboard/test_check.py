@@ -3,10 +3,10 @@ from dataclasses import replace
 
 import pytest
 
-from agents.evaluation import policies
 from agents.leaderboard import __main__ as leaderboard
 from agents.leaderboard.page import END, START
 from agents.leaderboard.rows import RESULTS
+from baselines.evaluation import policies
 from capsule_gym import Capsule, evaluation_sets
 from tests.agents.fakes import write_run
 from tests.agents.leaderboard.world import checked, edit_row, make_set, table

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.evaluation.policies import checkpoint_names, find_candidate
 from agents.leaderboard.page import END, HEAD_SETS, START, build, files, head, render, training_commands
 from agents.leaderboard.rows import RESULTS, evaluate, load_rows
+from baselines.evaluation.policies import checkpoint_names, find_candidate
 from capsule_gym.evaluation_sets import FURTHER_SET_NAMES, SET_NAMES, load_set
 from tests.agents.leaderboard.world import SETS, checked, read, row_of, table
 

@@ -1,8 +1,9 @@
+import io
+import zipfile
+
 import numpy as np
 import pytest
 
-from agents.evaluation import episodes
-from agents.evaluation.policies import find_candidate
 from agents.leaderboard.rows import (
     disturbed_range,
     evaluate,
@@ -12,6 +13,8 @@ from agents.leaderboard.rows import (
     save_row,
     static_header,
 )
+from baselines.evaluation import episodes
+from baselines.evaluation.policies import find_candidate
 from tests.agents.leaderboard.world import HORIZON, SETS, make_set
 
 
@@ -45,6 +48,12 @@ def test_malformed_files_raise_an_error(row, world):
         path.write_bytes(content)
         with pytest.raises(ValueError, match=r"^learnt: learnt\.npz contains no results: "):
             load_row(path)
+    array = io.BytesIO()
+    np.lib.format.write_array_header_1_0(array, {"descr": "<f8", "fortran_order": False, "shape": (2**50,)})
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("header.npy", array.getvalue())
+    with pytest.raises(ValueError, match="contains no results"):
+        load_row(path)
     for arrays in ({}, {"header": np.frombuffer(b"[]", np.uint8)}, {"header": np.frombuffer(b"{}", np.uint8)}):
         np.savez_compressed(path, **arrays)
         with pytest.raises(ValueError, match="contains no results"):

@@ -3,10 +3,10 @@
 import dataclasses
 import json
 
-from agents.evaluation.policies import all_candidates
 from agents.leaderboard.__main__ import check
 from agents.leaderboard.page import build, files
 from agents.leaderboard.rows import RESULTS, evaluate, load_row, path_of, save_row
+from baselines.evaluation.policies import all_candidates
 from capsule_gym.evaluation_sets import parse_set
 
 HORIZON = 0.6

@@ -19,12 +19,12 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
 import train as command_line
-from agents.evaluation.episodes import evaluate
 from agents.training.algorithms import CLASSES, make_env, make_model, make_noise
 from agents.training.config import RunError, TD3Config
 from agents.training.export import export, load_best, recurrent_policy, save
 from agents.training.loop import begin, train
 from agents.training.presets import PRESETS
+from baselines.evaluation.episodes import evaluate
 from capsule_gym import load_policy
 from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec
 from capsule_gym.files import to_json
@@ -104,8 +104,8 @@ def test_an_archive_loads_without_this_checkout(algo, tmp_path, monkeypatch):
         monkeypatch.setitem(sys.modules, name, None)
     model = CLASSES[algo].load(run / "model.zip", device="cpu")
     assert model.num_timesteps >= 320
-    assert type(model.policy).__module__.partition(".")[0] in ("stable_baselines3", "sb3_contrib")
-    env = CapsuleSB3VecEnv(2, seed=0)
+    assert type(model.policy).__module__.partition(".")[0] in ("stable_baselines3", "sb3_contrib", "capsule_gym")
+    env = CapsuleSB3VecEnv(2, seed=0, privileged=algo == "ppo")
     normalised = VecNormalize.load(run / "vecnormalize.pkl", env)
     action, _ = model.predict(normalised.reset(), deterministic=True)
     assert action.shape == (2, 1)
@@ -220,14 +220,16 @@ def test_a_wrapper_of_ones_own_is_trusted_before_it_is_resumed(tmp_path, capsys)
         make_env(config, 0)
 
 
-def test_training_has_commands_and_a_limit_of_its_own():
-    config = small(
-        "direct", "ppo", env="CapsuleVelocity-v0", command_range=(0.15, 0.16), residual_limit=1.0, training_limit=1.2
-    )
+def test_training_has_commands_sensors_and_a_limit_of_its_own():
+    ranges = {"command_range": (0.15, 0.16), "latency_range": (0.0, 0.001)}
+    limits = {"residual_limit": 1.0, "training_limit": 1.2}
+    config = small("direct", "ppo", env="CapsuleVelocity-v0", disturbances="real", **limits, **ranges)
     venv: Any = make_env(config, 0).venv
     commands = venv.batch.reset(seed=0)[1]["command"]
     assert 0.15 <= commands.min() < commands.max() <= 0.16
     assert venv.batch.simulation.options.residual_limit == 1.2
+    assert 0.0 <= venv.batch.reset(seed=0)[1]["disturbances"]["latency"].max() <= 0.001
     assert (config.env_kwargs()["task"], config.env_kwargs()["residual_limit"]) == ("velocity", 1.0)
+    assert config.env_kwargs()["disturbances"] == "real"
     with pytest.raises(ValueError, match="command_range must be None in CapsuleGoal-v0"):
         make_env(dataclasses.replace(config, env="CapsuleGoal-v0"), 0)

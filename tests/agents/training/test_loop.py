@@ -13,12 +13,12 @@ import torch
 from stable_baselines3 import PPO
 
 from agents.evaluation.criteria import CRITERIA
-from agents.evaluation.episodes import evaluate, scores
-from agents.evaluation.statistics import interquartile_mean
 from agents.training.algorithms import CLASSES, make_env, make_model
 from agents.training.callbacks import validation_plants
 from agents.training.loop import begin, train
 from agents.training.presets import preset
+from baselines.evaluation.episodes import evaluate, scores
+from baselines.evaluation.statistics import interquartile_mean
 from capsule_gym import load_policy
 from capsule_gym.parameters import RANDOMIZATIONS
 from tests.agents.training.small import SMALL, differences, finished, log, rows, small, train_until, weights

@@ -15,10 +15,10 @@ import pytest
 import train
 from agents.distillation.config import STUDENTS
 from agents.distillation.dagger import HIDDEN
-from agents.evaluation.policies import CHECKPOINTS, checkpoint_names, find_candidate
 from agents.training.algorithms import make_noise
 from agents.training.config import CONFIG, RANGES, Environment, PPOConfig, read_config
 from agents.training.presets import PRESETS, ROWS
+from baselines.evaluation.policies import CHECKPOINTS, checkpoint_names, find_candidate
 from capsule_gym.config import EnvConfig
 from capsule_gym.env import DOCS
 from capsule_gym.parameters import RANDOMIZATIONS
@@ -33,7 +33,7 @@ def test_the_command_line_of_a_training_run_takes_its_words_and_defaults_from_th
     shared = [name for name in DOCS if name in fields and name != "task"]
     assert set(shared) > {"torque_limit", "residual_limit", "observe_parameters", "energy_weight"}
     # Policies older than these options do not name them.
-    later = {"total_torque", "disturbances", "stack_size", "initial_range"}
+    later = {"total_torque", "disturbances", "observe_estimates", "stack_size", "initial_range"}
     assert set(PPOConfig().env_kwargs()) == set(shared) - later
     for name in ("torque_limit", "observe_parameters", "energy_weight"):
         assert fields[name].default == getattr(EnvConfig, name)

@@ -112,13 +112,14 @@ def test_a_run_goes_on_from_the_checkpoint_before_a_damaged_one(tmp_path, capsys
     # Removes a final file, and adds partial files of a process that was killed while it wrote.
     (run / "model.zip").unlink()
     left = [run / ".model.77.tmp.zip", run / "best" / ".policy.77.tmp.safetensors"]
-    for path in left:
+    other = run / ".report.78.tmp.html"  # of a process that needs no lock
+    for path in (*left, other):
         path.write_bytes(b"half")
     assert train(run)
     assert f"{newer} is damaged" in capsys.readouterr().err
     assert differences(run, whole["ppo"]) == []
     assert sorted(run.glob("checkpoint-*")) == [older, newer] and checkpoint.is_whole(newer)
-    assert not any(path.exists() for path in left)
+    assert not any(path.exists() for path in left) and other.exists()
 
 
 @pytest.mark.parametrize("damage", [flip, lambda path: os.truncate(path, 20), lambda path: os.truncate(path, 0)])
@@ -245,6 +246,20 @@ def test_a_folder_that_got_no_configuration_can_be_started_again(tmp_path, monke
             begin(tmp_path / "run", small("ppo"))
     begin(tmp_path / "run", small("ppo"))
     assert read_config(tmp_path / "run") == small("ppo")
+
+
+def test_of_two_runs_that_begin_in_one_folder_the_second_is_refused(tmp_path, monkeypatch):
+    run, (first, second) = tmp_path / "run", (small("ppo", learning_rate=rate) for rate in (1e-3, 1e-5))
+
+    def begun_meanwhile(*arguments):
+        monkeypatch.undo()
+        begin(run, first)
+        return loop.make_model(*arguments)
+
+    monkeypatch.setattr(loop, "make_model", begun_meanwhile)
+    with pytest.raises(FileExistsError):
+        begin(run, second)
+    assert read_config(run) == first and train(run)
 
 
 def test_a_new_end_is_said_once(tmp_path, capsys, whole):

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.evaluation.episodes import evaluate
 from baselines.archive import GRID, PLANTS, STICKY_GRID, find_grid
 from baselines.dynamic_programming import FOLDER, archive
 from baselines.dynamic_programming import __main__ as command
@@ -27,6 +26,7 @@ from baselines.dynamic_programming.grid import Grid
 from baselines.dynamic_programming.policy import Oracle
 from baselines.dynamic_programming.problem import Problem, repeat
 from baselines.dynamic_programming.solver import Solution, solve_on_grids
+from baselines.evaluation.episodes import evaluate
 from baselines.gaits.archive import known_gaits
 from baselines.policies import SCRIPTED
 from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec

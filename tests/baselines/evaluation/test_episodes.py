@@ -3,9 +3,9 @@ import math
 import numpy as np
 import pytest
 
-from agents.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, TableMetric, evaluate, failures, summarise
-from agents.evaluation.statistics import estimate
 from baselines.dynamic_programming.archive import optimal_speed
+from baselines.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, TableMetric, evaluate, failures, summarise
+from baselines.evaluation.statistics import estimate
 from capsule_gym import Capsule, CapsuleVectorEnv
 from capsule_gym.evaluation_sets import parse_set
 from capsule_gym.task import METRICS

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from agents.evaluation.statistics import (
+from baselines.evaluation.statistics import (
     estimate,
     interquartile_mean,
     learning_curve,

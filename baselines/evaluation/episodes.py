@@ -15,10 +15,10 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 import capsule_gym
-from agents.evaluation.policies import Candidate, Policy, find_candidate, wrap_policy
-from agents.evaluation.statistics import estimate
 from baselines.archive import find_grid
 from baselines.dynamic_programming.archive import optimal_speed
+from baselines.evaluation.policies import Candidate, Policy, find_candidate, wrap_policy
+from baselines.evaluation.statistics import estimate
 from baselines.policies import ScriptedPolicy
 from capsule_gym import __version__
 from capsule_gym.config import find_task

@@ -9,7 +9,7 @@ the degrees of freedom of Satterthwaite's approximation, four or more for five s
 plant adds no variance: the interval of a single run says nothing about another run.
 
 The percentile bootstrap over seeds, or over seeds and plants, covers less: with five seeds whose spread is 0.3 of the
-plants', 80 and 90 % instead of 95 % (`tests/agents/evaluation/test_statistics.py` measures the coverage of ours).
+plants', 80 and 90 % instead of 95 % (`tests/baselines/evaluation/test_statistics.py` measures the coverage of ours).
 """
 
 from __future__ import annotations
@@ -83,7 +83,10 @@ def estimate(scores: ArrayLike, *, mean: bool = False) -> Estimate:
 def _estimate(scores: np.ndarray, mean: bool) -> Estimate:
     """Computes `estimate` for scores with any number of axes."""
     # Imported here, since the import takes a tenth of a second.
-    from scipy.special import stdtrit
+    try:
+        from scipy.special import stdtrit
+    except ImportError as error:
+        raise ImportError('intervals need scipy: pip install "capsule-gym[paper]"') from error
 
     kind = "mean" if mean else "iqm"
     value = float(scores.mean() if mean else interquartile_mean(scores.reshape(-1)))

@@ -5,6 +5,7 @@ docs/evaluation.md shows how to evaluate the latter.
 
 from __future__ import annotations
 
+import os
 import pkgutil
 import re
 import sys
@@ -17,14 +18,15 @@ import numpy as np
 
 import capsule_gym
 from baselines.policies import SCRIPTED, TASK_SCRIPTED, ScriptedPolicy
-from capsule_gym.checks import nearest
+from capsule_gym.checks import nearest, written
+from capsule_gym.policy import FOLDERS
 from capsule_gym.task import TORQUE_LIMIT
 
 Act = Callable[[np.ndarray], np.ndarray]
 
 # The paper's controller, the reference of all comparisons.
 BASELINE = "adaptive"
-CHECKPOINTS = Path(__file__).parents[1] / "checkpoints"
+CHECKPOINTS = next((folder for folder in FOLDERS if folder.is_dir()), FOLDERS[-1])
 REFERENCE = re.compile(r"([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*):([A-Za-z_]\w*)")
 EXTERNAL = "a policy of another project"
 
@@ -52,26 +54,33 @@ def wrap_policy(policy: Any, *, name: str | None = None, env_kwargs: Mapping[str
     """Wraps an object of another project as a policy; returns a policy of this project unchanged.
 
     Args:
-        policy: an object with `predict` of Stable-Baselines3's algorithms and policies, or a function from observations
-            (n, entries), float32, to actions (n, 1) in [-1, 1].
-        name: name in results; None takes the name of the function or of the object's class.
+        policy: an object with `predict` of Stable-Baselines3's algorithms and policies; an object with `start` of
+            `Policy`; a function from observations (n, entries), float32, to actions (n, 1) in [-1, 1]; or a
+            `Controller`, a control law that acts alone.
+        name: name in results; None takes the attribute of the object or the name of its class.
         env_kwargs: arguments of the policy's `CapsuleVectorEnv`; None takes the attribute of the object, if any.
 
     Raises:
         TypeError: if the policy is of another type, or `env_kwargs` is given for a policy that has its own.
     """
-    if hasattr(policy, "start") and hasattr(policy, "env_kwargs") and not isinstance(policy, type):
+    kind = isinstance(policy, type)
+    start = None if kind else getattr(policy, "start", None)
+    if callable(start) and hasattr(policy, "env_kwargs"):
         if env_kwargs is not None:
             raise TypeError(f"env_kwargs must not be given with a policy that has its own, got {dict(env_kwargs)!r}")
         return policy
-    if isinstance(policy, type) or not (callable(policy) or hasattr(policy, "predict")):
-        accepted = "an object with predict() as Stable-Baselines3's have, or a function from observations to actions"
-        what = f"the class {policy.__name__}" if isinstance(policy, type) else f"a {type(policy).__name__}"
-        raise TypeError(f"policy must be {accepted}, got {what}")
-    start = _start_with_predict(policy) if callable(getattr(policy, "predict", None)) else lambda seeds: policy
-    kwargs = getattr(policy, "env_kwargs", {}) if env_kwargs is None else env_kwargs
-    name = getattr(policy, "__name__", type(policy).__name__) if name is None else name
-    return ScriptedPolicy(name, EXTERNAL, dict(kwargs), start)
+    kwargs = dict(getattr(policy, "env_kwargs", {}) if env_kwargs is None else env_kwargs)
+    given = getattr(policy, "name", getattr(policy, "__name__", type(policy).__name__)) if name is None else name
+    if isinstance(policy, capsule_gym.Controller):
+        own = {"task": getattr(policy.task, "name", policy.task)} if policy.task else {}
+        return ScriptedPolicy(given, EXTERNAL, {**own, **kwargs, "controller": policy})
+    if not callable(start):
+        if kind or not (callable(policy) or hasattr(policy, "predict")):
+            accepted = "an object with predict(), as of Stable-Baselines3, or start(), a Controller, or a function"
+            what = f"the class {policy.__name__}" if kind else f"a {type(policy).__name__}"
+            raise TypeError(f"policy must be {accepted} of observations, got {what}")
+        start = _start_with_predict(policy) if callable(getattr(policy, "predict", None)) else lambda seeds: policy
+    return ScriptedPolicy(given, EXTERNAL, kwargs, start)
 
 
 def _start_with_predict(policy: Any) -> Callable[[Sequence[int]], Act]:
@@ -174,12 +183,14 @@ def find_candidate(name_or_path: str, *, trust: bool = False, trust_controller: 
         return Candidate(name_or_path, (policy,), policy.description)
     known = name_or_path.partition("/")[0] in checkpoint_names()
     path = CHECKPOINTS / name_or_path if known else Path(name_or_path)
-    if path.exists():
+    # Unlike the methods of Path, this function accepts names that no file can have.
+    if os.path.exists(path):
         return _trained(name_or_path, path, trust_controller)
     scripted, checkpoints = (", ".join(names) or "there is none" for names in (known_scripted, checkpoint_names()))
+    similar = nearest(name_or_path, [*known_scripted, *checkpoint_names()])
     raise ValueError(
         f"policy must be a scripted policy ({scripted}), a checkpoint ({checkpoints}), or the path of a run's folder "
-        f"or of a policy file, got {name_or_path!r}{nearest(name_or_path, [*known_scripted, *checkpoint_names()])}"
+        f"or of a policy file, got {written(name_or_path)}{similar}"
     )
 
 

@@ -1,11 +1,15 @@
 import sys
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from stable_baselines3 import PPO
 
-from agents.evaluation.episodes import evaluate
-from agents.evaluation.policies import all_candidates, find_candidate, wrap_policy
+import capsule_gym
+from baselines import adaptive, goal_pulses
+from baselines.evaluation.episodes import evaluate
+from baselines.evaluation.policies import all_candidates, find_candidate, wrap_policy
 from capsule_gym.evaluation_sets import parse_set
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 from tests.agents.fakes import PLANTS, Sine, make_policy, write_run
@@ -99,6 +103,19 @@ def test_policies_of_this_project_stay_as_they_are():
         assert wrap_policy(policy) is policy
         with pytest.raises(TypeError, match="env_kwargs must not be given with a policy that has its own"):
             wrap_policy(policy, env_kwargs={})
+
+
+@pytest.mark.parametrize(("law", "name"), [(adaptive, "adaptive"), (goal_pulses, "goal-pulses")])
+def test_a_control_law_acts_alone(law, name):
+    plants = replace(TINY, task=law().task or "speed")
+    assert capsule_gym.evaluate(law(), plants, horizon=0.5) == evaluate(name, plants, horizon=0.5)
+
+
+def test_an_object_with_start_alone_is_a_policy():
+    started = SimpleNamespace(start=Sine(0.3).start)
+    assert evaluate(started, TINY, horizon=0.5) == evaluate(Sine(0.3), TINY, horizon=0.5)
+    kwargs = {"controller": "baselines:adaptive"}
+    assert wrap_policy(started, env_kwargs=kwargs).env_kwargs == kwargs
 
 
 def test_a_model_of_stable_baselines3():

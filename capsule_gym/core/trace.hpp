@@ -1,0 +1,148 @@
+// A number type that records what is computed with it, from which Python writes the core's functions in other languages
+// (capsule_gym/trace.py).
+//
+// A recording is a list of rows: an operation, and the places of its operands in the list. A branch, `when`, is always
+// taken; assignments in it select between the new value and the old one.
+#pragma once
+#include "functions.hpp"
+#include "network.hpp"
+#include "step.hpp"
+
+#define CAPSULE_OPERATIONS(OP)                                                                                       \
+  OP(constant) OP(input) OP(output) OP(add) OP(subtract) OP(multiply) OP(divide) OP(negate) OP(fma) OP(absolute)     \
+  OP(square_root) OP(copysign) OP(less) OP(less_equal) OP(equal) OP(both) OP(either) OP(inverse) OP(select)          \
+  OP(power_of_two) OP(sincos) OP(sine) OP(cosine) OP(exp) OP(tanh)
+constexpr int LONGEST_TRACE = 1 << 15;  // rows
+
+namespace LEVEL {
+enum class Operation {
+#define OP(name) name,
+  CAPSULE_OPERATIONS(OP)
+#undef OP
+};
+struct TraceRow { double operation, a, b, c; };
+
+inline struct {
+  TraceRow* rows;
+  int count;
+  double taken;  // place of the condition of the present branch, or -1
+} recording;
+
+inline double record(Operation operation, double a = 0.0, double b = 0.0, double c = 0.0) {
+  if (recording.count < LONGEST_TRACE) recording.rows[recording.count] = {(double)(int)operation, a, b, c};
+  return recording.count++;
+}
+
+struct Condition { double place; };
+struct Trace {
+  double place;
+  Trace() = default;
+  Trace(const Trace&) = default;
+  Trace(double value) : place(record(Operation::constant, value)) {}
+  explicit Trace(Condition recorded) : place(recorded.place) {}
+  Trace& operator=(const Trace& value) {
+    double taken = recording.taken;
+    place = taken < 0.0 ? value.place : record(Operation::select, taken, value.place, place);
+    return *this;
+  }
+};
+
+#define RESULT(name, ...) (Condition{record(Operation::name __VA_OPT__(, ) __VA_ARGS__)})
+#define UNARY(R, T, function, name) inline R function(T a) { return R RESULT(name, a.place); }
+#define BINARY(R, T, function, name) inline R function(T a, T b) { return R RESULT(name, a.place, b.place); }
+BINARY(Trace, Trace, operator+, add) BINARY(Trace, Trace, operator-, subtract) BINARY(Trace, Trace, operator*, multiply)
+BINARY(Trace, Trace, operator/, divide) UNARY(Trace, Trace, operator-, negate)
+BINARY(Condition, Trace, operator<, less) BINARY(Condition, Trace, operator<=, less_equal)
+BINARY(Condition, Trace, operator==, equal) BINARY(Condition, Condition, operator&, both)
+BINARY(Condition, Condition, operator|, either) UNARY(Condition, Condition, operator!, inverse)
+UNARY(Trace, Trace, abs, absolute) UNARY(Trace, Trace, sqrt, square_root) BINARY(Trace, Trace, copysign, copysign)
+UNARY(Trace, Trace, power_of_two, power_of_two) UNARY(Trace, Trace, exp, exp) UNARY(Trace, Trace, tanh, tanh)
+inline Condition operator>(Trace a, Trace b) { return b < a; }
+inline Condition operator>=(Trace a, Trace b) { return b <= a; }
+inline Condition operator!=(Trace a, Trace b) { return !(a == b); }
+inline Trace fma(Trace a, Trace b, Trace c) { return Trace RESULT(fma, a.place, b.place, c.place); }
+inline Trace select(Condition condition, Trace a, Trace b) {
+  return Trace RESULT(select, condition.place, a.place, b.place);
+}
+inline SinCos<Trace> sincos(Trace angle) {
+  double both = record(Operation::sincos, angle.place);
+  return {Trace RESULT(sine, both), Trace RESULT(cosine, both)};
+}
+
+struct Taken {
+  double before = recording.taken;
+  explicit Taken(Condition c) { recording.taken = before < 0.0 ? c.place : record(Operation::both, before, c.place); }
+  Taken(const Taken&) = delete;
+  ~Taken() { recording.taken = before; }
+  operator bool() const { return true; }
+};
+inline Taken when(Condition condition) { return Taken(condition); }
+CAPSULE_FUNCTIONS(Trace)
+
+// A struct of inputs, and the output of a struct.
+template <class S> S given() {
+  S inputs;
+  for (int i = 0; i < WIDTH<S>; i++) ((Trace*)&inputs)[i] = Trace RESULT(input);
+  return inputs;
+}
+template <class S> void give(const S& outputs) {
+  for (int i = 0; i < WIDTH<S>; i++) record(Operation::output, ((const Trace*)&outputs)[i].place);
+}
+
+// Records a function of a law or task with its number and of the constants, settings or the header of a network.
+// Returns the number of rows.
+inline int trace(const char* function, long long number, const double* constants, TraceRow* rows) {
+  recording = {rows, 0, -1.0};
+  auto is = [&](const char* name) { return !__builtin_strcmp(function, name); };
+  const auto& settings = *(const Settings*)constants;
+  const auto& header = *(const Header*)constants;
+  const struct Pendulum { double m, l, g, dt; }& nominal = *(const Pendulum*)constants;
+  struct Estimates { Trace values[4]; };
+  if (is("sincos")) give(sincos<Trace>(given<Trace>()));
+  if (is("exp")) give(exp<Trace>(given<Trace>()));
+  if (is("tanh")) give(tanh<Trace>(given<Trace>()));
+  if (is("action")) {
+    Trace output = given<Trace>(), law_torque = given<Trace>();
+    give(action_of(header, output, law_torque));
+  }
+  if (is("torque")) {
+    Trace law_torque = given<Trace>(), action = given<Trace>();
+    give(total_torque(settings, law_torque, action));
+  }
+  if (is("identify")) {
+    auto filter = given<Filter<Trace>>();
+    Trace theta = given<Trace>(), theta_dot = given<Trace>(), x_dot = given<Trace>();
+    identify(filter, theta, theta_dot, x_dot, nominal);
+    give(filter), give(deviation(filter.P_MM)), give(deviation(filter.P_ff));
+  }
+  int law = 0, task = 0;
+#define LAW(Law)                                                                      \
+  if (is("law") && number == law++) {                                                 \
+    struct { Trace cells[Law::MEMORY]; } memory = given<decltype(memory)>();          \
+    auto state = given<State<Trace>>();                                               \
+    struct { Trace cells[Law::COLUMNS]; } row = given<decltype(row)>();               \
+    give(Law(constants)(state, memory.cells, row.cells)), give(memory);               \
+  }
+  CAPSULE_LAWS(LAW)
+#undef LAW
+  // A task: its memory, x, and for an observation the x of the previous one and what is observed.
+#define TASK(Task)                                                                                                    \
+  if ((is("begin") || is("observe")) && number == task++) {                                                           \
+    auto memory = given<Task::Memory<Trace>>();                                                                       \
+    Trace x = given<Trace>();                                                                                         \
+    if (is("begin")) Task::begin(x, memory);                                                                          \
+    else {                                                                                                            \
+      Trace before = given<Trace>();                                                                                  \
+      auto begun = given<Trace>() != 0.0;                                                                             \
+      auto seen = given<Observed<Trace>>();                                                                           \
+      double dt = settings.law_steps * settings.physics_steps * settings.physics_dt;                                  \
+      if (auto taken = when(begun)) Task::reward(x, seen.x_dot, x - before, dt, memory);                              \
+      put_entries<Task>(settings, seen, memory, give<Trace>, [] { give(given<Estimates>()); });  \
+    }                                                                                                                 \
+    give(memory);                                                                                                     \
+  }
+  CAPSULE_TASKS(TASK)
+#undef TASK
+  return recording.count;
+}
+}  // namespace LEVEL

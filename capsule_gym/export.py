@@ -1,0 +1,329 @@
+"""Exports a policy, and the control law that it acts on, as C99 or as an ONNX model.
+
+The loops of the network are in `policy.h.jinja`; everything else is recorded from the core (`capsule_gym.trace`).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+
+from capsule_gym import __version__, _core, native
+from capsule_gym.command_line import Positional, arg, check_output, parse, refuse
+from capsule_gym.config import EnvConfig, find_task
+from capsule_gym.controller import CoreLaw, find_controller
+from capsule_gym.evaluation_sets import EPISODE_SETTINGS, load_set
+from capsule_gym.files import write_atomically
+from capsule_gym.layout import Row
+from capsule_gym.observation import observation_entries
+from capsule_gym.parameters import Capsule, Disturbances
+from capsule_gym.policy import load_policy
+from capsule_gym.settings import make_settings
+from capsule_gym.simulation import Simulation
+from capsule_gym.trace import c_number, c_table, record, to_c, to_onnx
+from capsule_gym.vector_env import CapsuleVectorEnv
+
+PROG = "python -m capsule_gym.export"
+# What the filter of M and mu assumes.
+PENDULUM = ("m", "l", "g", "dt")
+# The set whose first episode gives the test vectors, by the task, or "real" for disturbances.
+SETS = {"speed": "paper", "goal": "goal", "velocity": "velocity", "real": "real"}
+INTERVALS = 100  # control intervals of the test vectors; a law alone has a quarter
+
+
+class Exported:
+    """A policy or a control law with what its code needs.
+
+    Args:
+        name_or_path: as for `load_policy`; or the import string of a control law, such as "baselines:adaptive".
+        law: whether the policy's control law is exported, too.
+
+    Raises:
+        TypeError: if the import string names something else.
+        ValueError: if there is no such policy or law, or the law is not part of the core.
+    """
+
+    def __init__(self, name_or_path: str, law: bool = False) -> None:
+        alone = re.fullmatch(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*", name_or_path) is not None
+        self.policy = None if alone else load_policy(name_or_path)
+        own = find_controller(name_or_path) if alone else None
+        task = "speed" if own is None or own.task is None else find_task(own.task).name
+        self.env_kwargs = self.policy.env_kwargs if self.policy else {"controller": name_or_path, "task": task}
+        self.name = re.sub(r"\W|^(?=\d)", "_", self.policy.name if self.policy else name_or_path.partition(":")[2])
+        self.options = EnvConfig(**self.env_kwargs)
+        self.controller = own or find_controller(self.options.controller)
+        self.law = self.controller if law or alone else None
+        if (law or alone) and not isinstance(getattr(self.controller, "law", None), CoreLaw):
+            found = self.options.controller or "a policy without a control law"
+            raise ValueError(f"--law needs a control law of the core, such as baselines:adaptive, got {found}")
+        self.task, self.settings = find_task(self.options.task), make_settings(self.options, self.controller)
+        self.plant = (self.options.capsule or Capsule()).plant()
+        values = {**self.settings._asdict(), **self.plant._asdict(), "varied": bool(self.settings.history)}
+        self.constants = native.ordered(_core.SETTINGS, values)
+        self.reading = ["theta", "theta_dot", "x", "x_dot", "action"]
+        self.reading += ["theta_d", "theta_d_dot", "phase", "law_torque"] if self.controller else []
+        self.reading += ["M", "mu"] if self.options.observe_parameters else []
+        self.reading += {"goal": ["goal"], "velocity": ["command"]}.get(self.task.name, [])
+        self.header: dict[str, float] = {}
+        if self.policy:
+            self.header = dict(zip(_core.NETWORK, self.policy._network.tolist(), strict=False))
+            self.scale = 1.0 / np.sqrt(self.policy.variance + self.policy.epsilon)
+
+    def c(self, *, single: bool = False) -> str:
+        """The C99 header, which computes in float or in double; in double it has the bits of this package."""
+        task, law = self.task, self.law
+
+        def code(function: str, inputs: Iterable[str], outputs: Sequence[str | None], *constants: Any) -> str:
+            return to_c(record(function, *constants), inputs, outputs, single)
+
+        def identify(pendulum: Iterable[float], memory: str, deviations: list[str]) -> str:
+            cells = [f"{memory}[{n}]" for n in range(_core.CELLS)]
+            inputs = [*(f"before.{cell}" for cell in cells), *(f"(REAL)observation[{n}]" for n in range(3))]
+            return code("identify", inputs, [*(f"memory->{cell}" for cell in cells), *deviations], pendulum)
+
+        # The task's memory but for what an episode draws. Goal and command are given; a new command ends the last one.
+        kept = task.rows - len(task.draws)
+        given = {"goal": "reading->goal", "displacement": "(reading->goal - reading->x)"}
+        given |= dict.fromkeys(("v_0", "v_1"), "reading->command")
+        given |= {"lasts": "(reading->command == before.task[0] ? HUGE_VAL : 0)"}
+        cells = [f"task[{n}]" if n < kept else None for n in range(task.rows)]
+        task_inputs = [
+            given.get(name, f"before.{cell}" if cell else "0") for name, cell in zip(task.fields, cells, strict=True)
+        ]
+        observed = [*task_inputs, "reading->x", "before.x", "before.begun"]
+        observed += [f"reading->{name}" if name in self.reading else "0" for name in _core.OBSERVED]
+        observed += ["memory->estimates[1]", "memory->estimates[2]", "deviations[0]", "deviations[1]"]
+        memory = [(kept, "task"), (_core.CELLS * self.settings.with_estimates, "estimates")]
+        memory += [(_core.CELLS * bool(self.policy and self.policy.identifies), "filter")]
+        memory += [(len(law.memory) if law else 0, "law")]
+        law_cells = [f"law[{n}]" for n in range(len(law.memory) if law else 0)]
+        law_inputs = [f"before.{cell}" for cell in law_cells]
+        law_inputs += [f"reading->{name}" for name in ("theta", "theta_dot", "x", "x_dot")]
+        law_inputs += [f"row[{n}]" for n in range(law.reference.shape[1] if law else 0)]
+        fused = re.sub(r"\b(fused|moderate)\b", r"NAME_\1", _core.FUSED.replace("__builtin_", ""))
+        column = int(self.header.get("law_torque", -1))
+        names = list(observation_entries(replace(self.options, stack_size=1)))
+        return self._render(
+            "policy.h.jinja",
+            single,
+            code=code,
+            identify=identify,
+            entries=[f"observation[{n}]" for n in range(len(names))],
+            memory=[*(f"{name}[{size}]" for size, name in memory if size), "x"],
+            task_inputs=task_inputs,
+            task_outputs=[f"memory->{cell}" if cell else None for cell in cells],
+            observed=observed,
+            law_inputs=law_inputs + (task_inputs if law and law.task else []),
+            law_outputs=["torque", *(f"memory->{cell}" for cell in law_cells)],
+            law_torque="0" if column < 0 else f"(REAL)observation[{column}]",
+            pendulum=[*(getattr(self.plant, name) for name in PENDULUM[:3]), self.options.control_dt],
+            header_pendulum=[self.header.get(name) for name in PENDULUM],
+            widest=max([len(self.policy.mean), *(len(bias) for _, bias in self.policy.layers)]) if self.policy else 0,
+            fused=re.sub(r"(?<=[;{}]) (?!\})", "\n  ", fused),
+            description=self.policy.description if self.policy else f"control law {self.options.controller}",
+            version=__version__,
+        )
+
+    def c_test(self, file: str, *, single: bool = False) -> str:
+        """A C99 program that checks the header `file` on the first episode of an evaluation set."""
+        disturbed = Disturbances.named(self.options.disturbances)
+        chosen = load_set(SETS["real" if disturbed else self.task.name])
+        plant = chosen.plants[0]
+        kwargs = {**chosen.env_kwargs, **self.env_kwargs, **EPISODE_SETTINGS, "autoreset_mode": AutoresetMode.DISABLED}
+        if disturbed:
+            kwargs["disturbances"] = "none" if disturbed.controls == "law" else replace(disturbed, controls="both")
+        # The same episode in steps of the law's period shows what each call of the law reads.
+        periods = self.settings.law_steps if self.law else 1
+        count = INTERVALS if self.policy else INTERVALS // 4
+        slow = CapsuleVectorEnv(1, **kwargs)
+        kwargs |= {"control_dt": self.options.control_dt / periods, "max_episode_steps": count * periods}
+        fast = CapsuleVectorEnv(1, **kwargs)
+        for env in (slow, fast):
+            observation, _ = env.reset(seed=[plant.seed], options={k: [v] for k, v in plant.reset_options().items()})
+        act = self.policy.start([plant.seed]) if self.policy else lambda _: np.zeros((1, 1), np.float32)
+        computed = ("action", *(("theta_d", "theta_d_dot", "phase", "law_torque") if self.law else ()))
+        columns = [name for name in self.reading if name not in computed]
+        shown, actions = list[dict[str, float]](), list[float]()
+        for _ in range(count):
+            action = act(observation)
+            actions.append(float(action[0, 0]))
+            for _ in range(periods):
+                shown.append(_read(fast.simulation))
+                fast.step(action)
+            observation, _, ended, _, _ = slow.step(action)
+            if ended.any():
+                break
+        return self._render(
+            "policy_test.c.jinja",
+            single,
+            file=file,
+            set=chosen.name,
+            columns=columns,
+            given=np.array([[each[name] for name in columns] for each in shown]),
+            actions=actions,
+            torques=[each["law_torque"] for each in shown],
+            periods=periods,
+            tolerance=1e-3 if self.policy and (self.policy.identifies or self.settings.with_estimates) else 2e-5,
+        )
+
+    def _render(self, template: str, single: bool, **values: Any) -> str:
+        """Fills a template; NAME stands for the prefix of all names, REAL for the type of the numbers."""
+        try:
+            from jinja2 import Environment, FileSystemLoader, StrictUndefined
+        except ImportError as error:
+            raise ImportError('--c needs jinja2: pip install "capsule-gym[export]"') from error
+        options: dict[str, Any] = {"trim_blocks": True, "lstrip_blocks": True, "undefined": StrictUndefined}
+        environment = Environment(loader=FileSystemLoader(Path(__file__).parent), keep_trailing_newline=True, **options)
+        filters = {"number": c_number, "table": c_table}
+        environment.filters |= {
+            name: lambda value, kind=single, function=function: function(value, kind)
+            for name, function in filters.items()
+        }
+        text: str = environment.get_template(template).render({**vars(self), **values, "single": single})
+        return text.replace("NAME", self.name).replace("REAL", "float" if single else "double")
+
+    def onnx(self, *, single: bool = False) -> bytes:
+        """The policy as an ONNX model, which computes in float or in double.
+
+        Raises:
+            ValueError: if there is no policy, but only a control law.
+        """
+        if self.policy is None:
+            raise ValueError("--onnx needs a policy, got a control law")
+        try:
+            from onnx import TensorProto, checker, helper, numpy_helper
+        except ImportError as error:
+            raise ImportError('--onnx needs onnx: pip install "capsule-gym[export]"') from error
+        policy, header = self.policy, self.header
+        kind, real = (TensorProto.FLOAT, np.float32) if single else (TensorProto.DOUBLE, np.float64)
+        nodes, initializers = list[Any](), list[Any]()
+
+        def constant(value: Any, dtype: Any) -> str:
+            initializers.append(numpy_helper.from_array(np.asarray(value, dtype), f"constant_{len(initializers)}"))
+            return initializers[-1].name
+
+        def add(operation: str, *inputs: Any, dtype: Any = real, **attributes: Any) -> str:
+            names = [each if isinstance(each, str) else constant(each, dtype) for each in inputs]
+            nodes.append(helper.make_node(operation, names, [f"value_{len(nodes)}"], **attributes))
+            return nodes[-1].output[0]
+
+        def column(name: str, place: int) -> str:
+            return add("Gather", name, constant([place], np.int64), axis=1)
+
+        def tensor(name: str, width: int, dtype: int) -> Any:
+            return helper.make_tensor_value_info(name, dtype, ["n", width])
+
+        inputs, outputs = [tensor("observation", policy.entries, 1)], [tensor("action", 1, 1)]
+        x = add("Cast", "observation", to=kind)
+        if policy.identifies:
+            # As in the core, the filter computes in double, and the network takes its estimates as float.
+            inputs, outputs = (
+                [*each, tensor(name, _core.CELLS, TensorProto.DOUBLE)]
+                for each, name in ((inputs, "memory"), (outputs, "next_memory"))
+            )
+            observed = add("Cast", "observation", to=TensorProto.DOUBLE)
+            given = [column("memory", n) for n in range(_core.CELLS)] + [column(observed, n) for n in range(3)]
+            rows = record("identify", [header[name] for name in PENDULUM])
+            found = to_onnx(rows, given, partial(add, dtype=np.float64))
+            nodes.append(helper.make_node("Concat", found[: _core.CELLS], ["next_memory"], axis=1))
+            estimates = add("Concat", *found[1:3], *found[_core.CELLS :], axis=1)
+            x = add("Concat", x, add("Cast", add("Cast", estimates, to=TensorProto.FLOAT), to=kind), axis=1)
+        if policy.observes_energy_weight:
+            weight = add("Add", add("Mul", column(x, 0), 0.0), np.float32(header["log_energy_weight"]))
+            x = add("Concat", x, weight, axis=1)
+        x = add("Mul", add("Sub", x, policy.mean), self.scale)
+        x = add("Clip", x, -policy.clip, policy.clip)
+        for n, (weights, bias) in enumerate(policy.layers):
+            x = add("Gemm", x, weights, bias, transB=1)
+            if n < len(policy.layers) - 1 or policy.squashing == "tanh":
+                last = n == len(policy.layers) - 1
+                x = add("Relu" if policy.activation == "relu" and not last else "Tanh", x)
+        law_torque: Any = 0.0
+        if header["law_torque"] >= 0.0:
+            law_torque = add("Cast", column("observation", int(header["law_torque"])), to=kind)
+        (action,) = to_onnx(record("action", header.values()), [x, law_torque], add)
+        nodes.append(helper.make_node("Cast", [action], ["action"], to=TensorProto.FLOAT))
+        graph = helper.make_graph(nodes, policy.name, inputs, outputs, initializers, doc_string=policy.description)
+        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+        checker.check_model(model)
+        content: bytes = model.SerializeToString()
+        return content
+
+
+def _read(simulation: Simulation) -> dict[str, float]:
+    """What an exported policy reads of the single environment of a simulation."""
+    read = "read_" if simulation.settings.history and simulation.settings.agent_reads else ""
+    column = simulation.columns(np.array([0]))[:, 0]
+    shown = {name: column[getattr(Row, read + name)] for name in ("theta", "theta_dot", "x", "x_dot")}
+    shown |= {name: column[getattr(Row, name)] for name in ("law_torque", "M", "mu")}
+    clock = column[Row.clock]
+    shown |= dict(zip(("theta_d", "theta_d_dot"), simulation.reference[int(clock)], strict=False))
+    shown |= dict(zip(simulation.task.fields, column[simulation.task_row :], strict=False))
+    return {**shown, "phase": clock / len(simulation.reference)}
+
+
+@dataclass(frozen=True)
+class Args:
+    """Exports a trained policy, and the control law that it acts on, as C99 or as ONNX.
+
+    FILE.h of --c has no dependency and allocates nothing; FILE_test.c, next to it, checks it on an episode of an
+    evaluation set. A control law of the core, such as baselines:adaptive, is exported alone.
+
+    Examples:
+      python -m capsule_gym.export direct-ppo --c policy.h
+      python -m capsule_gym.export residual-real --c policy.h --float --law
+      python -m capsule_gym.export runs/mine --onnx policy.onnx
+    """
+
+    policy: Positional[str]
+    """Name of a pretrained policy, path of a policy file or of a run's folder, or import string of a control law."""
+    c: Path | None = None
+    """C header to write."""
+    onnx: Path | None = None
+    """ONNX model to write."""
+    single: Annotated[bool, arg(name="float")] = False
+    """Compute in float instead of double, which has the bits of this package."""
+    law: bool = False
+    """Export the control law, too."""
+    overwrite: bool = False
+    """Replace existing files."""
+
+    def check(self) -> None:
+        """Raises an error without an output, or for one that cannot be written."""
+        if self.c is None and self.onnx is None:
+            raise ValueError("at least one of --c and --onnx must be given")
+        if self.c is not None and self.c.suffix != ".h":
+            raise ValueError(f"--c must name a file .h, got {str(self.c)!r}")
+        check_output("--c", self.c, overwrite=self.overwrite)
+        check_output("--c", self.c and _test_file(self.c), overwrite=self.overwrite)
+        check_output("--onnx", self.onnx, overwrite=self.overwrite)
+
+
+def _test_file(header: Path) -> Path:
+    return header.with_name(f"{header.stem}_test.c")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns the exit status."""
+    args = parse(Args, PROG, arguments)
+    try:
+        exported = Exported(args.policy, args.law)
+        if args.onnx is not None:
+            write_atomically(args.onnx, exported.onnx(single=args.single))
+        if args.c is not None:
+            write_atomically(args.c, exported.c(single=args.single))
+            write_atomically(_test_file(args.c), exported.c_test(args.c.name, single=args.single))
+    except (ImportError, OSError, TypeError, ValueError) as error:
+        refuse(PROG, str(error))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

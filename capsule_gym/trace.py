@@ -1,0 +1,139 @@
+"""Functions of the core as lists of operations, which become code in other languages (`capsule_gym/core/trace.hpp`)."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from capsule_gym import _core, native
+
+# An operation, and the places of its operands in the list; for a "constant" its value.
+Row = tuple[str, float, float, float]
+# The operations in C: parentheses make every form an operand. NAME stands for the prefix of a header's functions.
+C_FORMS = {
+    **{"add": "({} + {})", "subtract": "({} - {})", "multiply": "({} * {})", "divide": "({} / {})"},
+    **{"negate": "(-{})", "less": "({} < {})", "less_equal": "({} <= {})", "equal": "({} == {})"},
+    **{"both": "({} && {})", "either": "({} || {})", "inverse": "(!{})", "select": "({} ? {} : {})"},
+    **{"fma": "NAME_fma({}, {}, {})", "absolute": "NAME_abs({})", "square_root": "NAME_sqrt({})"},
+    **{"copysign": "NAME_copysign({}, {})", "power_of_two": "NAME_power_of_two({})", "sincos": "NAME_sincos({})"},
+    **{"sine": "{}.sine", "cosine": "{}.cosine", "exp": "NAME_exp({})", "tanh": "NAME_tanh({})"},
+}
+OPERANDS = {"output": 1, **{operation: form.count("{}") for operation, form in C_FORMS.items()}}
+CONDITIONS = ("less", "less_equal", "equal", "both", "either", "inverse")
+LONGEST_FORM = 100  # characters
+# The operations in ONNX; those with several nodes are in `to_onnx`.
+ONNX_NODES = {
+    **{"add": "Add", "subtract": "Sub", "multiply": "Mul", "divide": "Div", "negate": "Neg", "absolute": "Abs"},
+    **{"square_root": "Sqrt", "less": "Less", "less_equal": "LessOrEqual", "equal": "Equal", "both": "And"},
+    **{"either": "Or", "inverse": "Not", "select": "Where", "sine": "Sin", "cosine": "Cos", "exp": "Exp"},
+}
+
+
+def record(function: str, constants: Iterable[float] = (), number: int = 0) -> list[Row]:
+    """Records a function of the core.
+
+    Args:
+        function: its name in `core/trace.hpp`.
+        constants: of a law, the settings, or the header of a network.
+        number: of the law or task.
+    """
+    given, rows = np.array([*constants, 0.0]), np.empty((_core.LONGEST_TRACE, 4))
+    count = _core.trace(function, number, native.address(given), native.address(rows))
+    assert 0 < count <= _core.LONGEST_TRACE, f"{function} takes {count} operations"
+    return [(_core.OPERATIONS[int(operation)], *places) for operation, *places in rows[:count].tolist()]
+
+
+def operands(row: Row) -> list[int]:
+    """The places of the operands of an operation."""
+    return [int(place) for place in row[1 : 1 + OPERANDS.get(row[0], 0)]]
+
+
+def count_uses(rows: Sequence[Row], wanted: Sequence[bool]) -> Counter[int]:
+    """How often each row is an operand in what the wanted outputs need; these outputs count as used."""
+    outputs = [place for place, row in enumerate(rows) if row[0] == "output"]
+    uses = Counter(place for place, wants in zip(outputs, wanted, strict=True) if wants)
+    for place in range(len(rows) - 1, -1, -1):
+        if uses[place]:
+            uses.update(operands(rows[place]))
+    return uses
+
+
+def c_number(value: float, single: bool) -> str:
+    """A number as a constant of C."""
+    if math.isinf(value):
+        return f"{'-' * (value < 0)}HUGE_VAL{'F' * single}"
+    # Adding and subtracting it rounds to a whole number.
+    value = 1.5 * 2**23 if single and value == _core.ROUNDING else value
+    return f"{np.float32(value)}f" if single else repr(float(value))
+
+
+def c_table(values: Sequence[Any] | np.ndarray, single: bool) -> str:
+    """An array as the initialiser of one of C, one row per line."""
+    if np.ndim(values) == 1:
+        return "{" + ", ".join(c_number(float(value), single) for value in values) + "}"
+    return "{" + ",\n".join(c_table(row, single) for row in values) + "}"
+
+
+def to_c(rows: Sequence[Row], inputs: Iterable[str], outputs: Sequence[str | None], single: bool) -> str:
+    """Statements of C99 that compute a function; in double precision every operation is rounded as in the core.
+
+    Args:
+        rows: the recorded function.
+        inputs: an expression for each input, in order.
+        outputs: what each output is assigned to, in order; None for an output that is not needed. All are assigned at
+            the end.
+        single: compute in float.
+    """
+    uses, given, forms = count_uses(rows, [target is not None for target in outputs]), iter(inputs), dict[int, str]()
+    lines, targets, assignments = list[str](), iter(outputs), list[str]()
+    for place, row in enumerate(rows):
+        operation = row[0]
+        expression = next(given) if operation == "input" else ""
+        target = next(targets) if operation == "output" else None
+        if not uses[place]:
+            continue
+        if operation == "output":
+            assignments.append(f"  {target} = {forms[int(row[1])]};")
+            continue
+        if operation == "constant":
+            expression = c_number(row[1], single)
+            expression = f"({expression})" if expression.startswith("-") else expression
+        elif operation != "input":
+            expression = C_FORMS[operation].format(*(forms[operand] for operand in operands(row)))
+            if uses[place] > 1 or operation == "sincos" or len(expression) > LONGEST_FORM:
+                kind = "int" if operation in CONDITIONS else "NAME_pair" if operation == "sincos" else "REAL"
+                lines.append(f"  const {kind} t{len(lines)} = {expression};")
+                expression = f"t{len(lines) - 1}"
+        forms[place] = expression
+    return "\n".join([*lines, *assignments])
+
+
+def to_onnx(rows: Sequence[Row], inputs: Iterable[str], add: Callable[..., str]) -> list[str]:
+    """Adds the nodes that compute a function to an ONNX graph, and returns the names of its outputs.
+
+    Args:
+        rows: the recorded function, without `power_of_two`.
+        inputs: the name of each input, in order, float64.
+        add: add(operation, *names of inputs) adds a node and returns the name of its output; it takes numbers as well.
+    """
+    given, names, outputs = iter(inputs), dict[int, Any](), list[str]()
+    for place, row in enumerate(rows):
+        operation, found = row[0], [names[operand] for operand in operands(row)]
+        if operation == "output":
+            outputs.append(found[0])
+        elif operation == "constant":
+            names[place] = row[1]
+        elif operation == "input":
+            names[place] = next(given)
+        elif operation == "fma":
+            names[place] = add("Add", add("Mul", *found[:2]), found[2])
+        elif operation == "copysign":
+            size = add("Abs", found[0])
+            names[place] = add("Where", add("Less", found[1], 0.0), add("Neg", size), size)
+        else:
+            names[place] = found[0] if operation == "sincos" else add(ONNX_NODES[operation], *found)
+    return outputs

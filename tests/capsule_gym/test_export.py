@@ -1,0 +1,292 @@
+"""Exported policies and laws: the bits of the package in double, small errors in float, on a Cortex-M4, and in ONNX."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from baselines.laws import LAWS, TASK_LAWS
+from capsule_gym import CapsuleVectorEnv, Controller, load_policy
+from capsule_gym.config import find_task
+from capsule_gym.export import Exported, main
+from capsule_gym.layout import Row
+
+POLICIES = ("direct-ppo", "goal", "residual-real", "direct-real", "dp-distilled")
+C99 = ("-std=c99", "-Wall", "-Wextra", "-Werror")
+M4 = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "--specs=rdimon.specs")
+START, VECTORS = Path(__file__).with_name("mps2.c"), "-Wl,--section-start=.vectors=0"
+QEMU = ("qemu-system-arm", "-M", "mps2-an386", "-nographic", "-semihosting")
+# Many calls at a time; a law's state is theta, theta_dot, x, x_dot and the goal or command.
+HARNESS = """
+#include "NAME.h"
+int size(void);
+int size(void) { return (int)sizeof(NAME_memory); }
+#ifdef POLICY
+void act(int, NAME_memory *, const float *, float *);
+void act(int n, NAME_memory *memory, const float *o, float *a) {
+  for (int i = 0; i < n; i++, o += NAME_ENTRIES) a[i] = NAME_act(POLICY o);
+  (void)memory;
+}
+#else
+void law(int, int, NAME_memory *, const double *, double *);
+void law(int n, int begin, NAME_memory *memory, const double *s, double *torques) {
+  NAME_reading r;
+  for (int i = 0; i < n; i++, s += 5) {
+    r.theta = s[0], r.theta_dot = s[1], r.x = s[2], r.x_dot = s[3];
+    TASK
+    if (begin) NAME_start(&memory[i], &r);
+    torques[i] = NAME_law(&memory[i], &r);
+  }
+}
+#endif
+"""
+# An action and a call of the law on a Cortex-M4 with a clock of 25 MHz, at one instruction per nanosecond.
+COUNT = """
+#include "policy.h"
+#include <stdio.h>
+#define TIMER ((volatile uint32_t *)0xE000E010)
+float act(NAME_memory *, NAME_reading *, float *);
+float act(NAME_memory *memory, NAME_reading *reading, float *observation) {
+  if (memory->called) NAME_law(memory, reading);
+  else NAME_start(memory, reading);
+  NAME_observe(memory, reading, observation);
+  return NAME_torque(reading, reading->action = NAME_act(observation));
+}
+#ifdef COUNT
+int main(void) {
+  static NAME_memory memory;
+  static NAME_reading reading;
+  static float observation[NAME_ENTRIES];
+  uint32_t begin, instructions = 0;
+  TIMER[1] = 0xFFFFFF, TIMER[0] = 5;
+  for (int i = 0; i < 100; i++) {
+    reading.theta = 0.01f * (float)i - 0.5f, reading.theta_dot = 0.1f * (float)i, reading.x_dot = 0.002f * (float)i;
+    memory.called = i > 0, begin = TIMER[2];
+    act(&memory, &reading, observation);
+    instructions += ((begin - TIMER[2]) & 0xFFFFFF) * 40;
+  }
+  printf("%u instructions\\n", (unsigned)(instructions / 100));
+  return 0;
+}
+#endif
+"""
+pytestmark = pytest.mark.skipif(shutil.which("gcc") is None and "CI" not in os.environ, reason="needs gcc")
+
+
+def run(*command: Any) -> str:
+    """The output of a program that must end without an error."""
+    result = subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=300, check=False)
+    assert result.returncode == 0, result.stdout + result.stderr
+    return result.stdout
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Any]:
+    """Compiles the header of a policy or law, and loads it."""
+
+    def compile_library(name: str, single: bool) -> Any:
+        exported, folder = Exported(name), tmp_path_factory.mktemp("library")
+        (folder / f"{exported.name}.h").write_text(exported.c(single=single))
+        memory = "&memory[i]," if exported.policy and exported.policy.identifies else ""
+        task = {"goal": "r.goal = s[4];", "velocity": "r.command = s[4];"}.get(exported.task.name, "")
+        source = HARNESS.replace("NAME", exported.name).replace("TASK", task)
+        (folder / "harness.c").write_text((f"#define POLICY {memory}\n" if exported.policy else "") + source)
+        # With the processor's fused instruction; `test_program` has none.
+        run(
+            "gcc",
+            *C99,
+            "-O2",
+            "-march=native",
+            "-fPIC",
+            "-shared",
+            folder / "harness.c",
+            "-o",
+            folder / "library.so",
+            "-lm",
+        )
+        return ctypes.CDLL(str(folder / "library.so"))
+
+    return compile_library
+
+
+def c_policy(library: Any, count: int) -> Callable[[np.ndarray], np.ndarray]:
+    """Like `Policy.start`, by the C functions."""
+    memory = ctypes.create_string_buffer(library.size() * count)
+
+    def act(observations: np.ndarray) -> np.ndarray:
+        given, actions = np.ascontiguousarray(observations), np.empty((count, 1), np.float32)
+        library.act(count, memory, given.ctypes.data_as(ctypes.c_void_p), actions.ctypes.data_as(ctypes.c_void_p))
+        return actions
+
+    return act
+
+
+def c_law(library: Any, count: int) -> Callable[[np.ndarray], np.ndarray]:
+    """A law by the C functions: from theta, theta_dot, x, x_dot and goal or command, shape (count, 5), to torques."""
+    memory, calls = ctypes.create_string_buffer(library.size() * count), iter(range(10**9))
+
+    def law(states: np.ndarray) -> np.ndarray:
+        given, torques = np.ascontiguousarray(states), np.empty(count)
+        addresses = (each.ctypes.data_as(ctypes.c_void_p) for each in (given, torques))
+        library.law(count, next(calls) == 0, memory, *addresses)
+        return torques
+
+    return law
+
+
+@pytest.fixture(scope="module", params=POLICIES)
+def observed(request: pytest.FixtureRequest) -> Any:
+    """A policy's actions on 10,000 observations of 100 plants, on the way of actions of which a tenth are random."""
+    policy, rng = load_policy(request.param), np.random.default_rng(20)
+    env = CapsuleVectorEnv(100, **policy.env_kwargs)
+    observation, _ = env.reset(seed=7_000)
+    act, observations, actions = policy.start(range(100)), [], []
+    for _ in range(100):
+        observations.append(observation.copy())
+        actions.append(act(observation))
+        noise = rng.uniform(-1.0, 1.0, (100, 1)).astype(np.float32)
+        observation, *_ = env.step(np.where(rng.random((100, 1)) < 0.1, noise, actions[-1]))
+    return SimpleNamespace(policy=policy, observations=observations, actions=np.array(actions))
+
+
+@pytest.mark.parametrize("single", [False, True])
+def test_c_network(observed: Any, library: Any, single: bool):
+    act = c_policy(library(observed.policy.name, single), 100)
+    errors = np.abs(np.array([act(each) for each in observed.observations]) - observed.actions)
+    print(f"{observed.policy.name}, C99 in {'float' if single else 'double'}: {errors.max():.2g}")
+    assert errors.max() <= ((1e-3 if observed.policy.identifies else 1e-5) if single else 0.0)
+
+
+@pytest.mark.parametrize("single", [False, True])
+def test_onnx(observed: Any, single: bool):
+    pytest.importorskip("onnx")
+    runtime = pytest.importorskip("onnxruntime")
+    session = runtime.InferenceSession(Exported(observed.policy.name).onnx(single=single))
+    memory, worst = np.zeros((100, 9)), 0.0
+    for observation, action in zip(observed.observations, observed.actions, strict=True):
+        given = {"observation": observation, **({"memory": memory} if observed.policy.identifies else {})}
+        found, *rest = session.run(None, given)
+        memory, worst = rest[0] if rest else memory, max(worst, np.abs(found - action).max())
+    print(f"{observed.policy.name}, ONNX in {'float' if single else 'double'}: {worst:.2g}")
+    assert worst <= ((5e-6 if observed.policy.squashing == "tanh" else 2e-6) if single else 1e-9)
+
+
+@pytest.mark.parametrize("name", ["direct-ppo", "residual-real"])
+def test_float_does_not_change_the_speed(library: Any, name: str):
+    policy, speeds = load_policy(name), []
+    for act in (policy.start(range(100)), c_policy(library(name, True), 100)):
+        env = CapsuleVectorEnv(100, **{**policy.env_kwargs, "max_episode_steps": 400})
+        observation, _ = env.reset(seed=8_000)
+        for _ in range(399):
+            observation, *_ = env.step(act(observation))
+        speeds.append(env.episode_metrics()["mean_speed"].mean())
+    assert speeds[0] > 10.0
+    assert speeds[1] == pytest.approx(speeds[0], abs=1e-3)
+
+
+@pytest.mark.parametrize("name", [*LAWS, *TASK_LAWS])
+def test_c_law(library: Any, name: str):
+    """On 3,000 states, some of them at rest, and with changes that no plant makes."""
+    exported, rng, n = Exported(f"baselines:{name}"), np.random.default_rng(21), 3000
+    t = np.arange(n) * 1e-3
+    states = np.array(
+        [0.6 * np.sin(9.0 * t), 5.4 * np.cos(9.0 * t), 0.05 * t, 0.15 * np.sin(9.0 * t + 1.0), 0.3 + 0 * t]
+    )
+    states[:4] += rng.normal(size=(4, n)) * [[0.05], [0.5], [0.01], [0.05]]
+    states[3, rng.random(n) < 0.3] = 0.0
+    states[2, 1000:2000] = 0.3 + 0.02 * rng.normal(size=1000)
+    law, controller = c_law(library(f"baselines:{name}", False), 1), exported.law
+    assert isinstance(controller, Controller)
+    start = {"goal": 0.3, "command": 0.3, "target": states[2, 0]}
+    own = tuple(start.get(field, 0.0) for field in find_task(controller.task).fields) if controller.task else ()
+    memory = controller.memory
+    for i, given in enumerate(states.T):
+        row = (*controller.reference[i % len(controller.reference)], *own)
+        torque, memory = controller.law(*given[:4].tolist(), memory, row)
+        assert law(given[None])[0] == min(max(torque, -1.5), 1.5), i
+
+
+def test_float_law_keeps_the_speed_of_gait_predictive(library: Any):
+    """Its torque jumps where its direction changes, so that rounding moves single torques by up to 3 N m."""
+    speeds = []
+    for single in (False, True):
+        law = c_law(library("baselines:gait_predictive", single), 100)
+        env = CapsuleVectorEnv(100, control_dt=1e-3, physics_dt=1e-3, max_episode_steps=5000)
+        env.reset(seed=9_000)
+        for _ in range(4999):
+            states = np.append(env.simulation.rows(Row.theta, Row.x_dot + 1), np.zeros((1, 100)), axis=0)
+            env.step((law(states.T) / 1.5).astype(np.float32)[:, None])
+        speeds.append(env.episode_metrics()["mean_speed"].mean())
+    assert speeds[0] > 10.0
+    assert speeds[1] == pytest.approx(speeds[0], abs=1e-3)
+
+
+@pytest.mark.parametrize("target", ["-O0", "-O2", "-O3", "cortex-m4"])
+@pytest.mark.parametrize("arguments", ["direct-ppo", "goal --float", "residual-real --law --float", "baselines:gait"])
+def test_program(tmp_path: Path, target: str, arguments: str):
+    """The test vectors of the command, compiled for this machine, and for a Cortex-M4 in QEMU."""
+    emulator = "qemu-system-arm" if target == "cortex-m4" else "gcc"
+    if shutil.which(emulator) is None and "CI" not in os.environ:
+        pytest.skip(f"needs {emulator}")
+    assert main([*arguments.split(), "--c", str(tmp_path / "policy.h")]) == 0
+    source, program = tmp_path / "policy_test.c", tmp_path / "program"
+    if target == "cortex-m4":
+        run("arm-none-eabi-gcc", *C99, "-O2", *M4, START, VECTORS, source, "-o", program, "-lm")
+        output = run(*QEMU, "-kernel", program)
+    else:
+        run("gcc", *C99, target, source, "-o", program, "-lm")
+        output = run(program)
+    assert re.search(r": 0 of \d\d+ periods differ", output), output
+
+
+def test_loop_of_the_page(tmp_path: Path):
+    """The C of docs/export.md moves the motor."""
+    page = (Path(__file__).parents[2] / "docs" / "export.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```c\n(.*?)```", page, re.DOTALL)
+    code = code.replace("float rig_step(", "float rig_step(const float sensors[4]);\nfloat rig_step(")
+    main = "int main(void) { float s[4] = {-1}; return !(rig_step(s) > 1 && rig_step(s) <= 1.5f); }\n"
+    (tmp_path / "policy.h").write_text(Exported("residual-real", True).c(single=True))
+    (tmp_path / "rig.c").write_text(code + main)
+    run("gcc", *C99, tmp_path / "rig.c", "-o", tmp_path / "rig", "-lm")
+    run(tmp_path / "rig")
+
+
+@pytest.mark.skipif(shutil.which("qemu-system-arm") is None and "CI" not in os.environ, reason="needs qemu-system-arm")
+def test_size_and_time_on_a_cortex_m4(tmp_path: Path):
+    """A policy of 64 x 64 units with its law, in float."""
+    (tmp_path / "policy.h").write_text(Exported("residual-real", True).c(single=True))
+    source, compiler = tmp_path / "count.c", ("arm-none-eabi-gcc", *C99, "-O2", *M4)
+    source.write_text(COUNT.replace("NAME", "residual_real"))
+    run(*compiler, "-c", source, "-o", tmp_path / "act.o")
+    size = int(run("arm-none-eabi-size", tmp_path / "act.o").split()[6])
+    run(*compiler, "-DCOUNT", START, VECTORS, source, "-o", tmp_path / "program", "-lm")
+    instructions = int(run(*QEMU, "-icount", "shift=0", "-kernel", tmp_path / "program").split()[0])
+    print(f"{size} bytes, {instructions} instructions")
+    assert size <= 25_000
+    assert 10_000 < instructions <= 35_000
+
+
+def test_command_names_what_it_cannot_export(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    header = str(tmp_path / "policy.h")
+    for arguments, message in (
+        (["direct-ppo", "--law", "--c", header], "--law needs a control law of the core"),
+        (["baselines:adaptive", "--onnx", str(tmp_path / "law.onnx")], "--onnx needs a policy"),
+        (["direct-ppo"], "at least one of --c and --onnx"),
+        (["direct-ppo", "--c", str(tmp_path / "policy.c")], "--c must name a file .h"),
+        (["direct-pqo", "--c", header], "name_or_path must be one of"),
+        (["tests.capsule_gym.fakes:picky_controller", "--c", header], "--law needs a control law of the core"),
+    ):
+        with pytest.raises(SystemExit):
+            main(arguments)
+        assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
