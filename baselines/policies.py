@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from baselines import lqr, mpc
 from baselines.dynamic_programming import policy
 from baselines.gaits import GAIT_DT, archive
 from baselines.laws import LAWS as _LAWS
@@ -68,6 +69,8 @@ SCRIPTED = {
             {"control_dt": GAIT_DT, "observe_parameters": True},
             archive.start_oracle,
         ),
+        ScriptedPolicy("lqr", "LQR with a gain for every phase of a limit cycle of dp-nominal", {}, lqr.start),
+        ScriptedPolicy("mpc", "sampling MPC on the nominal plant with the values of dp-nominal", {}, mpc.start),
         ScriptedPolicy(
             "dp-nominal",
             "dynamic programming for the nominal plant with a margin of normal force, whatever the plant",

@@ -12,12 +12,16 @@ from capsule_gym import task
 from capsule_gym.parameters import Capsule
 
 XML = Path(__file__).with_name("capsule.xml")
-# Friction of the joint x, of a sphere on a plane with an elliptic cone, and the same with the smallest time constant
-# and the largest impedance that MuJoCo accepts.
-FRICTIONS = ("frictionloss", "contact", "stiff contact")
+# The settings that MuJoCo documents against slip: the ratio of friction-to-normal impedance, the no-slip solver, the
+# smallest time constant (in steps) and the largest impedance of a contact that it accepts, and the discrete integrator.
+IMPRATIO, NO_SLIP_ITERATIONS = 100.0, 50
 STIFF_STEPS, STIFF_IMPEDANCE = 2.0, (0.9999, 0.9999, 0.001, 0.5, 2.0)
+# Friction of the joint x, or of a sphere on a plane with an elliptic cone and one or more of these settings.
+FRICTIONS = ("frictionloss", "contact", "impratio", "no-slip", "stiff", "no-slip, discrete")
 # Time in which a platform on a contact sinks into the floor, s.
 SETTLING_SECONDS = 1.0
+# The platform is loaded for HOLD_SECONDS; the last of them is measured, when the pendulum is at rest.
+HOLD_SECONDS = 6
 
 
 def build_model(friction: str, timestep: float, capsule: Capsule, integrator: str = "implicitfast") -> Any:
@@ -29,14 +33,38 @@ def build_model(friction: str, timestep: float, capsule: Capsule, integrator: st
     text = Template(XML.read_text(encoding="utf-8")).substitute(constants, coulomb=coulomb)
     spec = mujoco.MjSpec.from_string(text)
     spec.option.timestep = timestep
+    integrator = "discrete" if "discrete" in friction else integrator
     spec.option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
     if friction == "frictionloss":
+        spec.delete(spec.joint("y"))
         spec.delete(spec.joint("z"))
         spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    if friction.startswith("stiff"):
+    if friction == "impratio":
+        spec.option.impratio = IMPRATIO
+    if "no-slip" in friction:
+        spec.option.noslip_iterations = NO_SLIP_ITERATIONS
+    if friction == "stiff":
         for geom in spec.geoms:
             geom.solref, geom.solimp = (STIFF_STEPS * timestep, 1.0), STIFF_IMPEDANCE
     return spec.compile()
+
+
+def creep(model: Any, load: float) -> float:
+    """The speed of the platform under a constant horizontal force below the friction limit, m/s; exactly 0 in stick.
+
+    Args:
+        model: a model of `build_model`.
+        load: the force, N.
+    """
+    import mujoco
+
+    data, steps = start_data(model), round(1.0 / model.opt.timestep)
+    data.qfrc_applied[model.joint("x").dofadr[0]] = load
+    x = []
+    for _ in range(HOLD_SECONDS):
+        mujoco.mj_step(model, data, nstep=steps)
+        x.append(data.joint("x").qpos[0])
+    return abs(x[-1] - x[-2])
 
 
 def start_data(model: Any) -> Any:

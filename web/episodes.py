@@ -36,6 +36,8 @@ from capsule_gym.task import CONTROL_DT, EPISODE_STEPS, TASKS
 SEEDS = 100
 # Policies that the browser runs from recorded actions, on these plants only.
 RECORDED = ("dp-nominal", "dp-oracle")
+# Policies that the browser does not have.
+LEFT_OUT = ("lqr", "mpc")
 FILE = Path(__file__).with_name("episodes.json")
 RECORDINGS = Path(__file__).with_name("recordings.npz")
 # Fills a recording after the last action of an episode.
@@ -47,7 +49,8 @@ def drivers() -> dict[str, Any]:
     """The policies in the browser by name, scripted and trained; of a trained one the run with the lowest seed."""
     trained = map(capsule_gym.load_policy, policy_names())
     # Policies of other tasks come last.
-    return ALL_SCRIPTED | {each.name: each for each in sorted(trained, key=lambda policy: "task" in policy.env_kwargs)}
+    scripted = {name: policy for name, policy in ALL_SCRIPTED.items() if name not in LEFT_OUT}
+    return scripted | {each.name: each for each in sorted(trained, key=lambda policy: "task" in policy.env_kwargs)}
 
 
 def compute(episode: dict[str, Any]) -> dict[str, Any]:

@@ -84,8 +84,13 @@ class Lookahead:
         states = np.repeat(observations[:, :3].T.astype(np.float64), NUM_TORQUES, axis=1)
         ends, rewards, failed = self._transitions.step(states, self._actions)
         # A failed step may end in NaN, which has no cell.
-        own = coordinates(np.where(failed, 0.0, ends).reshape(3, -1, NUM_TORQUES), self._q[:, None])
-        tables, scores = self._tables, rewards.reshape(-1, NUM_TORQUES)
+        ends = np.where(failed, 0.0, ends).reshape(3, -1, NUM_TORQUES)
+        scores = self.add_values(rewards.reshape(-1, NUM_TORQUES), ends)
+        return np.where(failed.reshape(scores.shape), FAILURE_SCORE, scores)
+
+    def add_values(self, scores: np.ndarray, states: np.ndarray) -> np.ndarray:
+        """Adds the values of states theta, theta_dot and x_dot, shape (3, count, n), to scores in cm, (count, n)."""
+        own, tables = coordinates(states, self._q[:, None]), self._tables
         # The tables around every environment's plant.
         for corner, weight in zip(self._corners.T, self._weights.T, strict=True):
             # Shapes (3, environments, 1).
@@ -94,7 +99,7 @@ class Lookahead:
             positions = tuple(clamped((own[n] - first[n]) / spacing[n], nodes[n] - 1.0) for n in range(3))
             cells = find_cells(positions, nodes[1], nodes[2], tables.starts[corner, None])
             scores = scores + weight[:, None] * interpolate(tables.values, cells, tables.curvatures[corner, None])
-        return np.where(failed.reshape(scores.shape), FAILURE_SCORE, scores)
+        return scores
 
     @property
     def normal_force(self) -> np.ndarray:

@@ -35,7 +35,7 @@ LAWS = {
     "feedback_linearising_optimal_profile": Law(
         "feedback_linearisation",
         "feedback-linearising-optimal-profile",
-        "the fastest profile (9) with 0.54 N m and without Principle 4, feedback linearisation (35)",
+        "the fastest profile (9) with 1.5 N m and without Principle 4, feedback linearisation (35)",
     ),
     "compliant": Law("adaptive", "compliant", "the paper's profile (9), adaptive law (39) with low gains"),
     "epc": Law("feedback_linearisation", "epc", "the EPC profile, feedback linearisation (35)"),
@@ -49,6 +49,10 @@ LAWS = {
     "adaptive_predictive": Law(
         "predictive", "adaptive-predictive", "adaptive on a state that an observer and a predictor of the latency give"
     ),
+    "open_loop": Law("periodic", "open-loop", "torque as a function of time alone, tuned without disturbances"),
+    "open_loop_real": Law("periodic", "open-loop-real", "torque as a function of time alone, tuned under disturbances"),
+    "pd": Law("periodic", "pd", "PD control of the pendulum's angle along a periodic reference"),
+    "oscillator": Law("periodic", "oscillator", "a Hopf oscillator that the state entrains"),
 }
 # Laws for one of the other tasks only.
 TASK_LAWS = {

@@ -27,11 +27,11 @@ def feedback_linearising(
 
 
 def feedback_linearising_optimal_profile() -> Controller:
-    """Feedback linearisation along the fastest profile (9) with 0.54 N m and without Principle 4.
+    """Feedback linearisation along the fastest profile (9) with 1.5 N m and without Principle 4.
 
     Without this principle the platform can move while the pendulum returns.
     """
-    return feedback_linearising(optimal(0.54, dropped=4))
+    return feedback_linearising(optimal(1.5, dropped=4))
 
 
 def epc() -> Controller:

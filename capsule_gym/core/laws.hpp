@@ -7,6 +7,7 @@
 #include "laws/adaptive.hpp"
 #include "laws/feedback_linearisation.hpp"
 #include "laws/gait.hpp"
+#include "laws/periodic.hpp"
 #include "laws/predictive.hpp"
 #include "laws/pulses.hpp"
 
@@ -23,4 +24,5 @@ struct NoLaw {
 
 #define CAPSULE_LAWS(LAW)                                                                                              \
   LAW(NoLaw) LAW(Adaptive) LAW(FeedbackLinearising) LAW(Gait) LAW(GaitCandidate) LAW(GaitIdentifying)                  \
-  LAW(GaitPredictive) LAW(AdaptivePredictive) LAW(GoalPulses) LAW(VelocityPulses)
+  LAW(GaitPredictive) LAW(AdaptivePredictive) LAW(GoalPulses) LAW(VelocityPulses)                 \
+  LAW(Tracking) LAW(Oscillator)

@@ -1,0 +1,94 @@
+"""Sampling model-predictive control with the value function of dynamic programming, the policy `mpc`.
+
+At every control interval the policy disturbs its previous plan of torques, simulates all plans with the environment's
+own step on the nominal plant, and applies the first torque of the best (predictive sampling, Howell et al. 2022). The
+value of dynamic programming scores the state at the end of a plan, which can therefore be short.
+
+`python -m baselines.mpc` prints its speed and the processor time of a decision.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from baselines.dynamic_programming.policy import FAILURE_SCORE, Lookahead
+from baselines.dynamic_programming.problem import NOMINAL_MARGIN, Problem, Transitions
+from capsule_gym.command_line import parse
+from capsule_gym.task import EPISODE_STEPS
+
+Act = Callable[[np.ndarray], np.ndarray]
+
+PLANS, INTERVALS = 32, 5
+# Largest disturbances of the plans after the first, the previous plan itself; each is a share of the torque limit.
+AMPLITUDES = np.array([0.0, *np.resize([0.1, 0.3, 1.0], PLANS - 1)])[:, None]
+SEED = 20187
+
+
+def start(seeds: Sequence[int]) -> Act:
+    """The policy `mpc`. The disturbances are the same in all episodes, so that an episode does not depend on others."""
+    count, rng = len(seeds), np.random.default_rng(SEED)
+    problem = Problem(margin=NOMINAL_MARGIN)
+    transitions, optimum = Transitions(problem, count * PLANS), Lookahead(count, NOMINAL_MARGIN, problem)
+    previous = np.zeros((count, 1, INTERVALS))
+
+    def act(observations: np.ndarray) -> np.ndarray:
+        nonlocal previous
+        # Linear between the ends of the plan: single torques do not move the pendulum.
+        ends, share = rng.uniform(-1.0, 1.0, (2, PLANS, 1)), np.linspace(0.0, 1.0, INTERVALS)
+        plans = np.clip(previous + AMPLITUDES * (ends[0] + share * (ends[1] - ends[0])), -1.0, 1.0)
+        states = np.repeat(observations[:, :3].T.astype(np.float64), PLANS, axis=1)
+        scores, failed = np.zeros(count * PLANS), np.zeros(count * PLANS, bool)
+        for torques in plans.reshape(-1, INTERVALS).T:
+            states, rewards, failing = transitions.step(states, torques)
+            failed |= failing
+            # A failed step may end in NaN.
+            states = np.where(failed, 0.0, states)
+            scores = scores + np.where(failed, FAILURE_SCORE, rewards)
+        scores = optimum.add_values(scores.reshape(count, PLANS), states.reshape(3, count, PLANS))
+        best = plans[np.arange(count), scores.argmax(axis=1)]
+        previous = np.append(best[:, 1:], best[:, -1:], axis=1)[:, None]
+        return best[:, :1].astype(np.float32)
+
+    return act
+
+
+@dataclass(frozen=True)
+class Args:
+    """Runs the policy `mpc` on random plants, and prints its speed and the processor time of a decision.
+
+    Examples:
+      python -m baselines.mpc --plants 8
+    """
+
+    plants: int = 8
+    """Number of plants from the distribution `paper`."""
+    seed: int = 0
+    """Seed of the first plant."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns the exit status."""
+    args = parse(Args, "python -m baselines.mpc", arguments)
+    from capsule_gym import CapsuleVectorEnv
+
+    env = CapsuleVectorEnv(args.plants, autoreset_mode="DISABLED")
+    observations, _ = env.reset(seed=args.seed)
+    act, seconds = start(range(args.plants)), 0.0
+    for _ in range(EPISODE_STEPS):
+        begin = time.process_time()
+        actions = act(observations)
+        seconds += time.process_time() - begin
+        observations, *_ = env.step(actions)
+    metrics = env.episode_metrics()
+    speed, failures = metrics["mean_speed"].mean(), int(metrics["failed"].sum())
+    print(f"{speed:.2f} cm/s, {failures} failures, {1e6 * seconds / (EPISODE_STEPS * args.plants):.0f} us per decision")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

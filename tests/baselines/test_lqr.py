@@ -1,0 +1,52 @@
+"""The regulator about a limit cycle: its gains, the committed cycle, and its policy."""
+
+import json
+
+import numpy as np
+from scipy.linalg import solve_discrete_are
+
+from baselines import lqr
+from baselines.dynamic_programming.problem import Problem, Transitions
+from capsule_gym import CapsuleVectorEnv
+
+
+def test_a_constant_system_has_the_gains_of_the_algebraic_riccati_equation():
+    A, B, deviation = np.array([[1.0, 0.1, 0.0], [0.2, 0.9, 0.05], [0.0, -0.1, 0.98]]), np.array([0.0, 0.4, 0.1]), 0.3
+    gains = lqr.riccati_gains(np.tile(A, (4, 1, 1)), np.tile(B, (4, 1)), deviation)
+    R = deviation**-2.0
+    P = solve_discrete_are(A, B[:, None], np.diag(lqr.DEVIATIONS**-2.0), [[R]])
+    np.testing.assert_allclose(gains, np.tile(B @ P @ A / (R + B @ P @ B), (4, 1)), rtol=1e-9)
+
+
+def test_the_committed_cycle_is_closed_and_its_regulator_stable():
+    content = {name: np.array(values) for name, values in json.loads(lqr.FILE.read_text(encoding="utf-8")).items()}
+    states, distance, A, B = lqr.linearise(Transitions(Problem(), 9), content["states"][0], content["torques"])
+    np.testing.assert_allclose(states[:-1], content["states"], atol=1e-9)
+    assert (np.abs(states[-1] - states[0]) < 1e-5).all()
+    assert distance / (0.02 * len(content["torques"])) > 20.0
+    free, closed = np.eye(3), np.eye(3)
+    for a, b, k in zip(A, B, content["gains"], strict=True):
+        free, closed = a @ free, (a - np.outer(b, k)) @ closed
+    assert np.abs(np.linalg.eigvals(closed)).max() < 1.0 < np.abs(np.linalg.eigvals(free)).max()
+
+
+def test_corrections_close_a_cycle():
+    content = {name: np.array(values) for name, values in json.loads(lqr.FILE.read_text(encoding="utf-8")).items()}
+    transitions, disturbed = Transitions(Problem(), 9), content["states"][0] + [0.005, 0.05, 0.002]
+    assert np.abs(np.ptp(lqr.linearise(transitions, disturbed, content["torques"])[0][[0, -1]], axis=0)).max() > 1e-4
+    distance, state, torques = lqr.close_cycle(transitions, disturbed, content["torques"])
+    states = lqr.linearise(transitions, state, torques)[0]
+    assert np.isfinite(distance) and (np.abs(states[-1] - states[0]) < lqr.CLOSED * lqr.SCALES).all()
+
+
+def test_the_policy_follows_the_cycle_and_an_episode_does_not_depend_on_others():
+    speeds = []
+    for count in (1, 3):
+        env = CapsuleVectorEnv(count, randomization="none", autoreset_mode="DISABLED")
+        observations, _ = env.reset(seed=0)
+        act = lqr.start(range(count))
+        for _ in range(500):
+            observations, *_ = env.step(act(observations))
+        speeds.append(env.episode_metrics()["distance"] / 10.0)
+        env.close()
+    assert speeds[0][0] == speeds[1][0] > 0.09

@@ -1,0 +1,30 @@
+"""The search of the parameters of periodic laws."""
+
+import json
+
+import pytest
+
+from baselines import tuning
+from baselines.laws import periodic
+from baselines.policies import ScriptedPolicy
+
+pytest.importorskip("cma")
+
+
+def test_a_failure_scores_below_standstill():
+    drop = ScriptedPolicy("drop", "", {"controller": periodic.open_loop((0.5, 1.5, *[0.0] * 8))})
+    rest = ScriptedPolicy("rest", "", {"controller": periodic.open_loop((0.5, *[0.0] * 9))})
+    (dropped, metrics), (rested, _) = (tuning.score(each, tuning.PAPER, 1, 2, 2.0) for each in (drop, rest))
+    assert metrics["failures"] == 2 and dropped < -5.0 < abs(rested) < 0.5
+
+
+def test_only_better_parameters_replace_those_on_file(monkeypatch, tmp_path):
+    monkeypatch.setattr(periodic, "FILE", tmp_path / "periodic.json")
+    for name, value in (("POPULATION", 4), ("PLANTS", 2), ("TRIAL", 0.5), ("VALIDATION_PLANTS", 2), ("HORIZON", 0.5)):
+        monkeypatch.setattr(tuning, name, value)
+    assert tuning.main(["open-loop", "--generations", "1"]) == 0
+    first = json.loads(periodic.FILE.read_text(encoding="utf-8"))["open-loop"]
+    assert first["found"]["command"].endswith("open-loop --generations 1 --seed 0 --step 0.5")
+    monkeypatch.setattr(tuning, "score", lambda *arguments: (-1.0, {}))
+    assert tuning.main(["open-loop", "--generations", "1", "--seed", "1"]) == 0
+    assert json.loads(periodic.FILE.read_text(encoding="utf-8"))["open-loop"] == first
