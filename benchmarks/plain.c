@@ -3,7 +3,7 @@
 // symbols; the rounding is the compiler's. benchmarks/plain.py compiles it with -ffast-math.
 #include <math.h>
 
-#define N 64     // environments in a block
+#define N 128     // environments in a block
 #define CHUNK 8  // of them, stepped together: where none sticks, the margin of stick is left out
 #define SUBSTEPS 10
 #define LARGE 1e300

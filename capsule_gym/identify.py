@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,9 +37,9 @@ class Args:
         check_output("--report", self.report)
 
 
-def main() -> None:
-    """Prints the estimates."""
-    args = parse(Args, PROG)
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Prints the estimates; returns the exit status."""
+    args = parse(Args, PROG, arguments)
     try:
         fit = identify(args.log, args.known, args.prior)
     except (TypeError, ValueError) as error:
@@ -45,7 +47,8 @@ def main() -> None:
     print(fit.table())
     if args.report:
         fit.report(args.report)
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

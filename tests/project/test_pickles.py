@@ -90,6 +90,8 @@ READERS = {
         *([path, "-o", "a.gif"] for path in PATHS),
         *(["zero", *words, "-o", "a.gif"] for words in (["--set", "set.json"], ["--rival", "run"])),
     ],
+    "capsule_gym.export": [[path, "--c", "policy.h"] for path in PATHS],
+    "capsule_gym.identify": [["policy.safetensors"], ["model.zip"]],
     "train": [["--run", "run"], ["--run", "lstm", "--task", "direct", "--algo", "recurrent-ppo"]],
 }
 # The commands with an option that trusts the path.
@@ -122,6 +124,7 @@ def test_what_reads_a_path_is_among_these():
     others = {name for name in commands() if name.startswith(("benchmarks", "tests", "web"))}
     only_written = {"agents.analysis", "agents.distillation", "agents.evaluation.sets", "agents.leaderboard"}
     only_written |= {"baselines.paper", "baselines.paper.optimal_profiles", "baselines.paper.speed_bound"}
+    only_written |= {"baselines.mpc", "baselines.sine_sweep", "baselines.tuning"}
     assert set(commands()) == {*READERS, *others, *only_written}
 
 
