@@ -7,7 +7,7 @@ import importlib
 import numpy as np
 import pytest
 
-from benchmarks import accuracy, measurement, mujoco, throughput, training
+from benchmarks import accuracy, measurement, mujoco, throughput, trainers
 from benchmarks.plain import find_compiler
 from capsule_gym.layout import Row
 from capsule_gym.parameters import Capsule
@@ -45,17 +45,17 @@ def test_a_training_ends_at_its_speed_and_evaluations_cost_nothing(monkeypatch) 
         now[0] += 100.0
         return [{"mean_speed": next(speeds), "policy": policy}]
 
-    monkeypatch.setattr(training, "evaluate", evaluate)
-    clock = training.Clock(training.Args(seconds=50.0), 0)
-    for steps, over in ((training.EVERY, False), (training.EVERY + 1, False), (2 * training.EVERY, True)):
+    monkeypatch.setattr(trainers, "evaluate", evaluate)
+    clock = trainers.Clock(0, 15.0, 50.0)
+    for steps, over in ((trainers.EVERY, False), (trainers.EVERY + 1, False), (2 * trainers.EVERY, True)):
         now[0] += 1.0
         clock.check(steps, lambda: None)
         assert clock.over is over
-    assert (clock.seconds, clock.steps, clock.speed) == (3.0, 2 * training.EVERY, 15.0)
-    clock = training.Clock(training.Args(seconds=0.5), 0)
+    assert (clock.seconds, clock.steps, clock.speed) == (3.0, 2 * trainers.EVERY, 15.0)
+    clock = trainers.Clock(0, 15.0, 0.5)
     speeds = iter([1.0])
     now[0] += 1.0
-    clock.check(training.EVERY, lambda: None)
+    clock.check(trainers.EVERY, lambda: None)
     assert clock.over and clock.speed == 1.0
 
 
