@@ -4,11 +4,7 @@
 #include "identification.hpp"
 #include "plant.hpp"
 
-// The constants that an episode draws besides M and mu, and the sizes of its disturbances, as in `Randomization` and
-// `Disturbances`.
-#define CAPSULE_DRAWN                                                                                                  \
-  DRAWN(m) DRAWN(l) DRAWN(g) DRAWN(k) DRAWN(c) DRAWN(static_ratio) DRAWN(backward_ratio) DRAWN(viscous)                \
-  DRAWN(stribeck_speed) DRAWN(slope) DRAWN(motor_friction)
+// The sizes of an episode's disturbances, as in `Disturbances`.
 #define CAPSULE_DISTURBANCES                                                                                           \
   ROW(theta_noise) ROW(theta_dot_noise) ROW(x_dot_noise) ROW(theta_bias) ROW(theta_dot_bias) ROW(x_dot_bias)           \
   ROW(theta_drift) ROW(theta_dot_drift) ROW(x_dot_drift) ROW(drift_time) ROW(theta_resolution)                         \
@@ -39,7 +35,7 @@
   ROW(first_normal_force) ROW(least_normal_force)                                                                      \
   /* Down to the end only for varied plants. The constants of `Plant`, those that the episode has drawn, its           \
      disturbances, and the key of its noise. */                                                                        \
-  CAPSULE_PLANT(PLANT_ROW) CAPSULE_DRAWN CAPSULE_DISTURBANCES ROW(key)                                                 \
+  CAPSULE_PLANT(PLANT_ROW) CAPSULE_CONSTANTS(DRAWN) CAPSULE_DISTURBANCES ROW(key)                                      \
   /* Derived: the latency in periods, the shares of drift and of motor lag after one period; readings so far. */       \
   ROW(delay) ROW(drift_share) ROW(motor_share) ROW(readings)                                                           \
   /* In the first lane: the entry of the history that was written last. */                                             \
