@@ -194,10 +194,11 @@ class Simulation:
             "reference_size": self.reference.shape[1],
             "draw_lines": len(self.draw_table),
         }
-        self._batch = _core.bind(fields)
+        self._fields = np.array([fields[name] for name in _core.BATCH])
+        self._batch = native.address(self._fields)
         # Looking the arguments up each time takes a tenth of a step.
-        self._advance = partial(_core.advance, self._batch)
-        self._step_one = partial(_core.step_one, self._batch)
+        self._advance = partial(_core.call, "advance", self._batch)
+        self._step_one = partial(_core.call_locked, "step_one", self._batch)
 
     def row(self, row: int) -> np.ndarray:
         """A copy of one quantity of every environment, shape (num_envs,)."""

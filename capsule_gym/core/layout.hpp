@@ -91,7 +91,8 @@ struct Settings { CAPSULE_SETTINGS(CAPSULE_DOUBLE) };
 // is the rows from read_theta on.
 typedef void (*UserLaw)(void* data, double* block, double* torques, long long n);
 
-// Everything that belongs to the environments of a simulation: arrays, by their addresses, and their sizes.
+// Everything that belongs to the environments of a simulation: arrays, by their addresses, and their sizes. Python
+// passes the address of an array of these numbers.
 #define CAPSULE_BATCH(FIELD)                                                                                           \
   /* The blocks, each with the law's memory, its line of the reference, the task's memory, the history and the filter  \
      of the estimates behind it. A varied plant has two memories of the task, with true and with measured values; the  \
@@ -125,5 +126,15 @@ template <int N> constexpr long long block_size(const Batch& batch) {
   long long filter = batch.settings->with_estimates != 0.0 ? FILTER_ROWS : 0;
   return sizeof(Block<N>) / 8 + (rows + history + filter) * N;
 }
-// What functions return where memory is short; else the index of an environment whose law has failed, or -1.
-constexpr long long NO_MEMORY = -2;
+
+// An argument of a function of level.cpp: a whole or real number, or an address.
+struct Argument {
+  long long bits;
+  operator long long() const { return bits; }
+  operator double() const { return __builtin_bit_cast(double, bits); }
+  template <class T> operator T*() const { return (T*)bits; }
+};
+constexpr int MOST_ARGUMENTS = 9;
+// Calls a function by its name. Returns the index of an environment whose law has failed, -1, or one of the others.
+typedef long long Call(const char* function, const Argument* arguments);
+constexpr long long NO_MEMORY = -2, UNKNOWN = -3;  // memory is short; there is no function of this name
