@@ -56,7 +56,7 @@ template <int N> struct Dual {
 
   friend INLINE Dual select(bool condition, const Dual& a, const Dual& b) { return condition ? a : b; }
   friend INLINE Dual abs(const Dual& a) { return a.v < 0.0 ? -a : a; }
-  // Whether it is zero in none of its surroundings: a derivative counts too.
+  // A factor that is zero counts where it has a derivative.
   friend INLINE bool acts(const Dual& a) {
     bool any = a.v != 0.0;
     for (int i = 0; i < N; i++) any |= ((const double*)&a.d)[i] != 0.0;
