@@ -34,8 +34,7 @@ MEASURED: float
 NETWORK: list[str]
 PADDING: int
 CELLS: int
-CALL_PYTHON: int
-HALTED: int
+PLAIN_LAW: int
 BATCH: list[str]
 
 def select_level(name: str) -> None: ...

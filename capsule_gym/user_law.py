@@ -7,7 +7,6 @@ takes many times as long in a batch (docs/controllers.md). The torques are the s
 
 from __future__ import annotations
 
-import ctypes
 import importlib.util
 import math
 import threading
@@ -17,9 +16,12 @@ from functools import partial
 from typing import Any
 from weakref import WeakKeyDictionary
 
+import numpy as np
+
 from capsule_gym import _core
 from capsule_gym.checks import first_cause
-from capsule_gym.layout import ROWS, Row
+from capsule_gym.layout import ROWS
+from capsule_gym.native import address
 
 # Loops over the environments of a block. The source is generated since numba's public interface cannot make a tuple of
 # a part of an array. All rows are at constant offsets from one pointer: with a pointer for each kind of row LLVM cannot
@@ -78,34 +80,20 @@ def bind_user_law(controller: Any, row_size: int, lanes: int, state: int) -> tup
                 known[lanes, state] = None if failed else _compile(controller, row_size, lanes, state)
             if (compiled := known[lanes, state]) is not None:
                 return compiled.address, 0, compiled
-    plain = _plain(controller.law, len(controller.memory), row_size, lanes, state)
-    return _core.CALL_PYTHON, id(plain), plain
+    plain, cells = _plain(controller.law, len(controller.memory)), len(controller.memory)
+    # The core's `PlainLaw`.
+    data = np.array([id(plain), cells, cells + row_size, lanes, state], np.int64)
+    return _core.PLAIN_LAW, address(data), (plain, data)
 
 
-def _plain(law: Callable[..., Any], cells: int, row_size: int, lanes: int, state: int) -> Callable[..., None]:
-    """The law in a loop over a block, without numba.
+def _plain(law: Callable[..., Any], cells: int) -> Callable[..., tuple[float, ...]]:
+    """The law as the core calls it: with separate numbers, for one tuple of the torque and the memory."""
 
-    The torque of an environment whose law raises an exception stays NaN: `Simulation` then calls the law again, which
-    raises the exception.
-    """
-    memory, row = ROWS + cells, ROWS + cells + row_size
-    block_type = ctypes.c_double * (row * lanes)
-
-    def call(block: int, torques: int, n: int) -> None:
-        numbers, u = block_type.from_address(block), (ctypes.c_double * n).from_address(torques)
-        for j in range(n):
-            if numbers[Row.halt * lanes + j] == _core.HALTED:
-                continue
-            column = numbers[ROWS * lanes + j :: lanes]
-            given = numbers[state * lanes + j : (state + 4) * lanes : lanes]
-            try:
-                found = law(*given, tuple(column[:cells]), tuple(column[cells:]))
-            except Exception:
-                continue
-            found = tuple(found)
-            if len(found) != 2 or len(renewed := list(found[1])) != cells:
-                raise TypeError(f"a control law must return (torque, memory) with {cells} cells of memory")
-            u[j], numbers[ROWS * lanes + j : memory * lanes : lanes] = found[0], renewed
+    def call(theta: float, theta_dot: float, x: float, x_dot: float, *numbers: float) -> tuple[float, ...]:
+        found = tuple(law(theta, theta_dot, x, x_dot, numbers[:cells], numbers[cells:]))
+        if len(found) != 2 or len(renewed := tuple(found[1])) != cells:
+            raise TypeError(f"a control law must return (torque, memory) with {cells} cells of memory")
+        return found[0], *renewed
 
     return call
 

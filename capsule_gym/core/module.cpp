@@ -93,13 +93,50 @@ PyObject* trace(PyObject*, PyObject* args) {
 
 // --- laws that Python calls ---
 
-// The `UserLaw` whose data is a function of Python that takes the addresses of the block and of the torques, and n.
-// After its exception, such as Ctrl-C, which `call` raises, no further block is passed to it.
-void call_python(void* function, double* block, double* torques, long long n) {
+// A function that takes theta, theta_dot, x, x_dot, the cells of the memory, and the numbers of the reference, and
+// returns a tuple of the torque and the next cells. `numbers` counts cells and reference.
+struct PlainLaw {
+  PyObject* function;
+  long long cells, numbers, lanes, state;  // `state`: the row of the theta that the law observes
+};
+
+// The `UserLaw` with a `PlainLaw` as its data.
+void call_plain(void* data, double* block, double* torques, long long n) {
+  const auto& [function, cells, numbers, lanes, first] = *(const PlainLaw*)data;
+  const double* halt = lanes == 1 ? ((Block<1>*)block)->halt : ((Block<LANES>*)block)->halt;
   PyGILState_STATE lock = PyGILState_Ensure();
-  for (long long j = 0; j < n; j++) torques[j] = __builtin_nan("");
-  if (!PyErr_Occurred())
-    Py_XDECREF(PyObject_CallFunction((PyObject*)function, "LLL", (long long)block, (long long)torques, n));
+  // The first exception, which `call` raises. One that is no `Exception`, such as Ctrl-C, replaces it and ends the
+  // calls.
+  PyObject *type, *value, *trace;
+  PyErr_Fetch(&type, &value, &trace);
+  bool stops = type && !PyErr_GivenExceptionMatches(type, PyExc_Exception);
+  for (long long j = 0; j < n; j++) {
+    torques[j] = __builtin_nan("");
+    if (halt[j] == HALTED || stops) continue;
+    double *state = block + first * lanes + j, *memory = block + sizeof(Block<1>) / sizeof(double) * lanes + j;
+    PyObject* given = PyTuple_New(4 + numbers);
+    for (long long r = 0; r < 4 + numbers; r++)
+      PyTuple_SetItem(given, r, PyFloat_FromDouble(r < 4 ? state[r * lanes] : memory[(r - 4) * lanes]));
+    PyObject* found = PyObject_CallObject(function, given);
+    Py_DecRef(given);
+    if (found) {
+      double torque = PyFloat_AsDouble(PyTuple_GetItem(found, 0));
+      for (long long r = 0; r < cells; r++) memory[r * lanes] = PyFloat_AsDouble(PyTuple_GetItem(found, 1 + r));
+      Py_DecRef(found);
+      if (!PyErr_Occurred()) {
+        torques[j] = torque;
+        continue;
+      }
+    }
+    stops = !PyErr_ExceptionMatches(PyExc_Exception);
+    if (type && !stops) {
+      PyErr_Clear();
+      continue;
+    }
+    Py_XDECREF(type), Py_XDECREF(value), Py_XDECREF(trace);
+    PyErr_Fetch(&type, &value, &trace);
+  }
+  PyErr_Restore(type, value, trace);
   PyGILState_Release(lock);
 }
 
@@ -159,8 +196,7 @@ int fill(PyObject* module) {
 #define WHOLE(name, value) add(#name, PyLong_FromLongLong((long long)(value)));
   WHOLE(LANES, LANES) WHOLE(HISTORY_ROWS, HISTORY_ROWS) WHOLE(MOST_CELLS, MOST_CELLS) WHOLE(PADDING, portable::PADDING)
   WHOLE(COMMANDS, portable::COMMANDS) WHOLE(CELLS, portable::WIDTH<portable::Identification>)
-  WHOLE(DIRECTIONS, portable::DIRECTIONS) WHOLE(CALL_PYTHON, &call_python) WHOLE(LONGEST_TRACE, LONGEST_TRACE)
-  WHOLE(HALTED, HALTED)
+  WHOLE(DIRECTIONS, portable::DIRECTIONS) WHOLE(PLAIN_LAW, &call_plain) WHOLE(LONGEST_TRACE, LONGEST_TRACE)
   return failed;
 }
 
