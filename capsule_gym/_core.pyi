@@ -1,13 +1,10 @@
 # The module that capsule_gym/core/module.cpp defines. Arrays are passed by their addresses.
-from typing import Any
-
 LEVELS: list[str]
 ROWS: list[str]
 SETTINGS: list[str]
 PLANT: list[str]
 TRAJECTORY: list[str]
-PLANT_FUNCTIONS: list[str]
-ELEMENTARY_FUNCTIONS: list[str]
+FUNCTIONS: list[str]
 OPERATIONS: list[str]
 OBSERVED: list[str]
 FUSED: str
@@ -41,12 +38,11 @@ PLAIN_LAW: int
 BATCH: list[str]
 
 def select_level(name: str) -> None: ...
-def bind(fields: dict[str, int]) -> Any: ...
-def advance(batch: Any, first: int, last: int, begin: bool) -> int: ...
-def step_one(batch: Any, action: float) -> int: ...
 
-# A function of capsule_gym/core/level.cpp; returns as `advance`.
-def call(name: str, /, *arguments: Any) -> int: ...
+# Both call a function of capsule_gym/core/level.cpp and return the index of an environment whose law has failed, or -1;
+# `call` releases the interpreter's lock.
+def call(name: str, /, *arguments: float) -> int: ...
+def call_locked(name: str, /, *arguments: float) -> int: ...
 
 # A function of capsule_gym/core/trace.hpp, with the addresses of the constants and of the rows; returns their number.
 def trace(function: str, number: int, constants: int, rows: int, /) -> int: ...

@@ -7,10 +7,16 @@ import math
 import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Kind = TypeVar("Kind", bound="DataclassInstance")
 
 # Subclasses of Python's and numpy's integers that are not numbers.
 NO_NUMBERS = (bool, np.timedelta64)
@@ -133,3 +139,28 @@ def check_timed(name: str, value: Any, accepted: str, keys: tuple[str, ...]) -> 
             raise ValueError(f"{own}['t'] must be later than the one before, {last:g} s, got {t:g} s")
         yield own, t, entry
         last = t
+
+
+def check_pair(name: str, value: Any, accepted: str, **limits: Any) -> tuple[float, float]:
+    """Validates a pair (low, high) of numbers; `limits` are those of `check_number`."""
+    try:
+        low, high = value
+    except (TypeError, ValueError):
+        raise TypeError(f"{name} must be {accepted}, got {written(value)}") from None
+    low, high = (check_number(f"{name}[{n}]", end, accepted, **limits) for n, end in enumerate((low, high)))
+    if low > high:
+        raise ValueError(f"{name} must be {accepted}, got {written(value)}")
+    return low, high
+
+
+def from_fields(kind: type[Kind], argument: str, values: dict[str, Any]) -> Kind:
+    """The object with these fields, which JSON contains instead of it; raises the errors of its fields."""
+    names = [each.name for each in fields(kind)]
+    for name in values:
+        if name not in names:
+            similar = nearest(str(name), names)
+            raise ValueError(f"{argument} must have fields out of {names}, got {written(name)}{similar}")
+    try:
+        return kind(**values)
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"{argument}: {error}") from None

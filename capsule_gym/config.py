@@ -10,16 +10,17 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from capsule_gym import _core, task
-from capsule_gym.checks import check_choice, check_count, check_flag, check_name, check_number, nearest, written
-from capsule_gym.parameters import (
-    LONGEST_STEP,
-    SHORTEST_STEP,
-    SMALLEST,
-    Capsule,
-    Disturbances,
-    Randomization,
+from capsule_gym.checks import (
+    check_choice,
+    check_count,
+    check_flag,
+    check_name,
+    check_number,
     from_fields,
+    nearest,
+    written,
 )
+from capsule_gym.parameters import LONGEST_STEP, SHORTEST_STEP, SMALLEST, Capsule, Disturbances, Randomization
 from capsule_gym.task import Task
 
 if TYPE_CHECKING:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, SupportsFloat, TypeVar
 
 import gymnasium as gym
@@ -19,6 +20,7 @@ from capsule_gym.parameters import CONSTANTS, DISTURBANCES
 from capsule_gym.rendering import Renderer
 from capsule_gym.settings import SPEED
 from capsule_gym.simulation import GOAL_BOUND, Simulation, check_seed
+from capsule_gym.tasks import goal
 
 Value = TypeVar("Value")
 RESET_OPTIONS = ("M", "mu", "state", "changes", "capsule", "disturbances")
@@ -319,7 +321,7 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
 
     @property
     def compute_reward(self) -> Callable[[Any, Any, Any], Any]:
-        """`Simulation.compute_reward`, only with `goal_env=True`: libraries recognise goal environments by it."""
+        """`capsule_gym.tasks.goal.compute_reward`, only with `goal_env=True`: libraries recognise goal environments by it."""
         return goal_reward(self.simulation)
 
     def episode_metrics(self, horizon: int | None) -> dict[str, float]:
@@ -392,7 +394,7 @@ def goal_reward(simulation: Simulation) -> Callable[[Any, Any, Any], Any]:
     """The function `compute_reward`; an AttributeError without `goal_env`."""
     if not simulation.options.goal_env:
         raise AttributeError("compute_reward needs goal_env=True")
-    return simulation.compute_reward
+    return partial(goal.compute_reward, simulation.settings)
 
 
 def name_drawn(drawn: Sequence[Value]) -> tuple[dict[str, Value], dict[str, Value]]:

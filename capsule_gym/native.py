@@ -24,9 +24,7 @@ _core.select_level(LEVEL)
 LINE = 8
 # The number of each function that `evaluate` knows, and of its results, by name.
 _FUNCTIONS = {
-    name: (number, int(results))
-    for number, entry in enumerate([*_core.PLANT_FUNCTIONS, *_core.ELEMENTARY_FUNCTIONS])
-    for name, results in [entry.split(":")]
+    name: (number, int(results)) for number, entry in enumerate(_core.FUNCTIONS) for name, results in [entry.split(":")]
 }
 
 
@@ -58,7 +56,7 @@ def evaluate(name: str, *arguments: np.ndarray | float, plant: np.ndarray | None
     """Evaluates a function of the core at every entry of its arguments, which are broadcast.
 
     Args:
-        name: one of `_core.PLANT_FUNCTIONS`, or without `plant` of `_core.ELEMENTARY_FUNCTIONS`.
+        name: one of `_core.FUNCTIONS`; those of the plant need `plant`.
         *arguments: for a function of the plant M and mu come first.
         plant: the plant's constants, in the order of `_core.PLANT`; the arguments replace M and mu.
 

@@ -1,4 +1,4 @@
-"""The observation: its entries and their bounds. The core writes it (`capsule_gym/core/step.hpp`)."""
+"""The observation: its entries and their bounds. The core writes it (`capsule_gym/core/observation.hpp`)."""
 
 from __future__ import annotations
 

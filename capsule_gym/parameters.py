@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields, replace
 from itertools import product
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple
 
 from capsule_gym import _core
-from capsule_gym.checks import check_choice, check_flag, check_name, check_number, nearest, written
+from capsule_gym.checks import check_choice, check_flag, check_name, check_number, check_pair, written
 
-Kind = TypeVar("Kind", "Capsule", "Randomization", "Disturbances")
 NormalForce = Literal["newton", "paper"]
 
 # Range of a plant's constants, in SI units, within which every force and acceleration is finite.
@@ -64,19 +63,6 @@ DIVISORS = (
     *("stribeck_speed", "lag", "torque_resolution"),
     *("theta_resolution", "theta_dot_resolution", "x_dot_resolution"),
 )
-
-
-def from_fields(kind: type[Kind], argument: str, values: dict[str, Any]) -> Kind:
-    """The object with these fields, which JSON contains instead of it; raises the errors of its fields."""
-    names = [each.name for each in fields(kind)]
-    for name in values:
-        if name not in names:
-            similar = nearest(str(name), names)
-            raise ValueError(f"{argument} must have fields out of {names}, got {written(name)}{similar}")
-    try:
-        return kind(**values)
-    except (TypeError, ValueError) as error:
-        raise type(error)(f"{argument}: {error}") from None
 
 
 def _check_size(name: str, value: Any, low: float, high: float = LARGEST) -> float:
@@ -220,18 +206,6 @@ NOMINAL = Capsule()
 """The capsule of the paper."""
 
 
-def _check_pair(name: str, value: Any, accepted: str, **limits: Any) -> tuple[float, float]:
-    """Validates a pair (low, high) of numbers; `limits` are those of `check_number`."""
-    try:
-        low, high = value
-    except (TypeError, ValueError):
-        raise TypeError(f"{name} must be {accepted}, got {written(value)}") from None
-    low, high = (check_number(f"{name}[{n}]", end, accepted, **limits) for n, end in enumerate((low, high)))
-    if low > high:
-        raise ValueError(f"{name} must be {accepted}, got {written(value)}")
-    return low, high
-
-
 # Limit of the exponential in the core.
 LARGEST_RATIO = 1e300
 Range = tuple[float, float]
@@ -281,7 +255,7 @@ class Randomization:
             if name in ("M", "mu"):
                 limits, sign = {"low": 0.0, "open_low": positive}, "0 < " if positive else "0 <= "
             accepted = f"a pair (low, high) of finite numbers with {sign}low <= high"
-            low, high = _check_pair(whose, value, accepted, **limits)
+            low, high = check_pair(whose, value, accepted, **limits)
             if name == "mu" and self.log_mu and not high / low <= LARGEST_RATIO:
                 raise ValueError(
                     f"{whose} must span at most a factor of {LARGEST_RATIO:g} where log_mu is True, got {value!r}"
@@ -414,7 +388,7 @@ class Disturbances:
             low, high = self.limits(name)
             accepted = f"a number from {low:g} to {high:g}, or a pair (low, high) of such numbers with low <= high"
             value, whose = getattr(self, name), f"Disturbances.{name}"
-            check = _check_pair if isinstance(value, (tuple, list)) else check_number
+            check = check_pair if isinstance(value, (tuple, list)) else check_number
             checked = check(whose, value, accepted, low=low, high=high)
             for end in checked if isinstance(checked, tuple) else (checked,):
                 check_divisor(name, whose, end)

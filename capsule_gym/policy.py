@@ -30,12 +30,12 @@ from safetensors.numpy import save
 
 from capsule_gym import network
 from capsule_gym._core import CELLS
-from capsule_gym.checks import check_integer, check_number, nearest, shortened, written
+from capsule_gym.checks import check_integer, check_number, from_fields, nearest, shortened, written
 from capsule_gym.config import ENERGY_WEIGHT_TEXT, ENERGY_WEIGHTS, EnvConfig
 from capsule_gym.controller import is_own
 from capsule_gym.files import write_atomically
 from capsule_gym.network import Layer
-from capsule_gym.parameters import Capsule, Disturbances, Randomization, from_fields
+from capsule_gym.parameters import Capsule, Disturbances, Randomization
 
 POLICY = "policy.safetensors"
 # The folder of the pretrained policies: in a wheel part of the package, in a checkout next to the training commands.

@@ -194,10 +194,11 @@ class Simulation:
             "reference_size": self.reference.shape[1],
             "draw_lines": len(self.draw_table),
         }
-        self._batch = _core.bind(fields)
+        self._fields = np.array([fields[name] for name in _core.BATCH])
+        self._batch = native.address(self._fields)
         # Looking the arguments up each time takes a tenth of a step.
-        self._advance = partial(_core.advance, self._batch)
-        self._step_one = partial(_core.step_one, self._batch)
+        self._advance = partial(_core.call, "advance", self._batch)
+        self._step_one = partial(_core.call_locked, "step_one", self._batch)
 
     def row(self, row: int) -> np.ndarray:
         """A copy of one quantity of every environment, shape (num_envs,)."""
@@ -400,37 +401,6 @@ class Simulation:
         goals = {"achieved_goal": (self.row(x), self.row(x_dot)), "desired_goal": (goal, np.zeros(self.num_envs))}
         bounded = {name: np.clip(np.stack(each, 1), -GOAL_BOUND, GOAL_BOUND) for name, each in goals.items()}
         return {"observation": self.observations.copy(), **bounded}
-
-    def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
-        """The rewards of steps that end with these goals, for environments with `goal_env=True`.
-
-        With the info of a step, the result is its reward, bit for bit, unless the achieved goal is a measured one.
-        Terms that an info lacks count as 0: an empty one gives `reward_goal` alone.
-
-        Args:
-            achieved_goal: x (m) and x_dot (m/s) of the platform, shape (.., 2).
-            desired_goal: those that are desired. The platform rests where both x_dot are equal; a measured one may
-                differ by `Disturbances.stick_threshold`.
-            info: dict of `reward_energy` and `reward_termination`, numbers or arrays, or a sequence of such dicts.
-
-        Returns:
-            The reward, a float; or float64 of shape (..) for several goals.
-
-        Raises:
-            ValueError: if a goal has another shape.
-        """
-        for name, goal in (("achieved_goal", achieved_goal), ("desired_goal", desired_goal)):
-            if np.shape(goal)[-1:] != (2,):
-                raise ValueError(f"{name} must be of shape (.., 2), x in m and x_dot in m/s, got {written(goal)}")
-        settings = self.settings
-        error, x_dot = np.moveaxis(np.subtract(desired_goal, achieved_goal, dtype=np.float64), -1, 0)
-        rest = settings.stick_threshold if settings.agent_reads else 0.0
-        (rate,) = native.evaluate("goal_rate", error, np.abs(x_dot) <= rest)
-        rewards = settings.law_steps * settings.physics_steps * settings.physics_dt * rate
-        for term in ("reward_energy", "reward_termination"):
-            given = info.get(term, 0.0) if isinstance(info, dict) else [one.get(term, 0.0) for one in info]
-            rewards = rewards + np.asarray(given)
-        return rewards if rewards.ndim else float(rewards)
 
     def close(self) -> None:
         """Ends the threads."""

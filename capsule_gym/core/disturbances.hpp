@@ -40,16 +40,16 @@ template <class T, int N> struct Disturbed {
   NOINLINE void begin() {
     for (int j = 0; j < n; j++) {
       if (b.active[j] == 0.0) continue;
-      auto [sin, cos] = sincos(b.drawn_slope[j]);
-      double g = b.drawn_g[j], speed = b.drawn_stribeck_speed[j], lag = b.lag[j], key = b.key[j];
-      b.plant_m[j] = b.drawn_m[j], b.plant_l[j] = b.drawn_l[j], b.plant_g[j] = g * cos, b.plant_k[j] = b.drawn_k[j];
-      b.plant_c[j] = b.drawn_c[j], b.plant_downhill[j] = g * sin, b.plant_viscous[j] = b.drawn_viscous[j];
-      b.plant_static_ratio[j] = b.drawn_static_ratio[j], b.plant_backward_ratio[j] = b.drawn_backward_ratio[j];
-      b.plant_stribeck_excess[j] = speed > 0.0 ? b.drawn_static_ratio[j] - 1.0 : 0.0;
-      b.plant_stribeck_rate[j] = speed > 0.0 ? 1.0 / speed : 0.0;
-      b.plant_motor_friction[j] = b.drawn_motor_friction[j] + b.motor_friction[j];
-      b.plant_push[j] = 0.0;
-      b.normal_force[j] = (b.M[j] + b.plant_m[j]) * g * cos;
+#define FIELD(name) b.drawn_##name[j],
+      Constants<double> drawn = {CAPSULE_CONSTANTS(FIELD)};
+#undef FIELD
+      drawn.motor_friction += b.motor_friction[j];
+      auto p = derive(drawn);
+#define FIELD(name) b.plant_##name[j] = p.name;
+      CAPSULE_PLANT(FIELD)
+#undef FIELD
+      double lag = b.lag[j], key = b.key[j];
+      b.normal_force[j] = (b.M[j] + p.m) * drawn.g * sincos(drawn.slope).cos;
       b.delay[j] = (b.latency[j] / period() + ROUNDING) - ROUNDING;
       b.drift_share[j] = decay(time_between_readings() / b.drift_time[j]);
       b.motor_share[j] = lag > 0.0 ? 1.0 - decay(period() / lag) : 1.0;
@@ -66,27 +66,16 @@ template <class T, int N> struct Disturbed {
     }
   }
 
-  // Whether every floor is level with Coulomb friction alone, and nothing pushes.
-  NOINLINE bool is_level() const {
-    bool level = true;
-    for (int j = 0; j < n; j++)
-      level &= b.plant_downhill[j] == 0.0 && b.plant_viscous[j] == 0.0 && b.plant_stribeck_excess[j] == 0.0 &&
-               b.push[j] == 0.0;
-    return level;
-  }
-
   // The motor's torque in N m for a command, and the push on the platform, from now on.
-  template <bool pushes, class M> INLINE T drive(int j, T command, M going) {
+  template <class M> INLINE T drive(int j, T command, M going) {
     T motor = GET(motor);
     motor = motor + select(going, GET(motor_share), T(0.0)) * (rounded(command, GET(torque_resolution)) - motor);
     PUT(motor, motor);
-    if constexpr (pushes) {
+    if (any(GET(push) != 0.0)) {
       T time = GET(duration) + ROUNDING_OF_TIME, second = floor(time);
       auto [begins, size] = uniforms(scramble(bits_of(GET(key)) + 0x5851F42D4C957F2DULL * bits_of(second + WHOLE)));
       T since = time - second - (1.0 - PUSH_TIME) * (begins - 1.0);
       PUT(plant_push, select((since >= 0.0) & (since < PUSH_TIME), GET(push) * (2.0 * size - 3.0), T(0.0)));
-    } else {
-      PUT(plant_push, T(0.0));
     }
     return motor;
   }

@@ -56,10 +56,11 @@ template <int N> struct Dual {
 
   friend INLINE Dual select(bool condition, const Dual& a, const Dual& b) { return condition ? a : b; }
   friend INLINE Dual abs(const Dual& a) { return a.v < 0.0 ? -a : a; }
-  friend INLINE Dual min(const Dual& a, const Dual& b) { return b.v < a.v ? b : a; }
-  friend INLINE Dual max(const Dual& a, const Dual& b) { return b.v > a.v ? b : a; }
-  friend INLINE Dual clip(const Dual& a, const Dual& limit) {
-    return a.v > limit.v ? limit : a.v < -limit.v ? -limit : a;
+  // A factor that is zero counts where it has a derivative.
+  friend INLINE bool acts(const Dual& a) {
+    bool any = a.v != 0.0;
+    for (int i = 0; i < N; i++) any |= ((const double*)&a.d)[i] != 0.0;
+    return any;
   }
 };
 }  // namespace LEVEL

@@ -7,7 +7,7 @@
 namespace LEVEL {
 // Name, numbers of arguments and of results, and the call with the arguments a[0], a[1], .. and, for functions of the
 // plant, the plant p.
-#define CAPSULE_PLANT_FUNCTIONS(F)                                                                                     \
+#define CAPSULE_EVALUATED(F)                                                                                           \
   F(accelerations, 5, 3, (p.accelerations(a[0], a[1], a[2], a[3], a[4])))                                              \
   F(normal_force, 3, 1, (p.normal_force(a[0], a[1], a[2])))                                                            \
   F(driving_force, 3, 1, (p.driving_force(a[0], a[1], a[2])))                                                          \
@@ -16,8 +16,7 @@ namespace LEVEL {
   F(stick_margin, 3, 2, (p.stick_margin(a[0], a[1], a[2])))                                                            \
   F(stick_margin_rate, 3, 1, (p.stick_margin_rate(a[0], a[1], a[2])))                                                  \
   F(contact_phase, 4, 1, (p.contact_phase(State<double>{a[0], a[1], 0.0, a[2]}, a[3])))                                \
-  F(step, 6, 10, (plant_step(State<double>{a[0], a[1], a[2], a[3]}, a[4], p, a[5])))
-#define CAPSULE_ELEMENTARY_FUNCTIONS(F)                                                                                \
+  F(step, 6, 10, (plant_step(State<double>{a[0], a[1], a[2], a[3]}, a[4], p, a[5])))                                   \
   F(sincos, 1, 2, (sincos(a[0]))) F(exp, 1, 1, (exp(a[0]))) F(tanh, 1, 1, (tanh(a[0]))) F(log, 1, 1, (log(a[0])))      \
   F(normals, 1, 2, (normals(scramble(bits_of(a[0])))))                                                                 \
   F(plant_at, 7, 2, (plant_at(a, a[5], a[6]))) F(goal_rate, 2, 1, (Goal::rate(a[0], a[1])))
@@ -25,8 +24,8 @@ namespace LEVEL {
 // The most general plant: one compiled function serves all.
 using AnyPlant = Plant<double, Kind::extended>;
 
-// Evaluates function `number` of both lists at n places: `in`, shape (arguments, n), after rows of M and mu for
-// functions of the plant, the first ones; `out`, shape (results, n).
+// Evaluates function `number` of the list at n places: `in`, shape (arguments, n), after rows of M and mu for functions
+// of the plant, the first ones; `out`, shape (results, n).
 inline void evaluate(long long number, const double* in, double* out, long long n, const AnyPlant* plant) {
   for (long long i = 0; i < n; i++, in++, out++) {
     AnyPlant p = {};
@@ -41,7 +40,7 @@ inline void evaluate(long long number, const double* in, double* out, long long 
     static_assert(sizeof found == results * sizeof(double));                          \
     for (int k = 0; k < results; k++) out[k * n] = ((const double*)&found)[k];        \
   }
-    CAPSULE_PLANT_FUNCTIONS(F) CAPSULE_ELEMENTARY_FUNCTIONS(F)
+    CAPSULE_EVALUATED(F)
 #undef F
   }
 }

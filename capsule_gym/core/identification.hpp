@@ -64,12 +64,12 @@ template <class T, class C> inline void identify(Filter<T>& f, T theta, T theta_
         variance = slope_M * to_M + slope_f * to_f + I::NOISE * I::NOISE;
       }
       gain_M = to_M / variance, gain_f = to_f / variance;
-      f.M = min(I::HIGH_M, max(I::LOW_M, before_M + gain_M * surprise));
-      f.log_mu = min(I::HIGH_LOG_MU, max(I::LOW_LOG_MU, before_log_mu + gain_f * surprise));
+      f.M = min(T(I::HIGH_M), max(T(I::LOW_M), before_M + gain_M * surprise));
+      f.log_mu = min(T(I::HIGH_LOG_MU), max(T(I::LOW_LOG_MU), before_log_mu + gain_f * surprise));
     }
     f.P_MM = f.P_MM - gain_M * to_M, f.P_Mf = f.P_Mf - gain_M * to_f, f.P_ff = f.P_ff - gain_f * to_f;
     // Never less certain than the prior.
-    T fading = max(max(I::RETAINED, f.P_MM / VARIANCE_M), f.P_ff / VARIANCE_LOG_MU);
+    T fading = max(max(T(I::RETAINED), f.P_MM / VARIANCE_M), f.P_ff / VARIANCE_LOG_MU);
     f.P_MM = f.P_MM / fading, f.P_Mf = f.P_Mf / fading, f.P_ff = f.P_ff / fading;
   }
   f.across = across, f.along = along, f.x_dot = x_dot;

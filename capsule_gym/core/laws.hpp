@@ -14,15 +14,13 @@
 namespace LEVEL {
 // The direct-torque task: none, so that the residual torque is the whole torque.
 struct NoLaw {
-  static constexpr const char *NAME = "none", *CONSTANTS = "";
-  static constexpr int MEMORY = 1, COLUMNS = 2;
-  static constexpr bool BRANCHES = false;
-  explicit NoLaw(const double*) {}
-  template <class T> INLINE T operator()(const State<T>&, T*, const T*) const { return 0.0; }
+#define NO_CONSTANTS(ONE, MANY)
+  CAPSULE_LAW(NoLaw, "none", false, NoMemory, NoReference, NO_CONSTANTS)
+
+  template <class T> INLINE T torque(const State<T>&, NoMemory<T>&, const NoReference<T>&) const { return 0.0; }
 };
 }  // namespace LEVEL
 
 #define CAPSULE_LAWS(LAW)                                                                                              \
   LAW(NoLaw) LAW(Adaptive) LAW(FeedbackLinearising) LAW(Gait) LAW(GaitCandidate) LAW(GaitIdentifying)                  \
-  LAW(GaitPredictive) LAW(AdaptivePredictive) LAW(GoalPulses) LAW(VelocityPulses)                 \
-  LAW(Tracking) LAW(Oscillator)
+  LAW(GaitPredictive) LAW(AdaptivePredictive) LAW(GoalPulses) LAW(VelocityPulses) LAW(Tracking) LAW(Oscillator)

@@ -4,11 +4,7 @@
 #include "identification.hpp"
 #include "plant.hpp"
 
-// The constants that an episode draws besides M and mu, and the sizes of its disturbances, as in `Randomization` and
-// `Disturbances`.
-#define CAPSULE_DRAWN                                                                                                  \
-  DRAWN(m) DRAWN(l) DRAWN(g) DRAWN(k) DRAWN(c) DRAWN(static_ratio) DRAWN(backward_ratio) DRAWN(viscous)                \
-  DRAWN(stribeck_speed) DRAWN(slope) DRAWN(motor_friction)
+// The sizes of an episode's disturbances, as in `Disturbances`.
 #define CAPSULE_DISTURBANCES                                                                                           \
   ROW(theta_noise) ROW(theta_dot_noise) ROW(x_dot_noise) ROW(theta_bias) ROW(theta_dot_bias) ROW(x_dot_bias)           \
   ROW(theta_drift) ROW(theta_dot_drift) ROW(x_dot_drift) ROW(drift_time) ROW(theta_resolution)                         \
@@ -39,7 +35,7 @@
   ROW(first_normal_force) ROW(least_normal_force)                                                                      \
   /* Down to the end only for varied plants. The constants of `Plant`, those that the episode has drawn, its           \
      disturbances, and the key of its noise. */                                                                        \
-  CAPSULE_PLANT(PLANT_ROW) CAPSULE_DRAWN CAPSULE_DISTURBANCES ROW(key)                                                 \
+  CAPSULE_PLANT(PLANT_ROW) CAPSULE_CONSTANTS(DRAWN) CAPSULE_DISTURBANCES ROW(key)                                      \
   /* Derived: the latency in periods, the shares of drift and of motor lag after one period; readings so far. */       \
   ROW(delay) ROW(drift_share) ROW(motor_share) ROW(readings)                                                           \
   /* In the first lane: the entry of the history that was written last. */                                             \
@@ -95,7 +91,8 @@ struct Settings { CAPSULE_SETTINGS(CAPSULE_DOUBLE) };
 // is the rows from read_theta on.
 typedef void (*UserLaw)(void* data, double* block, double* torques, long long n);
 
-// Everything that belongs to the environments of a simulation: arrays, by their addresses, and their sizes.
+// Everything that belongs to the environments of a simulation: arrays, by their addresses, and their sizes. Python
+// passes the address of an array of these numbers.
 #define CAPSULE_BATCH(FIELD)                                                                                           \
   /* The blocks, each with the law's memory, its line of the reference, the task's memory, the history and the filter  \
      of the estimates behind it. A varied plant has two memories of the task, with true and with measured values; the  \
@@ -129,5 +126,15 @@ template <int N> constexpr long long block_size(const Batch& batch) {
   long long filter = batch.settings->with_estimates != 0.0 ? FILTER_ROWS : 0;
   return sizeof(Block<N>) / 8 + (rows + history + filter) * N;
 }
-// What functions return where memory is short; else the index of an environment whose law has failed, or -1.
-constexpr long long NO_MEMORY = -2;
+
+// An argument of a function of level.cpp: a whole or real number, or an address.
+struct Argument {
+  long long bits;
+  operator long long() const { return bits; }
+  operator double() const { return __builtin_bit_cast(double, bits); }
+  template <class T> operator T*() const { return (T*)bits; }
+};
+constexpr int MOST_ARGUMENTS = 9;
+// Calls a function by its name. Returns the index of an environment whose law has failed, -1, or one of the others.
+typedef long long Call(const char* function, const Argument* arguments);
+constexpr long long NO_MEMORY = -2, UNKNOWN = -3;  // memory is short; there is no function of this name

@@ -1,14 +1,19 @@
 // The core at one level of instructions: compiled once for each, with -DLEVEL=name and its -march.
-#include "level.hpp"
 #include "functions.hpp"
 #include "resets.hpp"
 #include "rollout.hpp"
 #include "trajectory.hpp"
 
-namespace LEVEL {
-// Returns the index of an environment whose law has failed, -1, or NO_MEMORY.
-long long call(const char* function, const Argument* a) {
+#define CALL_AT(level) CALL_OF(level)
+#define CALL_OF(level) capsule_call_##level
+extern "C" Call CALL_AT(LEVEL);
+
+// `capsule_call_v4` for the level v4.
+long long CALL_AT(LEVEL)(const char* function, const Argument* a) {
+  using namespace LEVEL;
   auto is = [&](const char* name) { return !__builtin_strcmp(function, name); };
+  if (is("advance")) return advance(*(const Batch*)a[0], a[1], a[2], (long long)a[3] != 0);
+  if (is("step_one")) return step_one(*(const Batch*)a[0], a[1]);
   if (is("evaluate")) return evaluate(a[0], a[1], a[2], a[3], a[4]), -1;
   if (is("law_torques")) return law_torques(a[0], a[1], a[2], a[3], a[4], a[5], a[6]), -1;
   if (is("platform_motion")) return platform_motion(a[0], a[1], a[2], a[3], a[4], *(const AnyPlant*)a[5], a[6]), -1;
@@ -24,11 +29,3 @@ long long call(const char* function, const Argument* a) {
   if (is("run_episodes")) return run_episodes(batch, a[1], a[2], a[3], a[4], a[5], a[6], a[7], a[8]);
   return UNKNOWN;
 }
-}  // namespace LEVEL
-
-// The table that module.cpp reads, `capsule_level_v4` for the level v4.
-#define TABLE(level) TABLE_OF(level)
-#define TABLE_OF(level) \
-  extern "C" const Level capsule_level_##level; \
-  const Level capsule_level_##level = {#level, level::advance, level::call};
-TABLE(LEVEL)

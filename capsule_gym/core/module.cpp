@@ -10,18 +10,21 @@
 #endif
 
 #include "functions.hpp"
-#include "level.hpp"
 #include "rollout.hpp"
 #include "trace.hpp"
 #include "trajectory.hpp"
 
-extern "C" const Level capsule_level_portable, capsule_level_v3, capsule_level_v4;
+extern "C" Call capsule_call_portable, capsule_call_v3, capsule_call_v4;
 
 namespace {
 // --- the levels of instructions, the best first ---
 
+struct Level {
+  const char* name;
+  Call* call;
+};
 #if defined(__x86_64__)
-const Level* const LEVELS[] = {&capsule_level_v4, &capsule_level_v3, &capsule_level_portable};
+constexpr Level LEVELS[] = {{"v4", capsule_call_v4}, {"v3", capsule_call_v3}, {"portable", capsule_call_portable}};
 
 // The place of the best level that the processor runs. The processor itself answers: zig's runtime lacks what
 // `__builtin_cpu_supports` reads, and says no to everything.
@@ -38,89 +41,46 @@ int best_level() {
   return (enabled & 0xe6) == 0xe6 && (b & V4) == V4 ? 0 : 1;
 }
 #else
-const Level* const LEVELS[] = {&capsule_level_portable};
+constexpr Level LEVELS[] = {{"portable", capsule_call_portable}};
 int best_level() { return 0; }
 #endif
 
 // Asked once: in a virtual machine the question takes microseconds.
 const int BEST = best_level(), NUM_LEVELS = sizeof LEVELS / sizeof *LEVELS;
 // The level that everything uses.
-const Level* level = LEVELS[BEST];
+const Level* level = &LEVELS[BEST];
 
 // select_level(name): one of LEVELS
 PyObject* select_level(PyObject*, PyObject* given) {
   const char* name = PyUnicode_AsUTF8AndSize(given, nullptr);
   if (!name) return nullptr;
   for (int i = BEST; i < NUM_LEVELS; i++)
-    if (!__builtin_strcmp(LEVELS[i]->name, name)) {
-      level = LEVELS[i];
+    if (!__builtin_strcmp(LEVELS[i].name, name)) {
+      level = &LEVELS[i];
       Py_RETURN_NONE;
     }
   return PyErr_Format(PyExc_ValueError, "level must be one that this processor runs, got '%s'", name);
 }
 
-// --- batches and functions ---
+// --- functions ---
 
-Batch* batch_of(PyObject* handle) { return (Batch*)PyCapsule_GetPointer(handle, "Batch"); }
-void release(PyObject* handle) { PyMem_Free(batch_of(handle)); }
-
-// bind(fields) -> handle: the fields of `Batch` by their names; arrays and functions by their addresses
-PyObject* bind(PyObject*, PyObject* fields) {
-  Batch* batch = (Batch*)PyMem_Malloc(sizeof(Batch));
-  if (!batch) return PyErr_NoMemory();
-  PyObject* handle = PyCapsule_New(batch, "Batch", release);
-#define FIELD(type, field) batch->field = (type)PyLong_AsUnsignedLongLong(PyDict_GetItemString(fields, #field));
-  CAPSULE_BATCH(FIELD)
-#undef FIELD
-  if (PyErr_Occurred()) Py_CLEAR(handle);
-  return handle;
-}
-
-// What functions of a level return, or the exception of a law that Python calls.
-PyObject* result_of(long long broken) { return PyErr_Occurred() ? nullptr : PyLong_FromLongLong(broken); }
-
-// advance(handle, first, last, begin) -> index of an environment whose law has failed, or -1; releases the lock
-PyObject* advance(PyObject*, PyObject* const* args, Py_ssize_t count) {
-  if (count != 4) return PyErr_Format(PyExc_TypeError, "advance takes 4 arguments, got %zd", count);
-  Batch* batch = batch_of(args[0]);
-  long long first = PyLong_AsLongLong(args[1]), last = PyLong_AsLongLong(args[2]), begin = PyLong_AsLongLong(args[3]);
-  if (PyErr_Occurred()) return nullptr;
-  PyThreadState* state = PyEval_SaveThread();
-  long long broken = level->advance(*batch, first, last, begin != 0);
-  PyEval_RestoreThread(state);
-  return result_of(broken);
-}
-
-// step_one(handle, action) -> as `advance`: one step of a single environment, which takes less time than to release the
-// lock
-PyObject* step_one(PyObject*, PyObject* const* args, Py_ssize_t count) {
-  if (count != 2) return PyErr_Format(PyExc_TypeError, "step_one takes 2 arguments, got %zd", count);
-  Batch* batch = batch_of(args[0]);
-  double action = PyFloat_AsDouble(args[1]);
-  if (PyErr_Occurred()) return nullptr;
-  ((Block<1>*)batch->world)->action[0] = action;
-  return result_of(level->advance(*batch, 0, 1, false));
-}
-
-// call(name, *arguments) -> as `advance`: a function of level.cpp with whole and real numbers, addresses and handles;
-// releases the lock
-PyObject* call(PyObject*, PyObject* const* args, Py_ssize_t count) {
+// call(name, *arguments) -> index of an environment whose law has failed, or -1: a function of level.cpp with whole and
+// real numbers and addresses. To release the lock takes longer than a step of one environment.
+template <bool releases> PyObject* call(PyObject*, PyObject* const* args, Py_ssize_t count) {
   if (count < 1 || count > 1 + MOST_ARGUMENTS) return PyErr_Format(PyExc_TypeError, "call got %zd arguments", count);
   const char* name = PyUnicode_AsUTF8AndSize(args[0], nullptr);
   Argument arguments[MOST_ARGUMENTS] = {};
-  for (Py_ssize_t i = 1; i < count; i++) {
-    PyObject* given = args[i];
-    arguments[i - 1].bits = PyFloat_Check(given)          ? __builtin_bit_cast(long long, PyFloat_AsDouble(given))
-                            : PyCapsule_CheckExact(given) ? (long long)batch_of(given)
-                                                          : PyLong_AsLongLong(given);
-  }
+  for (Py_ssize_t i = 1; i < count; i++)
+    arguments[i - 1].bits =
+        PyFloat_Check(args[i]) ? __builtin_bit_cast(long long, PyFloat_AsDouble(args[i])) : PyLong_AsLongLong(args[i]);
   if (PyErr_Occurred()) return nullptr;
-  PyThreadState* state = PyEval_SaveThread();
+  PyThreadState* state = releases ? PyEval_SaveThread() : nullptr;
   long long broken = level->call(name, arguments);
-  PyEval_RestoreThread(state);
+  if (releases) PyEval_RestoreThread(state);
   if (broken == NO_MEMORY) return PyErr_NoMemory();
   if (broken == UNKNOWN) return PyErr_Format(PyExc_ValueError, "the core has no function '%s'", name);
-  return result_of(broken);
+  // The exception is that of a law that Python calls.
+  return PyErr_Occurred() ? nullptr : PyLong_FromLongLong(broken);
 }
 
 // trace(function, number, constants, rows) -> number of rows: see trace.hpp; addresses of arrays
@@ -145,7 +105,7 @@ void call_plain(void* data, double* block, double* torques, long long n) {
   const auto& [function, cells, numbers, lanes, first] = *(const PlainLaw*)data;
   const double* halt = lanes == 1 ? ((Block<1>*)block)->halt : ((Block<LANES>*)block)->halt;
   PyGILState_STATE lock = PyGILState_Ensure();
-  // The first exception, which `advance` raises. One that is no `Exception`, such as Ctrl-C, replaces it and ends the
+  // The first exception, which `call` raises. One that is no `Exception`, such as Ctrl-C, replaces it and ends the
   // calls.
   PyObject *type, *value, *trace;
   PyErr_Fetch(&type, &value, &trace);
@@ -191,7 +151,7 @@ PyObject* names_in(const char* text) {
 
 int fill(PyObject* module) {
   char levels[64] = "";
-  for (int i = BEST; i < NUM_LEVELS; i++) __builtin_strcat(__builtin_strcat(levels, LEVELS[i]->name), " ");
+  for (int i = BEST; i < NUM_LEVELS; i++) __builtin_strcat(__builtin_strcat(levels, LEVELS[i].name), " ");
   PyObject *laws = PyDict_New(), *tasks = PyDict_New();
   int failed = !laws || !tasks;
   auto add = [&](const char* name, PyObject* value) { failed |= PyModule_AddObject(module, name, value); };
@@ -206,8 +166,7 @@ int fill(PyObject* module) {
   add("PLANT", names_in(NOMINAL_CONSTANTS(CAPSULE_NAME)));
   add("TRAJECTORY", names_in(CAPSULE_TRAJECTORY(CAPSULE_NAME)));
 #define FUNCTION(name, arguments, results, call) #name ":" #results " "
-  add("PLANT_FUNCTIONS", names_in(CAPSULE_PLANT_FUNCTIONS(FUNCTION)));
-  add("ELEMENTARY_FUNCTIONS", names_in(CAPSULE_ELEMENTARY_FUNCTIONS(FUNCTION)));
+  add("FUNCTIONS", names_in(CAPSULE_EVALUATED(FUNCTION)));
 #define OP(name) CAPSULE_NAME(name)
   add("OPERATIONS", names_in(CAPSULE_OPERATIONS(OP))), add("OBSERVED", names_in(OBSERVED(CAPSULE_NAME)));
 #undef OP
@@ -243,10 +202,8 @@ int fill(PyObject* module) {
 
 PyMethodDef METHODS[] = {
     {"select_level", select_level, METH_O, nullptr},
-    {"bind", bind, METH_O, nullptr},
-    {"advance", (PyCFunction)(void*)advance, METH_FASTCALL, nullptr},
-    {"step_one", (PyCFunction)(void*)step_one, METH_FASTCALL, nullptr},
-    {"call", (PyCFunction)(void*)call, METH_FASTCALL, nullptr},
+    {"call", (PyCFunction)(void*)call<true>, METH_FASTCALL, nullptr},
+    {"call_locked", (PyCFunction)(void*)call<false>, METH_FASTCALL, nullptr},
     {"trace", trace, METH_VARARGS, nullptr},
     {nullptr, nullptr, 0, nullptr}};
 PyModuleDef_Slot SLOTS[] = {{Py_mod_exec, (void*)fill}, {0, nullptr}};

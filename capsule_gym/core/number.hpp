@@ -156,15 +156,22 @@ template <> INLINE void store(double* at, double value) { *at = value; }
 // Not by a copy of bytes, which the compiler would take for a write to anything, also to pointers.
 typedef double Unaligned __attribute__((vector_size(8 * PACK), aligned(8)));
 template <> INLINE void store(double* at, Pack values) { *(Unaligned*)at = values.v; }
+// A struct of numbers T from consecutive rows of N lanes, at the lanes from j on.
+template <class Record, class T, int N> INLINE Record load_record(const double* rows, int j) {
+  Record record;
+  for (int r = 0; r < (int)(sizeof record / sizeof(T)); r++) ((T*)&record)[r] = load<T>(rows + r * N + j);
+  return record;
+}
 template <class M> INLINE bool any(M condition) { return lanes(condition) != 0; }
+// Whether terms with this factor count: it is not zero in every lane.
+template <class T> INLINE bool acts(T factor) { return any(factor != 0.0); }
 
 // `min` and `max` of a NaN and of zeros of both signs give the first argument, as Python's.
-#define CAPSULE_FUNCTIONS(T)                                                                         \
-  INLINE T min(T a, T b) { return select(b < a, b, a); }                                             \
-  INLINE T max(T a, T b) { return select(b > a, b, a); }                                             \
-  /* The value within -limit to limit; NaN stays NaN. */                                             \
-  INLINE T clip(T value, T limit) { return select(value > limit, limit, select(value < -limit, -limit, value)); } \
-  INLINE T sign_of(T x) { return select(x > 0.0, T(1.0), select(x < 0.0, T(-1.0), T(0.0))); }
-CAPSULE_FUNCTIONS(double)
-CAPSULE_FUNCTIONS(Pack)
+template <class T> INLINE T min(T a, T b) { return select(b < a, b, a); }
+template <class T> INLINE T max(T a, T b) { return select(b > a, b, a); }
+// The value within -limit to limit; NaN stays NaN.
+template <class T> INLINE T clip(T value, T limit) {
+  return select(value > limit, limit, select(value < -limit, -limit, value));
+}
+template <class T> INLINE T sign_of(T x) { return select(x > 0.0, T(1.0), select(x < 0.0, T(-1.0), T(0.0))); }
 }  // namespace LEVEL

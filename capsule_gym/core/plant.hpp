@@ -33,7 +33,6 @@ enum class Kind {
   paper,     // the same with the paper's normal force (7)
   extended,  // everything
   varied,    // everything, and the constants from m on differ between environments
-  level,     // they differ, on level floors with Coulomb friction alone and without pushes
 };
 
 template <bool condition, class A, class B> struct Choose { using type = A; };
@@ -48,6 +47,12 @@ template <class A, class B> struct Choose<false, A, B> { using type = B; };
   FIELD(downhill) FIELD(viscous) FIELD(stribeck_excess) FIELD(stribeck_rate) FIELD(motor_friction)                     \
   /* the force that pushes the platform forwards */                                                                    \
   FIELD(push)
+
+// Those from m on as `Capsule` names them, which `derive` turns into those of `Plant`.
+#define CAPSULE_CONSTANTS(FIELD)                                                                                       \
+  FIELD(m) FIELD(l) FIELD(g) FIELD(k) FIELD(c) FIELD(static_ratio) FIELD(backward_ratio) FIELD(viscous)                \
+  FIELD(stribeck_speed) FIELD(slope) FIELD(motor_friction)
+template <class T> struct Constants { CAPSULE_CONSTANTS(CAPSULE_NUMBER) };
 
 template <class T> struct State { T theta, theta_dot, x, x_dot; };
 
@@ -86,9 +91,8 @@ template <class T> INLINE auto crosses(T before, T rate, T after, T h) {
 template <class T, Kind kind_> struct Plant {
   using Number = T;
   static constexpr Kind kind = kind_;
-  static constexpr bool varied = kind == Kind::varied || kind == Kind::level;
-  // Whether all that an extended plant adds may act; whether the motor may have friction.
-  static constexpr bool rough = kind == Kind::extended || kind == Kind::varied, geared = rough || kind == Kind::level;
+  static constexpr bool varied = kind == Kind::varied;
+  static constexpr bool extended = kind == Kind::extended || varied;  // whether all that an extended plant adds may act
   using Constant = typename Choose<varied, T, double>::type;
 
   T M, mu;
@@ -125,14 +129,14 @@ template <class T, Kind kind_> struct Plant {
   INLINE T driving_force(T theta, T theta_dot, T theta_ddot) const {
     auto [sin, cos] = sincos(theta);
     auto force = m * l * (cos * theta_ddot - sin * theta_dot * theta_dot);
-    if constexpr (rough) force = force + (push - (M + m) * downhill);
+    if constexpr (extended) force = force + (push - (M + m) * downhill);
     return force;
   }
 
   // The force of Coulomb friction on a sliding platform, N, against the direction of `slip`; `normal` is not negative.
   INLINE T friction_force(T slip, T x_dot, T normal) const {
     auto mu = kinetic_friction(slip);
-    if constexpr (rough) mu = mu * stribeck(x_dot);
+    if constexpr (extended) mu = mu * stribeck(x_dot);
     return slip * mu * normal;
   }
 
@@ -149,8 +153,7 @@ template <class T, Kind kind_> struct Plant {
   INLINE T stick_acceleration(T theta, T theta_dot, T u) const {
     auto inertia = m * l * l;
     auto [sin, cos] = sincos(theta);
-    if constexpr (rough) u = u + (m * l * downhill * cos - motor_drag(theta_dot));
-    else if constexpr (geared) u = u - motor_drag(theta_dot);
+    if constexpr (extended) u = u + (m * l * downhill * cos - motor_drag(theta_dot));
     auto free = fma(-(k / inertia), theta, fma(-(c / inertia), theta_dot, u * (1.0 / inertia)));
     return fma(g / l, sin, free);
   }
@@ -161,9 +164,9 @@ template <class T, Kind kind_> struct Plant {
     auto [sin, cos] = sincos(theta);
     T share = slip * slip * mass_ratio;
     T slip_mu = slip * mu;
-    // Most floors have no Stribeck curve, which saves a division.
-    if constexpr (rough) {
-      if (any(stribeck_excess != 0.0)) slip_mu = slip_mu * stribeck(x_dot);
+    // Most floors have no Stribeck curve, and are level without viscous friction, which saves divisions.
+    if constexpr (extended) {
+      if (acts(stribeck_excess)) slip_mu = slip_mu * stribeck(x_dot);
     }
     T squared = theta_dot * theta_dot;
     T weight = (M + m) * g;
@@ -173,7 +176,10 @@ template <class T, Kind kind_> struct Plant {
       weight = weight - pivot;
       brake = brake - slip_mu * pivot / (M + m);
     }
-    if constexpr (rough) brake = brake + slip * slip * (downhill + (viscous * x_dot - push) / (M + m));
+    if constexpr (extended) {
+      if (acts(downhill) || acts(viscous) || acts(push))
+        brake = brake + slip * slip * (downhill + (viscous * x_dot - push) / (M + m));
+    }
     // The second row over M + m: x'' = rest + share l tilted theta''. N holds theta'' too, hence cos + slip mu sin.
     T tilted = fma(slip_mu, sin, cos);
     T rest = fma(share * l, fma(slip_mu, cos, -sin) * squared, -brake);
@@ -222,7 +228,7 @@ template <class T, Kind kind_> struct Plant {
     auto ml = m * l;
     T a = stick_acceleration(theta, theta_dot, u);
     T torque_rate = ml * g * cos * theta_dot - k * theta_dot - c * a;
-    if constexpr (geared) {
+    if constexpr (extended) {
       T s = clip(theta_dot * (1.0 / MOTOR_WIDTH), T(1.0));
       T left = 1.0 - s * s;
       T slope = motor_friction * (MOTOR_SLOPE / MOTOR_WIDTH) * (left * left * left);
@@ -293,5 +299,17 @@ template <class P> using Number = typename P::Number;
 // Integral of |theta_dot| over h seconds that turned the pendulum by `turned`; theta_dot went from start to end.
 template <class T> INLINE T swept(T start, T end, T turned, T h) {
   return select(start * end >= 0.0, abs(turned), 0.5 * h * (start * start + end * end) / (abs(start) + abs(end)));
+}
+
+// The plant with these constants, which nothing pushes; M and mu are left to the caller.
+template <class T> INLINE Plant<T, Kind::varied> derive(const Constants<T>& given) {
+  auto [sin, cos] = sincos(given.slope);
+  Plant<T, Kind::varied> p = {};
+  p.m = given.m, p.l = given.l, p.g = given.g * cos, p.k = given.k, p.c = given.c;
+  p.static_ratio = given.static_ratio, p.backward_ratio = given.backward_ratio;
+  p.downhill = given.g * sin, p.viscous = given.viscous, p.motor_friction = given.motor_friction;
+  if (given.stribeck_speed > 0.0)
+    p.stribeck_excess = given.static_ratio - 1.0, p.stribeck_rate = 1.0 / given.stribeck_speed;
+  return p;
 }
 }  // namespace LEVEL

@@ -6,8 +6,7 @@
 #include "contact.hpp"
 #include "disturbances.hpp"
 #include "laws.hpp"
-#include "layout.hpp"
-#include "tasks.hpp"
+#include "observation.hpp"
 
 namespace LEVEL {
 constexpr double AT_REST = 2.0;  // stands for the phase of a platform at rest until `smooth_substep` has found it
@@ -37,32 +36,6 @@ template <class T> INLINE T total_torque(const Settings& q, T law_torque, T acti
   return clip(law_torque + residual, T(q.torque_limit));
 }
 
-// What an observation shows of the environment: `phase` is the share of the reference's cycle.
-#define OBSERVED(FIELD)                                                                                    \
-  FIELD(theta) FIELD(theta_dot) FIELD(x_dot) FIELD(action) FIELD(theta_d) FIELD(theta_d_dot) FIELD(phase)  \
-  FIELD(law_torque) FIELD(M) FIELD(mu)
-template <class T> struct Observed { OBSERVED(CAPSULE_NUMBER) };
-
-// Puts the entries in the order of `observation_names`; `put_estimates` puts those of M and mu.
-template <class Task, class T, class Put, class PutEstimates>
-INLINE void put_entries(const Settings& q, const Observed<T>& o, const typename Task::template Memory<T>& memory,
-                        Put put, PutEstimates put_estimates) {
-  put(clip(o.theta, T(THETA_LIMIT))), put(clip(o.theta_dot, T(THETA_DOT_BOUND))), put(clip(o.x_dot, T(X_DOT_BOUND)));
-  double rest = q.agent_reads != 0.0 ? q.stick_threshold : 0.0;
-  put(select(abs(o.x_dot) <= rest, T(1.0), T(0.0))), put(o.action);
-  if (q.with_reference != 0.0) {
-    auto [sin, cos] = sincos(2.0 * PI * o.phase);
-    put(clip(o.theta_d, T(THETA_LIMIT))), put(clip(o.theta_d_dot, T(THETA_DOT_BOUND)));
-    put(sin), put(cos), put(o.law_torque);
-  }
-  if (q.with_parameters != 0.0) put(o.M), put(o.mu);
-  if (q.with_estimates != 0.0) put_estimates();
-  if (q.with_task == 0.0) return;
-  T own[Task::ENTRIES + 1];
-  Task::observe(own, memory);
-  for (int i = 0; i < Task::ENTRIES; i++) put(own[i]);
-}
-
 // A block of N environments, of which n take part in loops, stepped with the number type T.
 template <class T, int N> struct Step {
   const Batch& batch;
@@ -87,28 +60,26 @@ template <class T, int N> struct Step {
         disturbed{q, block, line + (batch.reference_size + (q.varied != 0.0 ? 2 : 1) * batch.task_size) * N, n} {}
 
   // One agent step, or with `begin` the first call of the law in an episode.
-  void run(bool begin) {
+  template <class Task> void run(bool begin) {
     bool varied = q.varied != 0.0;
     if (begin && varied) disturbed.begin();
-    if (begin_step(begin) == 0 && begin) return;
-    if (begin) start_task();
-    bool level = varied && !begin && disturbed.is_level();
+    if (!begin_step(begin) && begin) return;
+    if (begin) start_task<Task>();
     int ticks = begin ? 1 : (int)q.law_steps;
     for (int tick = 0; tick < ticks; tick++) {
-      if (!begin) hold_torque(level);
+      if (!begin) hold_torque();
       // Law and agent observe a past state with sensor errors.
       if (varied) disturbed.measure(begin, tick + 1 == ticks);
       call_law(begin ? 0.0 : 1.0);
     }
-    with_task([&](auto task) {
-      if (!begin) finish_step<decltype(task)>();
-      observe<decltype(task)>(begin);
-    });
+    if (!begin) finish_step<Task>();
+    observe<Task>(batch, b, n, line, q.agent_reads != 0.0 && varied ? read_task : task,
+                  disturbed.entry((int)q.history), observations, begin);
   }
 
-  // Clips the action; returns how many environments take part.
-  NOINLINE int begin_step(bool begin) {
-    int taking_part = 0;
+  // Clips the action; returns whether an environment takes part.
+  NOINLINE bool begin_step(bool begin) {
+    bool takes_part = false;
     EACH {
       auto active = GET(active) != 0.0;
       T m = q.varied != 0.0 ? GET(plant_m) : T(q.m);
@@ -120,13 +91,13 @@ template <class T, int N> struct Step {
       PUT(energy, select(active, T(0.0), GET(energy)));
       // The smallest of the step; at the start of an episode the weight, which `begin_episodes` has written.
       if (!begin) PUT(normal_force, select(active, T(INFINITE), GET(normal_force)));
-      taking_part += __builtin_popcount(lanes(active));
+      takes_part |= any(active);
     }
-    return taking_part;
+    return takes_part;
   }
 
-  void hold_torque(bool level) {
-    if (q.varied != 0.0) return level ? hold_on<Kind::level>() : hold_on<Kind::varied>();
+  void hold_torque() {
+    if (q.varied != 0.0) return hold_on<Kind::varied>();
     if (q.extended != 0.0) return hold_on<Kind::extended>();
     return q.pivot_torque_on_contact != 0.0 ? hold_on<Kind::paper>() : hold_on<Kind::coulomb>();
   }
@@ -154,7 +125,7 @@ template <class T, int N> struct Step {
   template <Kind kind> INLINE void apply_torque(int j) {
     auto going = GET(halt) == UNDER_WAY;
     T torque = total_torque(q, GET(law_torque), GET(action)), x_dot = GET(x_dot);
-    if constexpr (Plant<T, kind>::varied) torque = disturbed.template drive<kind == Kind::varied>(j, torque, going);
+    if constexpr (Plant<T, kind>::varied) torque = disturbed.drive(j, torque, going);
     torque = select(going, torque, GET(torque));
     PUT(torque, torque);
     PUT(peak_torque, max(GET(peak_torque), abs(torque)));
@@ -350,33 +321,18 @@ template <class T, int N> struct Step {
     store<S>(b.halt + j, select((halt == UNDER_WAY) & (clipped == clipped), S(UNDER_WAY), S(HALTED)));
   }
 
-  template <class Call> INLINE void with_task(Call call) {
-    int number = 0;
-#define TASK(Task) \
-  if (batch.task == number++) return call(Task());
-    CAPSULE_TASKS(TASK)
-#undef TASK
+  template <class Memory, class M> INLINE void store_task(double* to, int j, const Memory& memory, int rows, M renews) {
+    for (int r = 0; r < rows; r++)
+      store<T>(to + r * N + j, select(renews, ((const T*)&memory)[r], load<T>(to + r * N + j)));
   }
 
-  template <class S, class Task> INLINE typename Task::template Memory<S> load_task(const double* from, int j) const {
-    typename Task::template Memory<S> m;
-    for (int r = 0; r < Task::ROWS; r++) ((S*)&m)[r] = load<S>(from + r * N + j);
-    return m;
-  }
-
-  NOINLINE void start_task() {
-    with_task([&](auto kind) {
-      using Task = decltype(kind);
-      for (int j = 0; j < n; j++) {
-        if (b.active[j] == 0.0) continue;
-        auto m = load_task<double, Task>(task, j);
-        Task::begin(b.x[j], m);
-        for (int r = 0; r < Task::ROWS; r++) {
-          task[r * N + j] = ((double*)&m)[r];
-          if (q.varied != 0.0) read_task[r * N + j] = ((double*)&m)[r];
-        }
-      }
-    });
+  template <class Task> NOINLINE void start_task() {
+    EACH {
+      auto m = load_record<typename Task::template Memory<T>, T, N>(task, j);
+      Task::begin(GET(x), m);
+      store_task(task, j, m, Task::ROWS, GET(active) != 0.0);
+      if (q.varied != 0.0) store_task(read_task, j, m, Task::ROWS, GET(active) != 0.0);
+    }
   }
 
   // Ends an agent step: rewards, the task's memory, and the sums of the episode.
@@ -396,10 +352,9 @@ template <class T, int N> struct Step {
       // Where the law has failed it can be called again with the same arguments.
       auto renews = active & (abs(GET(law_torque)) < INFINITE);
       auto renew = [&](double* memory, T x, T x_dot, T moved, double rest) {
-        auto m = load_task<T, Task>(memory, j);
+        auto m = load_record<typename Task::template Memory<T>, T, N>(memory, j);
         T gain = Task::reward(x, x_dot, moved, dt, rest, m);
-        for (int r = 0; r < Task::ROWS; r++)
-          store<T>(memory + r * N + j, select(renews, ((T*)&m)[r], load<T>(memory + r * N + j)));
+        store_task(memory, j, m, Task::ROWS, renews);
         return gain;
       };
       T gain = renew(task, GET(x), GET(x_dot), moved, 0.0);
@@ -420,37 +375,6 @@ template <class T, int N> struct Step {
       PUT(cost, select(active, select(close, T(1.0), T(0.0)), GET(cost)));
     }
   }
-
-  // Updates the estimates of M and mu with an observation, and writes them to it; returns the end of what is written.
-  NOINLINE float* estimate(int j, const float* observed, float* next) {
-    double* cells = disturbed.entry((int)q.history) + j;
-    Identification f;
-    for (int r = 0; r < WIDTH<Identification>; r++) ((double*)&f)[r] = cells[r * N];
-    struct { double m, l, g, dt; } nominal = {q.m, q.l, q.g, q.law_steps * q.physics_steps * q.physics_dt};
-    identify<double>(f, observed[0], observed[1], observed[2], nominal);
-    for (int r = 0; r < WIDTH<Identification>; r++) cells[r * N] = ((double*)&f)[r];
-    return write_estimates(f, next);
-  }
-
-  template <class Task> NOINLINE void observe(bool begin) {
-    int entries = (int)batch.entries / (int)q.stack_size, all = (int)batch.entries;
-    bool reads = q.varied != 0.0 && q.agent_reads != 0.0;
-    for (int j = 0; j < n; j++) {
-      if (b.active[j] == 0.0) continue;
-      float* out = observations + j * batch.entries;
-      // Shifts the stacked observations; at the start of an episode all of them are the first.
-      for (int entry = all - 1; entry >= entries; entry--) out[entry] = out[entry - entries];
-      Observed<double> seen = {reads ? b.read_theta[j] : b.theta[j], reads ? b.read_theta_dot[j] : b.theta_dot[j],
-                               reads ? b.read_x_dot[j] : b.x_dot[j], begin ? 0.0 : b.action[j], line[j], line[N + j],
-                               b.clock[j] / (double)batch.reference_rows, b.law_torque[j], b.M[j], b.mu[j]};
-      float* next = out;
-      put_entries<Task>(
-          q, seen, load_task<double, Task>(reads ? read_task : task, j), [&](double entry) { *next++ = (float)entry; },
-          [&] { next = estimate(j, out, next); });
-      if (begin)
-        for (int entry = entries; entry < all; entry++) out[entry] = out[entry - entries];
-    }
-  }
 };
 
 // Steps the environments first..last-1, or begins their episodes; `first` is a multiple of N. Returns the index of an
@@ -462,7 +386,12 @@ template <class T, int N> long long advance_blocks(const Batch& batch, long long
     // Whole vectors: lanes behind the last environment are inactive.
     int n = last - at < N ? (int)(last - at) : N, width = (n + WIDTH<T> - 1) / WIDTH<T> * WIDTH<T>;
     for (int j = n; j < width; j++) block.active[j] = 0.0;
-    Step<T, N>(batch, block, width, batch.observations + at * batch.entries).run(begin);
+    Step<T, N> step(batch, block, width, batch.observations + at * batch.entries);
+    int number = 0;
+#define TASK(Task) \
+  if (batch.task == number++) step.template run<Task>(begin);
+    CAPSULE_TASKS(TASK)
+#undef TASK
     for (int j = 0; j < n; j++)
       if (block.active[j] != 0.0 && !(abs(block.law_torque[j]) < INFINITE)) broken = at + j;
   }
@@ -474,5 +403,11 @@ inline long long advance(const Batch& batch, long long first, long long last, bo
   if (batch.lanes != 1) return advance_blocks<Pack, LANES>(batch, first, last, begin);
 #endif
   return advance_blocks<double, 1>(batch, first, last, begin);
+}
+
+// A step of a single environment.
+inline long long step_one(const Batch& batch, double action) {
+  ((Block<1>*)batch.world)->action[0] = action;
+  return advance(batch, 0, 1, false);
 }
 }  // namespace LEVEL

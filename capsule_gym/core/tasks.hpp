@@ -107,7 +107,7 @@ struct Velocity {
 
   // The reward for the distance to the target; moves the target, and changes the command when that is due.
   template <class T> static INLINE T reward(T x, T, T moved, double dt, double, Memory<T>& m) {
-    m.target = x + clip(m.target + m.command * dt - x, LEAD);
+    m.target = x + clip(m.target + m.command * dt - x, T(LEAD));
     m.error = m.target - x;
     T size = abs(m.error);
     T gain = dt * (exp(-size / 0.02) + 0.5 * exp(-size / 0.1) - 0.5 * size);

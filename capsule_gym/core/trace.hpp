@@ -77,7 +77,6 @@ struct Taken {
   operator bool() const { return true; }
 };
 inline Taken when(Condition condition) { return Taken(condition); }
-CAPSULE_FUNCTIONS(Trace)
 
 // A struct of inputs, and the output of a struct.
 template <class S> S given() {

@@ -6,11 +6,9 @@
 namespace LEVEL {
 constexpr int DIRECTIONS = 8;  // of one pass of forward differentiation
 
-// The inputs of a trajectory before its torques: constants as in `Capsule`, 1.0 for the paper's normal force, the state.
+// The inputs of a trajectory before its torques: constants as in `Capsule`, 1.0 for the paper's normal force, state.
 #define CAPSULE_TRAJECTORY(FIELD)                                                                                      \
-  FIELD(M) FIELD(mu) FIELD(m) FIELD(l) FIELD(g) FIELD(k) FIELD(c) FIELD(static_ratio) FIELD(backward_ratio)            \
-  FIELD(viscous) FIELD(stribeck_speed) FIELD(slope) FIELD(motor_friction) FIELD(paper)                                 \
-  FIELD(theta) FIELD(theta_dot) FIELD(x) FIELD(x_dot)
+  FIELD(M) FIELD(mu) CAPSULE_CONSTANTS(FIELD) FIELD(paper) FIELD(theta) FIELD(theta_dot) FIELD(x) FIELD(x_dot)
 template <class T> struct TrajectoryInputs { CAPSULE_TRAJECTORY(CAPSULE_NUMBER) };
 
 INLINE void read(double& number, double value, const double*) { number = value; }
@@ -35,13 +33,10 @@ long long trajectory(const double* values, const double* partials, long long n, 
   constexpr int SIZE = sizeof(TrajectoryInputs<double>) / sizeof(double);
   TrajectoryInputs<T> in;
   for (int i = 0; i < SIZE; i++) read(((T*)&in)[i], values[i], partials + DIRECTIONS * i);
-  Plant<T, Kind::varied> p = {};
-  auto [sin, cos] = sincos(in.slope);
+#define FIELD(name) in.name,
+  auto p = derive(Constants<T>{CAPSULE_CONSTANTS(FIELD)});
+#undef FIELD
   p.M = in.M, p.mu = in.mu, p.mass_ratio = in.m / (in.M + in.m), p.pivot_torque_on_contact = values[SIZE - 5];
-  p.m = in.m, p.l = in.l, p.g = in.g * cos, p.k = in.k, p.c = in.c, p.static_ratio = in.static_ratio;
-  p.backward_ratio = in.backward_ratio, p.downhill = in.g * sin, p.viscous = in.viscous;
-  p.motor_friction = in.motor_friction;
-  if (in.stribeck_speed > 0.0) p.stribeck_excess = in.static_ratio - 1.0, p.stribeck_rate = 1.0 / in.stribeck_speed;
   State<T> s = {in.theta, in.theta_dot, in.x, in.x_dot};
   double events = 0.0;
   long long ended = -1;

@@ -59,17 +59,52 @@ gives the paper's floor, where a torque of 1.3 % of the limit moves the platform
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from capsule_gym import _core
-from capsule_gym.checks import check_number
+from capsule_gym import _core, native
+from capsule_gym.checks import check_number, written
 from capsule_gym.task import LARGEST_STATE, TASKS, Draw, Option, Task
 from capsule_gym.tasks import DEFAULTS
 
+if TYPE_CHECKING:
+    from capsule_gym.settings import StepSettings
+
 # Range of the drawn displacements, m.
 NEAREST, FARTHEST = 0.05, 0.5
+
+
+def compute_reward(settings: StepSettings, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
+    """The rewards of steps that end with these goals, for environments with `goal_env=True`.
+
+    With the info of a step, the result is its reward, bit for bit, unless the achieved goal is a measured one.
+    Terms that an info lacks count as 0: an empty one gives `reward_goal` alone.
+
+    Args:
+        settings: those of the environments.
+        achieved_goal: x (m) and x_dot (m/s) of the platform, shape (.., 2).
+        desired_goal: those that are desired. The platform rests where both x_dot are equal; a measured one may
+            differ by `Disturbances.stick_threshold`.
+        info: dict of `reward_energy` and `reward_termination`, numbers or arrays, or a sequence of such dicts.
+
+    Returns:
+        The reward, a float; or float64 of shape (..) for several goals.
+
+    Raises:
+        ValueError: if a goal has another shape.
+    """
+    for name, goal in (("achieved_goal", achieved_goal), ("desired_goal", desired_goal)):
+        if np.shape(goal)[-1:] != (2,):
+            raise ValueError(f"{name} must be of shape (.., 2), x in m and x_dot in m/s, got {written(goal)}")
+    error, x_dot = np.moveaxis(np.subtract(desired_goal, achieved_goal, dtype=np.float64), -1, 0)
+    rest = settings.stick_threshold if settings.agent_reads else 0.0
+    (rate,) = native.evaluate("goal_rate", error, np.abs(x_dot) <= rest)
+    rewards = settings.law_steps * settings.physics_steps * settings.physics_dt * rate
+    for term in ("reward_energy", "reward_termination"):
+        given = info.get(term, 0.0) if isinstance(info, dict) else [one.get(term, 0.0) for one in info]
+        rewards = rewards + np.asarray(given)
+    return rewards if rewards.ndim else float(rewards)
 
 
 def parse_goal(name: str, value: Any) -> list[float]:

@@ -53,7 +53,7 @@ def test_an_episode_is_the_environments_and_stands_still_at_its_end(name):
     assert episode.time == pytest.approx(0.1) and episode.end is None
     episode.advance(2.0 * HORIZON)
     assert episode.end is Termination.none and episode.time == pytest.approx(HORIZON)
-    assert episode.speed == f"direct-ppo {episode.env.episode_metrics(1650)['mean_speed']:.2f} cm/s"
+    assert episode.speed == f"{name} {episode.env.episode_metrics(1650)['mean_speed']:.2f} cm/s"
     last, time = state(episode), episode.time
     assert last["time"] == pytest.approx(time)
     episode.advance(3.0 * HORIZON)

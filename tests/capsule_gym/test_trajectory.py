@@ -50,6 +50,22 @@ def test_every_constant_has_its_derivative(name):
     np.testing.assert_allclose(slope, expected, rtol=1e-5, atol=1e-8)
 
 
+@pytest.mark.parametrize("name", ["viscous", "slope", "motor_friction", "static_ratio"])
+def test_a_constant_without_effect_has_its_derivative(name):
+    """The core skips terms whose factor is 0; with the factor 0 of `static_ratio` the Stribeck curve is level."""
+    capsule = Capsule(stribeck_speed=0.1)
+    torques, state = draw(np.random.default_rng(2))[1][:6], (-0.3, 0.5, 0.0, 0.2)
+
+    def end(size: float) -> np.ndarray:
+        shifted = Capsule(**{**vars(capsule), name: getattr(capsule, name) + size})
+        return sensitivity(state, torques, (), capsule=shifted).states[-1]
+
+    slope = sensitivity(state, torques, (name,), capsule=capsule).derivatives[name][-1]
+    expected = (4.0 * end(1e-6) - end(2e-6) - 3.0 * end(0.0)) / 2e-6
+    assert abs(slope).max() > 1e-3
+    np.testing.assert_allclose(slope, expected, rtol=1e-5, atol=1e-8)
+
+
 def test_torques_and_state():
     torques = draw(np.random.default_rng(2))[1][:30]
     found = sensitivity(START, torques, ("torque", "torques", "state"), control_dt=0.01).derivatives

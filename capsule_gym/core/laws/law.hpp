@@ -7,7 +7,7 @@ namespace LEVEL {
 // its reference with the memory of the task behind it. LIST(ONE, MANY) names the constants `q`, numbers and arrays: C++
 // takes the fields from it, Python their order.
 #define CAPSULE_LAW(Law, name, branches, Memory, Row, LIST)                                                            \
-  static constexpr const char *NAME = name, *CONSTANTS = LIST(CAPSULE_NAME, LAW_NAMES);                                \
+  static constexpr const char *NAME = name, *CONSTANTS = "" LIST(CAPSULE_NAME, LAW_NAMES);                             \
   static constexpr int MEMORY = WIDTH<Memory<double>>, COLUMNS = WIDTH<Row<double>>;                                   \
   static constexpr bool BRANCHES = branches;                                                                           \
   struct Constants {                                                                                                   \

@@ -1,0 +1,68 @@
+// The observation: its entries in order, the estimates of M and mu in it, and the stack of observations.
+#pragma once
+#include "layout.hpp"
+#include "tasks.hpp"
+
+namespace LEVEL {
+// What an observation shows of the environment: `phase` is the share of the reference's cycle.
+#define OBSERVED(FIELD)                                                                                    \
+  FIELD(theta) FIELD(theta_dot) FIELD(x_dot) FIELD(action) FIELD(theta_d) FIELD(theta_d_dot) FIELD(phase)  \
+  FIELD(law_torque) FIELD(M) FIELD(mu)
+template <class T> struct Observed { OBSERVED(CAPSULE_NUMBER) };
+
+// Puts the entries in the order of `observation_names`; `put_estimates` puts those of M and mu.
+template <class Task, class T, class Put, class PutEstimates>
+INLINE void put_entries(const Settings& q, const Observed<T>& o, const typename Task::template Memory<T>& memory,
+                        Put put, PutEstimates put_estimates) {
+  put(clip(o.theta, T(THETA_LIMIT))), put(clip(o.theta_dot, T(THETA_DOT_BOUND))), put(clip(o.x_dot, T(X_DOT_BOUND)));
+  double rest = q.agent_reads != 0.0 ? q.stick_threshold : 0.0;
+  put(select(abs(o.x_dot) <= rest, T(1.0), T(0.0))), put(o.action);
+  if (q.with_reference != 0.0) {
+    auto [sin, cos] = sincos(2.0 * PI * o.phase);
+    put(clip(o.theta_d, T(THETA_LIMIT))), put(clip(o.theta_d_dot, T(THETA_DOT_BOUND)));
+    put(sin), put(cos), put(o.law_torque);
+  }
+  if (q.with_parameters != 0.0) put(o.M), put(o.mu);
+  if (q.with_estimates != 0.0) put_estimates();
+  if (q.with_task == 0.0) return;
+  T own[Task::ENTRIES + 1];
+  Task::observe(own, memory);
+  for (int i = 0; i < Task::ENTRIES; i++) put(own[i]);
+}
+
+// Updates the estimates of M and mu with an observation, and writes them to it; returns the end of what is written. The
+// filter lies in the rows from `cells` on.
+template <int N>
+NOINLINE float* estimate(const Settings& q, double* cells, int j, const float* observed, float* next) {
+  auto f = load_record<Identification, double, N>(cells, j);
+  struct { double m, l, g, dt; } nominal = {q.m, q.l, q.g, q.law_steps * q.physics_steps * q.physics_dt};
+  identify<double>(f, observed[0], observed[1], observed[2], nominal);
+  for (int r = 0; r < WIDTH<Identification>; r++) cells[r * N + j] = ((double*)&f)[r];
+  return write_estimates(f, next);
+}
+
+// Writes the observations of the first n environments of a block. `line`: that of the reference; `task`: the task's
+// memory with the values that the agent observes; `filters`: the rows of the filter of the estimates.
+template <class Task, int N>
+NOINLINE void observe(const Batch& batch, const Block<N>& b, int n, const double* line, const double* task,
+                      double* filters, float* observations, bool begin) {
+  const Settings& q = *batch.settings;
+  int entries = (int)batch.entries / (int)q.stack_size, all = (int)batch.entries;
+  bool reads = q.varied != 0.0 && q.agent_reads != 0.0;
+  for (int j = 0; j < n; j++) {
+    if (b.active[j] == 0.0) continue;
+    float* out = observations + j * batch.entries;
+    // Shifts the stacked observations; at the start of an episode all of them are the first.
+    for (int entry = all - 1; entry >= entries; entry--) out[entry] = out[entry - entries];
+    Observed<double> seen = {reads ? b.read_theta[j] : b.theta[j], reads ? b.read_theta_dot[j] : b.theta_dot[j],
+                             reads ? b.read_x_dot[j] : b.x_dot[j], begin ? 0.0 : b.action[j], line[j], line[N + j],
+                             b.clock[j] / (double)batch.reference_rows, b.law_torque[j], b.M[j], b.mu[j]};
+    float* next = out;
+    put_entries<Task>(
+        q, seen, load_record<typename Task::template Memory<double>, double, N>(task, j),
+        [&](double entry) { *next++ = (float)entry; }, [&] { next = estimate<N>(q, filters, j, out, next); });
+    if (begin)
+      for (int entry = entries; entry < all; entry++) out[entry] = out[entry - entries];
+  }
+}
+}  // namespace LEVEL
