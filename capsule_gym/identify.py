@@ -15,7 +15,7 @@ PROG = "python -m capsule_gym.identify"
 
 @dataclass(frozen=True, kw_only=True)
 class Args:
-    """Estimates a rig's plant from a log with the columns t, torque and some of theta, theta_dot, x and x_dot (SI units).
+    """Estimates a rig's plant from a log with columns t, torque and some of theta, theta_dot, x, x_dot (SI units).
 
     Examples:
       python -m capsule_gym.identify log.csv --known lag 0.005 --report fit.png
