@@ -25,7 +25,7 @@ export function useTask(task) {
 export function disturbancesOf({ disturbances, latency, noise, motor, slope }) {
   if (disturbances === "real") return "real";
   if (disturbances === "none") return motor || slope ? { stick_threshold: 0 } : "none";
-  const errors = Object.entries(constants.real).filter(([name]) => /_(noise|bias|drift)$/.test(name));
+  const errors = Object.entries(constants.real).filter(([name, size]) => size !== null && /_(noise|bias|drift)$/.test(name));
   const scaled = errors.map(([name, size]) => [name, [size].flat().map((end) => noise * end)]);
   return { latency, ...Object.fromEntries(scaled.map(([name, [low, high = low]]) => [name, [low, high]])) };
 }

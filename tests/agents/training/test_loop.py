@@ -27,7 +27,7 @@ from tests.agents.training.small import SMALL, differences, finished, log, rows,
 def test_bootstrap_happens_at_time_limits_only():
     # SB3 adds gamma V(terminal observation) to the reward if TimeLimit.truncated is set. With a large constant V, the
     # collected rewards show these steps.
-    config = small("direct", "ppo", total_steps=256, episode_seconds=0.4)
+    config = small("direct", "ppo", total_steps=256, episode_seconds=0.4, initial_range=(1.047, 8.0))
     env = make_env(config, 0)
     env.norm_reward = False
     model = make_model(config, env)
@@ -77,11 +77,12 @@ def test_a_run_folder_holds_what_a_policy_needs(tmp_path):
     assert (policy.training_seed, policy.revision) == (0, content["revision"])
     # The last and the best policy, as file and as archive; the archive takes normalised observations.
     observations = np.random.default_rng(0).normal(size=(5, 10)).astype(np.float32)
+    both = {"policy": observations, "critic": np.zeros((5, 2), np.float32)}
     for folder in (run, run / "best"):
         policy = load_policy(folder / "policy.safetensors")
         agent = PPO.load(folder / "model.zip", device="cpu")
         normalise = pickle.loads((folder / "vecnormalize.pkl").read_bytes()).normalize_obs
-        expected, _ = agent.predict(normalise(observations), deterministic=True)
+        expected, _ = agent.predict(normalise(both), deterministic=True)
         np.testing.assert_allclose(policy(observations), expected, atol=2e-6)
 
 
