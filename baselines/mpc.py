@@ -18,7 +18,6 @@ import numpy as np
 
 from baselines.dynamic_programming.policy import FAILURE_SCORE, Lookahead
 from baselines.dynamic_programming.problem import NOMINAL_MARGIN, Problem, Transitions
-from capsule_gym.command_line import parse
 from capsule_gym.task import EPISODE_STEPS
 
 Act = Callable[[np.ndarray], np.ndarray]
@@ -73,6 +72,9 @@ class Args:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit status."""
+    # The policy needs no command line.
+    from capsule_gym.command_line import parse
+
     args = parse(Args, "python -m baselines.mpc", arguments)
     from capsule_gym import CapsuleVectorEnv
 

@@ -285,6 +285,8 @@ def test_a_law_that_returns_something_else_later_is_an_error(law, without_numba)
 @pytest.mark.parametrize("n", [1, 130])
 def test_ctrl_c_in_a_law_that_python_calls_ends_the_step(n, without_numba):
     calls = []
+    # A test before this one may have ended in another handler.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def law(theta, theta_dot, x, x_dot, memory, reference):
         calls.append(x)
@@ -296,8 +298,11 @@ def test_ctrl_c_in_a_law_that_python_calls_ends_the_step(n, without_numba):
 
     env = CapsuleVectorEnv(n, controller=Controller("long", law, np.zeros((1, 2))))
     env.reset(seed=0)
-    with pytest.raises(KeyboardInterrupt):
-        env.step(np.zeros((n, 1), np.float32))
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            env.step(np.zeros((n, 1), np.float32))
+    finally:
+        signal.signal(signal.SIGINT, before)
     # No further environment is asked.
     assert len(calls) <= 3 * n + 1
     env.reset(seed=0)
