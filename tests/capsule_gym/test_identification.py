@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+import importlib
 import subprocess
 import sys
 
 import numpy as np
 import pytest
 
+import capsule_gym
 from capsule_gym import Capsule, CapsuleEnv, Disturbances, Excitation, identify, record
 from capsule_gym.identification import OTHERS
 from capsule_gym.parameters import REAL
@@ -218,3 +220,9 @@ def test_record_writes_what_happens(tmp_path):
 
 def test_names_are_those_of_the_package():
     assert {*PLANT} < {*vars(Capsule())} and {*OTHERS} < {*vars(REAL)}
+
+
+def test_an_import_of_the_command_does_not_hide_the_function():
+    importlib.import_module("capsule_gym.identify")
+    with pytest.raises(ValueError, match="'t' and 'torque'"):
+        capsule_gym.identify({"theta": [0.0, 0.1]})
