@@ -285,7 +285,7 @@ def test_a_law_that_returns_something_else_later_is_an_error(law, without_numba)
 @pytest.mark.parametrize("n", [1, 130])
 def test_ctrl_c_in_a_law_that_python_calls_ends_the_step(n, without_numba):
     calls = []
-    # A test before this one may have ended in another handler.
+    # A process in the background of a shell ignores Ctrl-C, and so would Python.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def law(theta, theta_dot, x, x_dot, memory, reference):
