@@ -123,9 +123,7 @@ def schedule(config: Config) -> LinearSchedule:
 
 def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
     """Creates an untrained agent in the environments of `make_env`."""
-    critic = "vf" if isinstance(config, OnPolicyConfig) else "qf"
-    units = {"pi": config.hidden, critic: config.critic_hidden or config.hidden}
-    network: dict[str, Any] = {"net_arch": {name: [count, count] for name, count in units.items()}}
+    network: dict[str, Any] = {"net_arch": [config.hidden, config.hidden]}
     network["activation_fn"] = {"tanh": nn.Tanh, "relu": nn.ReLU}[config.activation]
     kwargs: dict[str, Any] = {"learning_rate": schedule(config), "device": "cpu"}
     names: tuple[str, ...] = ("batch_size", "gamma", "seed")

@@ -113,8 +113,6 @@ class Config:
     """Discount factor per agent step."""
     hidden: Count = 64
     """Units in each of the two hidden layers, and of an LSTM before them."""
-    critic_hidden: Count | None = None
-    """Units in each hidden layer of the critic; None for as many as in the actor."""
     activation: Literal["tanh", "relu"] = "tanh"
     """Activation of the hidden layers."""
     observation_scale: tuple[float, float, float] | None = None
@@ -177,7 +175,7 @@ class Config:
         """
         for field in dataclasses.fields(self):
             name, value = field.name, getattr(self, field.name)
-            if field.type == "Count" or (field.type == "Count | None" and value is not None):
+            if field.type == "Count":
                 least, most = LEAST.get(name, 1), LARGEST_SEED if name == "seed" else sys.maxsize
                 accepted = f"an integer >= {least}" + (f" and <= {most}" if name == "seed" else "")
                 check_integer(name, value, accepted, least, most)
