@@ -12,9 +12,7 @@ namespace LEVEL {
   F(normal_force, 3, 1, (p.normal_force(a[0], a[1], a[2])))                                                            \
   F(driving_force, 3, 1, (p.driving_force(a[0], a[1], a[2])))                                                          \
   F(friction_force, 3, 1, (p.friction_force(a[0], a[1], a[2])))                                                        \
-  F(stick_acceleration, 3, 1, (p.stick_acceleration(a[0], a[1], a[2])))                                                \
   F(stick_margin, 3, 2, (p.stick_margin(a[0], a[1], a[2])))                                                            \
-  F(stick_margin_rate, 3, 1, (p.stick_margin_rate(a[0], a[1], a[2])))                                                  \
   F(contact_phase, 4, 1, (p.contact_phase(State<double>{a[0], a[1], 0.0, a[2]}, a[3])))                                \
   F(step, 6, 10, (plant_step(State<double>{a[0], a[1], a[2], a[3]}, a[4], p, a[5])))                                   \
   F(sincos, 1, 2, (sincos(a[0]))) F(exp, 1, 1, (exp(a[0]))) F(tanh, 1, 1, (tanh(a[0]))) F(log, 1, 1, (log(a[0])))      \
