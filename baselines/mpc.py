@@ -72,12 +72,11 @@ class Args:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit status."""
-    # The policy needs no command line.
+    # The policy needs neither.
+    from capsule_gym import CapsuleVectorEnv
     from capsule_gym.command_line import parse
 
     args = parse(Args, "python -m baselines.mpc", arguments)
-    from capsule_gym import CapsuleVectorEnv
-
     env = CapsuleVectorEnv(args.plants, autoreset_mode="DISABLED")
     observations, _ = env.reset(seed=args.seed)
     act, seconds = start(range(args.plants)), 0.0

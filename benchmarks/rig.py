@@ -18,6 +18,7 @@ import numpy as np
 from capsule_gym import CapsuleEnv, Excitation, identify, record
 from capsule_gym.command_line import Count, parse
 from capsule_gym.files import to_json, write_atomically
+from capsule_gym.task import EPISODE_STEPS
 
 if TYPE_CHECKING:
     from stable_baselines3 import PPO
@@ -28,7 +29,6 @@ LOGGED_DT = 0.01
 # Smaller ones follow where the excitation ends the episode, N m.
 AMPLITUDES = (0.45, 0.35, 0.25)
 TRAINING: dict[str, Any] = {"stack_size": 4, "initial_range": (1.047, 8.0), "termination_penalty": 30.0}
-EPISODE_STEPS = 1650
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Args:
 
 
 def train(seed: int, total_steps: int, **env_kwargs: Any) -> tuple[PPO, VecNormalize]:
-    """Trains an agent with direct torque; the settings are those of `direct-ppo`, with 4 observations stacked."""
+    """Trains an agent with direct torque, which observes the last 4 observations."""
     from stable_baselines3 import PPO
     from stable_baselines3.common.utils import LinearSchedule
     from stable_baselines3.common.vec_env import VecNormalize
