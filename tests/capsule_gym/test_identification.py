@@ -137,10 +137,11 @@ def test_a_wrong_model_warns():
 
 
 def test_a_weak_excitation_warns():
-    with pytest.warns(UserWarning, match="the log does not determine"):
-        identify(
-            record(CapsuleEnv(**OPTIONS, disturbances=REAL), Excitation(amplitude=0.02), seconds=4.0, options=STATE)
-        )
+    log = record(CapsuleEnv(**OPTIONS, disturbances=REAL), Excitation(amplitude=0.02), seconds=4.0, options=STATE)
+    # An estimate that the log does not determine may also end at the end of its range, on some processors.
+    with pytest.warns(UserWarning) as caught:
+        identify(log)
+    assert any("the log does not determine" in str(warning.message) for warning in caught)
 
 
 def changed(**columns):
