@@ -32,7 +32,7 @@ from agents.training.config import Config, RunError, read_config
 from agents.training.loop import begin, train
 from agents.training.presets import PRESETS
 from agents.training.signals import INTERRUPTED, Stop
-from tests.agents.training.small import differences, finished, parameters, rows, same, train_until
+from tests.agents.training.small import differences, finished, parameters, same, train_until
 
 SMALL = {"num_envs": 8, "batch_size": 64, "hidden": 8, "evaluation_episodes": 1, "evaluate_every": 200}
 ON_POLICY: dict[str, Any] = {"n_steps": 16, "n_epochs": 1, "total_steps": 800}
@@ -263,16 +263,6 @@ def test_of_two_runs_that_begin_in_one_folder_the_second_is_refused(tmp_path, mo
     with pytest.raises(FileExistsError):
         begin(run, second)
     assert read_config(run) == first and train(run)
-
-
-def test_a_new_end_is_said_once(tmp_path, capsys, whole):
-    run = copy_of(whole["ppo"], tmp_path / "run")
-    for said in (True, False):
-        assert command_line.main(["--resume", str(run), "--total-steps", "1000", "--no-comparison"]) == 0
-        assert ("this is another run" in capsys.readouterr().out) == said
-        assert read_config(run).total_steps == 1000
-    evaluations = [int(row["steps"]) for row in rows(run / "evaluations.csv")]
-    assert evaluations[-1] >= 1000 and evaluations == sorted(set(evaluations))
 
 
 def test_the_second_signal_does_what_signals_did_before(capfd):
