@@ -4,24 +4,26 @@ All actions are drawn beforehand. A single environment runs whole episodes, incl
 does not truncate episodes, so that all batch sizes are comparable; an environment that fails is reset within the step.
 
 Contenders take turns, and the 10th percentiles of their processor times are used, so that other processes have little
-effect. Unlike rates, ratios are comparable between machines. Each floor is about two thirds of the lowest ratio found
-with AVX2 and AVX-512; a ratio below its floor usually means that the compiler vectorises a loop no longer.
+effect. Unlike rates, ratios are comparable between machines. A ratio below its floor usually means that the compiler
+vectorises a loop no longer.
 """
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from itertools import cycle
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
+from baselines.drawing import BLUE, MUTED, new_figure, save, style
 from benchmarks.measurement import OutputArgs, fastest, machine, take_turns
 from benchmarks.plain import copy_to_c, find_compiler
 from capsule_gym import ENV_ID, task
@@ -35,7 +37,6 @@ TURN_SECONDS = 0.02
 # With random torques up to the limit, resets would dominate. The paper's torques rarely exceed this fraction.
 ACTION_SCALE = 0.2
 LAW: dict[str, Any] = {"controller": "baselines:adaptive", "residual_limit": ACTION_SCALE * task.TORQUE_LIMIT}
-REAL: dict[str, Any] = {"disturbances": "real", "randomization": "real"}
 # Number of distinct actions, which are repeated; of episodes from the same states; of environments in most batches.
 DRAWS, EPISODE, BATCH = 256, 40, 1024
 
@@ -53,7 +54,7 @@ NOTE = (
     "Environment steps per second of processor time; a number at the end: environments of a batch. A step of the "
     "capsule is 20 ms in 10 substeps, with the law baselines:adaptive or at 1 ms in 20; the direct torque is uniform "
     f"within ±{ACTION_SCALE * task.TORQUE_LIMIT:g} N m. It includes observation, reward and info; in MuJoCo the "
-    'physics alone, in the core and in plain C no infos and resets. Real: plants and disturbances of "real".'
+    "physics alone, in the core and in plain C no infos and resets."
 )
 
 
@@ -143,13 +144,10 @@ def from_the_start(compiler: str | None = None) -> tuple[Step, np.ndarray]:
 def contenders() -> dict[str, Callable[[], Step]]:
     """Functions that create what is measured; the number of environments is at the end of the names of batches."""
     endless = {"max_episode_steps": sys.maxsize}
-    found: dict[str, Callable[[], Step]] = {}
-    kinds: dict[str, dict[str, Any]] = {"": {}, ", law": LAW, ", real": REAL, ", law, real": {**LAW, **REAL}}
-    for kind, options in kinds.items():
-        found[f"capsule{kind}"] = partial(single, ENV_ID, **options)
-        for count in (BATCH,) if "real" in kind else (64, BATCH, 16384):
-            found[f"capsule{kind}, {count}"] = partial(batch, ENV_ID, count, **options, **endless)
-    found |= {
+    found: dict[str, Callable[[], Step]] = {
+        "capsule": partial(single, ENV_ID),
+        f"capsule, {BATCH}": partial(batch, ENV_ID, **endless),
+        f"capsule, law, {BATCH}": partial(batch, ENV_ID, **LAW, **endless),
         f"capsule, 1 ms, {BATCH}": partial(batch, ENV_ID, physics_dt=LAW_PHYSICS_DT, **endless),
         "CartPole-v1": partial(single, "CartPole-v1"),
         f"CartPole-v1, {BATCH}": partial(batch, "CartPole-v1"),
@@ -183,7 +181,7 @@ class Args(OutputArgs):
     Plain C needs a compiler, MuJoCo the extra `bench`; what is not installed is left out.
 
     Examples:
-      python -m benchmarks.throughput --markdown docs/speed_tables.md
+      python -m benchmarks.throughput --markdown docs/speed_tables.md --figure docs/figures/speed
       CAPSULE_GYM_LEVEL=v3 CC=clang python -m benchmarks.throughput --ratios
     """
 
@@ -191,6 +189,23 @@ class Args(OutputArgs):
     """Measure only what the ratios need."""
     turns: Count = 30
     """Measurements of every contender, in turns."""
+    figure: Path | None = None
+    """Draw the rates as bars into files with this name, as SVG and PNG."""
+
+
+def draw(rates: Mapping[str, float], stem: Path) -> None:
+    """Draws the rates as bars on a logarithmic axis, those of this package in blue."""
+    with style():
+        figure = new_figure(0.24 * len(rates) + 0.6)
+        axes = figure.add_subplot()
+        names = [*rates][::-1]
+        others = "CartPole", "Pendulum", "plain C", "MuJoCo"
+        colours = [MUTED if any(other in name for other in others) else BLUE for name in names]
+        bars = axes.barh(names, [rates[name] for name in names], color=colours, height=0.7)
+        axes.bar_label(bars, [f"{rates[name]:,.0f}" for name in names], padding=3.0, fontsize=7.5)
+        axes.set(xscale="log", xlim=(1e4, 3e7), xlabel="environment steps per second of processor time")
+        axes.grid(visible=False, axis="y")
+        save(figure, stem)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -204,14 +219,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
             last = name.rpartition(", ")[2]
             turns[name] = partial(seconds_per_step, make(), int(last) if last.isdigit() else 1)
     rates = fastest(take_turns(turns, args.turns))
-    table = [["ratio", "of", "to", "at least"]]
+    table = [["", "env-steps/s", "ratio", "to", "at least"]]
+    compared = {one: (other, floor) for (one, other), floor in FLOORS.items() if {one, other} <= set(rates)}
     failed = False
-    for (one, other), floor in FLOORS.items():
-        if {one, other} <= set(rates):
-            table.append([f"{rates[one] / rates[other]:.2f}", one, other, f"{floor:g}"])
-            failed |= rates[one] / rates[other] < floor
-    rows = [["", "env-steps/s"], *([name, f"{each:,.0f}"] for name, each in rates.items())]
-    args.report(COMMAND, table, rows, NOTE, f"{machine()}.")
+    for name, rate in rates.items():
+        cells = ["", "", ""]
+        if name in compared:
+            other, floor = compared[name]
+            failed |= rate / rates[other] < floor
+            cells = [f"{rate / rates[other]:.2f}", other, f"{floor:g}"]
+        table.append([name, f"{rate:,.0f}", *cells])
+    args.report(COMMAND, table, NOTE, f"{machine()}.")
+    if args.figure:
+        draw(rates, args.figure)
     return int(failed)
 
 
