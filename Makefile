@@ -77,13 +77,13 @@ web: $(STAMP)  ## Build the environment for browsers and node into site/live/ al
 
 leaderboard: $(STAMP)  ## Evaluate all policies and write the leaderboard and its analysis
 	$(BIN)/python -m agents.leaderboard
-	$(BIN)/python -m agents.analysis limit_cycle statistics residual_limit goal
+	$(BIN)/python -m agents.analysis limit_cycle statistics goal
 
 leaderboard-check: $(STAMP)  ## Fail if the leaderboard or its analysis is stale (PLANTS=25 evaluates 25 plants per set)
 	$(BIN)/python -m agents.leaderboard --check $(if $(PLANTS),--plants $(PLANTS))
-	$(BIN)/python -m agents.analysis limit_cycle statistics residual_limit goal --check
+	$(BIN)/python -m agents.analysis limit_cycle statistics goal --check
 
-reproduce: ROWS ?= direct-ppo direct-ppo-wide residual-ppo residual-on-gait residual-on-gait-wide residual-identifying efficient pareto
+reproduce: ROWS ?= direct-ppo direct-ppo-wide residual-ppo efficient
 reproduce: SEED ?= 100
 reproduce: $(STAMP)  ## Train one run of each row and compare it with the published ones (ten minutes)
 	$(BIN)/python -m agents.study $(ROWS) --seeds $(SEED) --runs runs/reproduce

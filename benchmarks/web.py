@@ -25,8 +25,8 @@ from web import build
 from web.episodes import drivers
 
 COMMAND = "python -m benchmarks.web"
-# No control law, a law, a network, and a law with a network and a filter.
-CONTROLLERS = ("zero", "adaptive", "direct-ppo", "residual-identifying")
+# A law, and a network.
+CONTROLLERS = ("adaptive", "direct-ppo")
 # Runs episodes of a driver and prints the seconds of each.
 SCRIPT = """
 const [path, name, episodes] = process.argv.slice(1);

@@ -71,9 +71,9 @@ def test_a_rows_settings_are_defaults_that_options_change(row):
 
 
 def test_options_change_what_they_name():
-    words = "--seed 3 --controller baselines:compliant --gamma 0.9 --observe-parameters --randomization wide"
+    words = "--seed 3 --controller baselines:pd --gamma 0.9 --observe-parameters --randomization wide"
     found = train.read_args([*words.split(), "--total-steps", "8e6", "--run", "there"])
-    changed = {"seed": 3, "controller": "baselines:compliant", "gamma": 0.9, "observe_parameters": True}
+    changed = {"seed": 3, "controller": "baselines:pd", "gamma": 0.9, "observe_parameters": True}
     changed |= {"randomization": "wide", "total_steps": 8_000_000}
     assert found.hyperparameters == dataclasses.replace(PRESETS["residual", "ppo"], **changed)
     assert found.run == Path("there")

@@ -65,7 +65,7 @@ def test_a_set_of_another_task_is_compared_with_its_scripted_law(tmp_path, capsy
     plants = [{"M": 0.5, "mu": mu, "seed": 0, "goal": goal} for mu, goal in ((0.1, 0.1), (0.3, -0.2))]
     path = tmp_path / "goals.json"
     path.write_text(json.dumps({"name": "goals", "task": "goal", "plants": plants}))
-    assert evaluate.main(["zero", "--set", str(path), "--json", str(tmp_path / "result.json")]) == 0
+    assert evaluate.main(["bold", "--set", str(path), "--json", str(tmp_path / "result.json")]) == 0
     printed = capsys.readouterr().out
     assert "goal-pulses" in printed and "share of goals reached 0.0000 [0.0000, 0.0000] 1.0000 [1.0" in " ".join(
         printed.split()

@@ -25,7 +25,7 @@ ROUGH = replace(REAL, push=(0.0, 0.5), theta_resolution=0.001, torque_resolution
 CASES: dict[str, dict[str, Any]] = {
     **{f"{name}, direct": {"task": name} for name in TASKS},
     **{f"{name}, law and disturbances": {
-        "task": name, "controller": "baselines:gait_identifying", "disturbances": ROUGH, "randomization": "real-wide"
+        "task": name, "controller": "baselines:gait", "disturbances": ROUGH, "randomization": "real-wide"
     } for name in TASKS},
     "adaptive": {"controller": "baselines:adaptive", "residual_limit": 3.0, "observe_parameters": True},
     "stack": {"stack_size": 3, "initial_range": (1.0, 8.0), "observe_estimates": True},

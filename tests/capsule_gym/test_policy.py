@@ -360,7 +360,7 @@ def test_a_file_with_other_content_is_refused_by_name(tensors, metadata, message
     [
         *((name, "did you mean 'direct-ppo'?") for name in ("direct_ppo", "Direct-PPO", "direct-pp")),
         ("adaptive", "a control law: gym.make(.., controller='baselines:adaptive')"),
-        ("dp-distilld-wide/seed-1", "did you mean 'dp-distilled-wide/seed-1'?"),
+        ("dp-distiled-wide/seed-1", "did you mean 'dp-distilled-wide/seed-1'?"),
     ],
 )
 def test_an_unknown_name_comes_with_advice(name, advice):

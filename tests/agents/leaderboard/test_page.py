@@ -20,7 +20,7 @@ def test_the_committed_pages_are_those_of_the_committed_board():
 
 
 def test_the_committed_board_is_that_of_the_committed_results():
-    names = ("efficient", "random")
+    names = ("direct-ppo", "adaptive")
     board = build(load_rows(ROOT / RESULTS, names), [load_set(name) for name in SET_NAMES + FURTHER_SET_NAMES])
     recorded = read(ROOT)
     assert board["sets"] == recorded["sets"]
@@ -28,10 +28,10 @@ def test_the_committed_board_is_that_of_the_committed_results():
 
 
 def test_versions_that_differ_between_rows_are_all_named():
-    zero, random = evaluate([find_candidate(name) for name in ("zero", "random")], SETS, horizon=0.1)
-    random.header["versions"] = {**zero.header["versions"], "numpy": "1.0", "new": "2.0"}
-    found = build([zero, random], SETS)["versions"]
-    assert found == {**zero.header["versions"], "numpy": f"1.0, {np.__version__}", "new": "2.0"}
+    one, other = evaluate([find_candidate(name) for name in ("adaptive", "pd")], SETS, horizon=0.1)
+    other.header["versions"] = {**one.header["versions"], "numpy": "1.0", "new": "2.0"}
+    found = build([one, other], SETS)["versions"]
+    assert found == {**one.header["versions"], "numpy": f"1.0, {np.__version__}", "new": "2.0"}
 
 
 def test_every_committed_checkpoint_has_its_command():
