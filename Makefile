@@ -11,7 +11,7 @@ STAMP := .venv/.installed
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help train test examples notebooks coverage venv lint types docs web leaderboard leaderboard-check reproduce regression faults fuzz bits bits-check sanitize core-coverage install-check oldest check clean
+.PHONY: help train test examples notebooks coverage venv lint types docs web leaderboard leaderboard-check reproduce regression fuzz bits bits-check sanitize core-coverage install-check oldest check clean
 
 help:  ## List the targets
 	@grep -hE '^[a-z-]+:.*  ## ' $(MAKEFILE_LIST) | sed -E 's/:.*  ## /\t/' | awk -F '\t' '{printf "%-18s %s\n", $$1, $$2}'
@@ -92,9 +92,6 @@ reproduce: $(STAMP)  ## Train one run of each row and compare it with the publis
 regression: $(STAMP)  ## Fail if a ratio of speeds is below its floor
 	$(BIN)/python -m benchmarks.throughput --ratios
 
-faults: $(STAMP)  ## Interrupt trainings; fail if something is lost
-	$(BIN)/python -m tests.faults --short
-
 fuzz: $(STAMP)  ## Call the environments with random and invalid arguments; fail on an unexpected error
 	$(BIN)/python -m pytest -n 2 --hypothesis-profile fuzz tests/capsule_gym/test_arguments.py
 
@@ -130,7 +127,7 @@ oldest:  ## Run the environment's tests with the oldest supported versions
 		"hypothesis>=6.100" "mpmath>=1.3" "pytest>=8.2" "scipy>=1.11"
 	$(OLDEST)/python -m pytest tests/capsule_gym
 
-check: lint types docs leaderboard-check regression faults fuzz bits  ## All checks but the tests
+check: lint types docs leaderboard-check regression fuzz bits  ## All checks but the tests
 
 clean:  ## Remove caches and build outputs; keeps .venv and runs/
 	rm -rf build dist site .hypothesis .pytest_cache .ruff_cache .mypy_cache .coverage*

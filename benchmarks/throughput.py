@@ -24,7 +24,7 @@ import gymnasium as gym
 import numpy as np
 
 from baselines.drawing import BLUE, MUTED, new_figure, save, style
-from benchmarks.measurement import OutputArgs, fastest, machine, take_turns
+from benchmarks.measurement import OutputArgs, machine, rates
 from benchmarks.plain import copy_to_c, find_compiler
 from capsule_gym import ENV_ID, task
 from capsule_gym.command_line import Count, parse
@@ -62,13 +62,12 @@ def _draw(space: gym.Space[Any], count: int) -> Iterator[Any]:
     """Endless actions out of a space; those of the capsule are multiplied by `ACTION_SCALE`."""
     space.seed(0)
     samples = [space.sample() for _ in range(count)]
-    return cycle(
-        samples if np.asarray(samples[0]).dtype.kind == "i" else [np.float32(ACTION_SCALE) * s for s in samples]
-    )
+    discrete = np.asarray(samples[0]).dtype.kind == "i"
+    return cycle(samples if discrete else [np.float32(ACTION_SCALE) * sample for sample in samples])
 
 
-def single(env_id: str, **kwargs: Any) -> Step:
-    """Steps of one environment with gymnasium's default wrappers."""
+def single(env_id: str, *, reset: bool = False, **kwargs: Any) -> Step:
+    """Steps or resets of one environment with gymnasium's default wrappers."""
     env = gym.make(env_id, **kwargs)
     env.reset(seed=0)
     actions = _draw(env.action_space, DRAWS)
@@ -78,14 +77,7 @@ def single(env_id: str, **kwargs: Any) -> Step:
         if terminated or truncated:
             env.reset()
 
-    return step
-
-
-def resets(env_id: str) -> Step:
-    """Resets of one environment with gymnasium's default wrappers."""
-    env = gym.make(env_id)
-    env.reset(seed=0)
-    return env.reset
+    return env.reset if reset else step
 
 
 def batch(env_id: str, num_envs: int = BATCH, **kwargs: Any) -> Step:
@@ -98,21 +90,16 @@ def batch(env_id: str, num_envs: int = BATCH, **kwargs: Any) -> Step:
 
 def mujoco_physics() -> Step:
     """The physics of one capsule in MuJoCo under random torques, which restarts where its ball meets the platform."""
-    import mujoco
+    from benchmarks import mujoco
 
-    from benchmarks.mujoco import build_model, start_data
-
-    model = build_model("frictionloss", DIRECT_PHYSICS_DT, Capsule())
-    data = start_data(model)
-    limit, substeps = ACTION_SCALE * task.TORQUE_LIMIT, round(task.CONTROL_DT / DIRECT_PHYSICS_DT)
+    model = mujoco.build_model("frictionloss", DIRECT_PHYSICS_DT, Capsule())
+    data, limit = mujoco.start_data(model), ACTION_SCALE * task.TORQUE_LIMIT
     torques = cycle(np.random.default_rng(0).uniform(-limit, limit, DRAWS).tolist())
 
     def step() -> None:
-        data.ctrl[0] = next(torques)
-        mujoco.mj_step(model, data, nstep=substeps)
+        mujoco.hold(model, data, next(torques))
         if abs(data.qpos[1]) >= task.THETA_LIMIT:
-            mujoco.mj_resetData(model, data)
-            data.qpos[1] = task.START_THETA
+            data.qpos[:], data.qvel[:] = (0.0, task.START_THETA), 0.0
 
     return step
 
@@ -152,8 +139,8 @@ def contenders() -> dict[str, Callable[[], Step]]:
         "CartPole-v1": partial(single, "CartPole-v1"),
         f"CartPole-v1, {BATCH}": partial(batch, "CartPole-v1"),
         "Pendulum-v1": partial(single, "Pendulum-v1"),
-        "capsule, reset": partial(resets, ENV_ID),
-        "CartPole-v1, reset": partial(resets, "CartPole-v1"),
+        "capsule, reset": partial(single, ENV_ID, reset=True),
+        "CartPole-v1, reset": partial(single, "CartPole-v1", reset=True),
         f"capsule, core, {BATCH}": lambda: from_the_start()[0],
     }
     if compiler := find_compiler():
@@ -193,16 +180,16 @@ class Args(OutputArgs):
     """Draw the rates as bars into files with this name, as SVG and PNG."""
 
 
-def draw(rates: Mapping[str, float], stem: Path) -> None:
+def draw(measured: Mapping[str, float], stem: Path) -> None:
     """Draws the rates as bars on a logarithmic axis, those of this package in blue."""
     with style():
-        figure = new_figure(0.24 * len(rates) + 0.6)
+        figure = new_figure(0.24 * len(measured) + 0.6)
         axes = figure.add_subplot()
-        names = [*rates][::-1]
+        names = [*measured][::-1]
         others = "CartPole", "Pendulum", "plain C", "MuJoCo"
         colours = [MUTED if any(other in name for other in others) else BLUE for name in names]
-        bars = axes.barh(names, [rates[name] for name in names], color=colours, height=0.7)
-        axes.bar_label(bars, [f"{rates[name]:,.0f}" for name in names], padding=3.0, fontsize=7.5)
+        bars = axes.barh(names, [measured[name] for name in names], color=colours, height=0.7)
+        axes.bar_label(bars, [f"{measured[name]:,.0f}" for name in names], padding=3.0, fontsize=7.5)
         axes.set(xscale="log", xlim=(1e4, 3e7), xlabel="environment steps per second of processor time")
         axes.grid(visible=False, axis="y")
         save(figure, stem)
@@ -212,27 +199,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns 1 if a ratio is below its floor."""
     args = parse(Args, COMMAND, arguments)
     found = contenders()
-    needed = {name for pair in FLOORS for name in pair if set(pair) <= set(found)}
+    floors = {pair: floor for pair, floor in FLOORS.items() if set(pair) <= set(found)}
     turns = {}
     for name, make in found.items():
-        if name in needed or not args.ratios:
+        if not args.ratios or any(name in pair for pair in floors):
             last = name.rpartition(", ")[2]
             turns[name] = partial(seconds_per_step, make(), int(last) if last.isdigit() else 1)
-    rates = fastest(take_turns(turns, args.turns))
+    measured = rates(turns, args.turns)
+    compared = {one: (other, measured[one] / measured[other], floor) for (one, other), floor in floors.items()}
     table = [["", "env-steps/s", "ratio", "to", "at least"]]
-    compared = {one: (other, floor) for (one, other), floor in FLOORS.items() if {one, other} <= set(rates)}
-    failed = False
-    for name, rate in rates.items():
+    for name, rate in measured.items():
         cells = ["", "", ""]
         if name in compared:
-            other, floor = compared[name]
-            failed |= rate / rates[other] < floor
-            cells = [f"{rate / rates[other]:.2f}", other, f"{floor:g}"]
+            other, ratio, floor = compared[name]
+            cells = [f"{ratio:.2f}", other, f"{floor:g}"]
         table.append([name, f"{rate:,.0f}", *cells])
     args.report(COMMAND, table, NOTE, f"{machine()}.")
     if args.figure:
-        draw(rates, args.figure)
-    return int(failed)
+        draw(measured, args.figure)
+    return int(any(ratio < floor for _, ratio, floor in compared.values()))
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from capsule_gym import Capsule, demo
+from capsule_gym import demo
 from capsule_gym.demo import NAMES, STRENGTH, Episode, Keyboard, find_policy
 from capsule_gym.env import shown_state
 from capsule_gym.evaluation_sets import load_set
@@ -58,17 +58,6 @@ def test_an_episode_is_the_environments_and_stands_still_at_its_end(name):
     assert last["time"] == pytest.approx(time)
     episode.advance(3.0 * HORIZON)
     assert (state(episode), episode.time) == (last, time)
-
-
-def test_the_set_decides_which_capsule_is_shown(monkeypatch, tmp_path):
-    shown = []
-    own = SimpleNamespace(name="own", env_kwargs={"capsule": Capsule(l=0.4)}, start=find_policy("adaptive").start)
-    monkeypatch.setattr(demo, "find_policy", lambda name: own)
-    monkeypatch.setattr(demo, "draw_episode", lambda renderer, args, episode, rival: shown.append(episode) or [])
-    monkeypatch.setattr(demo, "write_gif", lambda pictures, path: None)
-    for name in ("paper", "sticky"):
-        demo.main(["own", "--set", name, "-o", str(tmp_path / "out.gif")])
-    assert [episode.env.simulation.capsule for episode in shown] == [Capsule(), Capsule(static_ratio=1.3)]
 
 
 def test_a_window_without_a_display_is_an_error(monkeypatch, capfd):
