@@ -40,12 +40,16 @@ class ScriptedPolicy:
         env_kwargs: the arguments of `CapsuleVectorEnv` that it needs.
         start: takes the seeds of the environments and returns a function from observations (n, entries) to actions
             (n, 1), float32.
+        senses: the entries of the state that it reads.
+        told: its knowledge of the plant.
     """
 
     name: str
     description: str
     env_kwargs: dict[str, Any] = field(default_factory=dict)
     start: Start = _no_action
+    senses: str = ""
+    told: str = "nothing"
 
 
 # Values of the environment's argument `controller`, by the names of the laws' policies.

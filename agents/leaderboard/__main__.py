@@ -21,6 +21,7 @@ from typing import Annotated
 
 import numpy as np
 
+from agents.leaderboard import chart
 from agents.leaderboard.page import COMMAND, build, files, training_commands
 from agents.leaderboard.rows import RESULTS, Row, evaluate, load_rows, save_row, static_header
 from baselines.evaluation.policies import Candidate, all_candidates

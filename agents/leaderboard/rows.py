@@ -36,7 +36,6 @@ from baselines.archive import UNREADABLE
 from baselines.evaluation.episodes import Episode, as_episodes, versions
 from baselines.evaluation.episodes import evaluate as evaluate_policy
 from baselines.evaluation.policies import Candidate, Policy
-from baselines.policies import SCRIPTED
 from capsule_gym.config import find_task
 from capsule_gym.evaluation_sets import NOMINAL_PLANT, EvaluationSet
 from capsule_gym.files import write_atomically
@@ -113,16 +112,13 @@ def static_header(candidate: Candidate) -> dict[str, Any]:
     trained, folder = candidate.trained, candidate.folder
     files = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob(POLICY))} if folder else {}
     hashes = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
-    # The base of a residual is the scripted policy that only runs the same law.
-    law = candidate.policies[0].env_kwargs.get("controller")
-    bases = [name for name, each in SCRIPTED.items() if trained and law and each.env_kwargs.get("controller") == law]
     return {
         "policy": candidate.name,
         "description": candidate.description,
         "training_seeds": [policy.training_seed for policy in trained],
         "revision": ", ".join(dict.fromkeys(policy.revision for policy in trained)) or None,
         "files": hashes,
-        "base": next(iter(bases), None),
+        "base": candidate.base,
     }
 
 
