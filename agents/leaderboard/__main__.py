@@ -3,16 +3,15 @@
 The episodes of all policies are written to agents/leaderboard/results; leaderboard.json, the pages and the chart depend
 only on these files.
 
-The check is exact. It compares the header of every row, then the pages with the results. Then it evaluates all policies
-again and compares every bit of every episode, but not the sensitivity, which takes as long as everything else. Versions
-of packages may differ.
+The check compares the header of every row, then the pages with the results. Then it evaluates all policies again and
+compares every bit of every episode, but not the sensitivity. Versions of packages may differ.
 """
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -21,7 +20,7 @@ import numpy as np
 
 from agents.leaderboard.chart import CHART, digest, draw
 from agents.leaderboard.page import COMMAND, build, files
-from agents.leaderboard.rows import RESULTS, Row, evaluate, load_rows, save_row, static_header
+from agents.leaderboard.rows import RESULTS, Row, evaluate, load_row, load_rows, save_row, static_header
 from baselines.evaluation.policies import Candidate, all_candidates
 from capsule_gym.checks import nearest
 from capsule_gym.command_line import Count, Positional, arg, parse, refuse
@@ -62,10 +61,17 @@ def uncommitted(candidates: Sequence[Candidate]) -> list[str]:
     return [f"{name}: the revision {revision} is not committed" for name, revision in policies if "+" in revision]
 
 
-def _stale(
-    root: Path, candidates: Sequence[Candidate], rows: Sequence[Row], sets: Sequence[EvaluationSet]
-) -> Iterator[str]:
-    """Compares everything that does not require an evaluation."""
+def check(root: Path, candidates: Sequence[Candidate], sets: Sequence[EvaluationSet]) -> Iterator[str]:
+    """Lists what is stale in the project's folder without an evaluation: headers of rows, the pages, the chart.
+
+    Raises:
+        ValueError: if results are missing, or are those of other sets.
+    """
+    names = [candidate.name for candidate in candidates]
+    extra = [path.stem for path in sorted((root / RESULTS).glob("*.npz")) if path.stem not in names]
+    yield from (f"{name}: has results and does not exist" for name in extra)
+    yield from uncommitted(candidates)
+    rows = load_rows(root / RESULTS, names)
     for row, candidate in zip(rows, candidates, strict=True):
         hashes = {each.name: each.hash for each in sets if each.task == candidate.task}
         for field, now in {**static_header(candidate), "sets": hashes}.items():
@@ -78,67 +84,21 @@ def _stale(
             yield f"{name} differs from the results"
 
 
-def _stale_episodes(recorded: Row, found: Row) -> Iterator[str]:
-    """Compares every bit of every episode; reports the first difference on each set."""
-    for set_name, now in found.scores.items():
-        before = recorded.scores[set_name][:, :, : now.shape[2]]
-        differs = np.argwhere(before.view(np.uint64) != now.view(np.uint64))
-        if differs.size:
-            metric, run, episode = first = tuple(differs[0].tolist())
-            seed = f"training seed {recorded.header['training_seeds'][run]}, " if recorded.trained else ""
-            yield (
-                f"{recorded.name} on {set_name}: {found.header['metrics'][metric]} is {before[first].item()!r} in its "
-                f"results and {now[first].item()!r} now ({seed}episode {episode}; {len(differs)} of {now.size} differ)"
-            )
-
-
-def check(
-    root: Path,
-    candidates: Sequence[Candidate],
-    sets: Sequence[EvaluationSet],
-    *,
-    evaluated: Sequence[Candidate],
-    plants: int | None = None,
-    jobs: int = 1,
-    horizon: float | None = None,
-) -> list[str]:
-    """Lists what is stale in the project's folder, one line each.
-
-    Args:
-        root: the project's folder.
-        candidates: the expected rows.
-        sets: the sets of all tasks.
-        evaluated: the rows to evaluate again.
-        plants: number of plants per set to evaluate again, from the first on; None takes all.
-        jobs: as in `evaluate`.
-        horizon: as in `evaluate`.
-    """
-    names = [candidate.name for candidate in candidates]
-    extra = [path.stem for path in sorted((root / RESULTS).glob("*.npz")) if path.stem not in names]
-    stale = [*(f"{name}: has results and does not exist" for name in extra), *uncommitted(candidates)]
-    try:
-        rows = load_rows(root / RESULTS, names)
-        stale += _stale(root, candidates, rows, sets)
-    except ValueError as error:
-        stale.append(str(error))
-    if stale:
-        return [*stale, *(["the numbers were not evaluated again"] if evaluated else [])]
-    recorded = {row.name: row for row in rows}
-    sets = [replace(each, plants=each.plants[:plants]) for each in sets]
-    found = evaluate(evaluated, sets, jobs=jobs, horizon=horizon, disturbed=False)
-    return [line for row in found for line in _stale_episodes(recorded[row.name], row)]
-
-
-def write(root: Path, rows: Sequence[Row], sets: Sequence[EvaluationSet]) -> None:
-    """Writes leaderboard.json, the pages and the chart.
-
-    Raises:
-        ValueError: if a row was evaluated on other sets, or the README lacks a marker.
-    """
-    board = build(rows, sets)
-    for name, text in files(root, board).items():
-        write_atomically(root / name, text)
-    write_atomically(root / CHART, draw(board))
+def check_episodes(root: Path, rows: Iterable[Row]) -> Iterator[str]:
+    """Compares every bit of rows with the first episodes of the results; lists the first difference on each set."""
+    for row in rows:
+        recorded = load_row(root / RESULTS / f"{row.name}.npz")
+        for set_name, now in row.scores.items():
+            before = recorded.scores[set_name][:, :, : now.shape[2]]
+            differs = np.argwhere(before.view(np.uint64) != now.view(np.uint64))
+            if differs.size:
+                metric, run, episode = first = tuple(differs[0].tolist())
+                seed = f"training seed {row.header['training_seeds'][run]}, " if row.trained else ""
+                yield (
+                    f"{row.name} on {set_name}: {row.header['metrics'][metric]} is {before[first].item()!r} in its "
+                    f"results and {now[first].item()!r} now ({seed}episode {episode}; {len(differs)} of {now.size} "
+                    "differ)"
+                )
 
 
 def main(arguments: Sequence[str] | None = None, *, root: Path = ROOT) -> int:
@@ -156,20 +116,21 @@ def main(arguments: Sequence[str] | None = None, *, root: Path = ROOT) -> int:
     for name in args.names:
         if name not in names:
             refuse(COMMAND, f"names must be among {', '.join(names)}, got {name}{nearest(name, names)}")
-    if args.check:
-        stale = check(root, candidates, sets, evaluated=chosen, plants=args.plants, jobs=args.jobs)
-        if stale:
-            print("The leaderboard is stale:", *stale, sep="\n- ")
-            print(f"Run `{COMMAND}` and commit what it writes.")
-            return 1
-        print(f"The leaderboard is up to date: {len(candidates)} policies on {len(sets)} sets.")
-        return 0
-    for line in uncommitted(chosen):
-        refuse(COMMAND, line)
     try:
+        if args.check:
+            stale = [*check(root, candidates, sets)]
+            if not stale:
+                sets = [replace(each, plants=each.plants[: args.plants]) for each in sets]
+                stale += check_episodes(root, evaluate(chosen, sets, jobs=args.jobs, disturbed=False))
+            print("The leaderboard is stale:" if stale else "The leaderboard is up to date.", *stale, sep="\n- ")
+            return int(bool(stale))
+        for line in uncommitted(chosen):
+            raise ValueError(line)
         for row in evaluate(chosen, sets, jobs=args.jobs):
             save_row(root / RESULTS, row)
-        write(root, load_rows(root / RESULTS, names), sets)
+        board = build(load_rows(root / RESULTS, names), sets)
+        for name, text in {**files(root, board), CHART: draw(board)}.items():
+            write_atomically(root / name, text)
     except KeyboardInterrupt:
         print(f"Stopped. The rows that were finished are kept in {root / RESULTS}.")
         return 130

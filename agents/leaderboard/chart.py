@@ -21,14 +21,14 @@ WIDTH, LINE, BAR, LABEL_COLUMNS = 5.0, 0.2, 0.38, 22
 MARKED = 0.005
 
 
-def contents(board: Mapping[str, Any]) -> list[tuple[str, dict[str, list[float]]]]:
+def contents(board: Mapping[str, Any]) -> list[tuple[str, list[list[float]]]]:
     """The lines of the chart: titles of groups, and policies with mean speed (cm/s) and share of failures by set."""
-    found: list[tuple[str, dict[str, list[float]]]] = []
+    found: list[tuple[str, list[list[float]]]] = []
     for title, rows in grouped(board).items():
-        found.append((title, {}))
+        found.append((title, []))
         for row in rows:
-            results = {name: each for name, each in row["results"].items() if name in BARS}
-            bars = {n: [each[SPEED.name]["mean"], each["failures"] / each["episodes"]] for n, each in results.items()}
+            results = [row["results"][name] for name in BARS]
+            bars = [[each[SPEED.name]["mean"], each["failures"] / each["episodes"]] for each in results]
             found.append((row["policy"], bars))
     return found
 
@@ -38,14 +38,14 @@ def digest(board: Mapping[str, Any]) -> str:
     return canonical_hash(contents(board))
 
 
-def draw(board: Mapping[str, Any]) -> bytes:
+def draw(board: Mapping[str, Any]) -> str:
     """The chart as SVG; the same numbers give the same bytes with the same version of matplotlib."""
-    lines, content = contents(board), io.BytesIO()
+    lines, content = contents(board), io.StringIO()
     with style():
         figure = new_figure(0.75 + LINE * len(lines), WIDTH)
         axes = figure.subplots()
-        for n, (name, (colour, label)) in enumerate(BARS.items()):
-            bars = [(y + (n - 0.5) * BAR, *bars[name]) for y, (_, bars) in enumerate(lines) if name in bars]
+        for n, (colour, label) in enumerate(BARS.values()):
+            bars = [(y + (n - 0.5) * BAR, *bars[n]) for y, (_, bars) in enumerate(lines) if bars]
             axes.barh([y for y, *_ in bars], [speed for _, speed, _ in bars], BAR, color=colour, label=label)
             for y, speed, failed in (bar for bar in bars if bar[2] >= MARKED):
                 text = f"\N{MULTIPLICATION SIGN} {100.0 * failed:.0f} %"

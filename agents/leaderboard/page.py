@@ -6,7 +6,6 @@ All depend only on the content of leaderboard.json, so that they can be checked 
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from string import Template
@@ -59,9 +58,7 @@ ENTRIES = ("policy", "description", "training_seeds", "revision", "files", "base
 
 
 def build(rows: Sequence[Row], sets: Sequence[EvaluationSet]) -> dict[str, Any]:
-    """The content of leaderboard.json: the rows of each task, the best mean on its ranking set first.
-
-    The sets are the columns. They must include the ranking set of each task with rows.
+    """The content of leaderboard.json: sets and rows of each task, the best mean on its ranking set first.
 
     Raises:
         ValueError: if a row was evaluated on other sets.
@@ -110,11 +107,11 @@ def _chosen(board: Mapping[str, Any], names: Sequence[str]) -> list[Mapping[str,
 
 
 def message(board: Mapping[str, Any]) -> str:
-    """The summary of the main table; NaN stands for the numbers of missing rows."""
+    """The summary of the main table."""
     found = {row["policy"]: row["results"] for row in board["rows"]}
 
     def speeds(*names: str, on: str = RANKING_SET) -> list[float]:
-        return [found[name][on][SPEED.name]["mean"] if on in found.get(name, ()) else math.nan for name in names]
+        return [found[name][on][SPEED.name]["mean"] for name in names]
 
     (blind, paper, pd), (pd_real,) = speeds(REFERENCE, "adaptive", "pd"), speeds("pd", on=REAL)
     perfect, kept = speeds(*PERFECT), speeds(*KEPT, on=REAL)
@@ -131,7 +128,6 @@ def message(board: Mapping[str, Any]) -> str:
 def _main_table(board: Mapping[str, Any], columns: Sequence[str], names: Sequence[str] = ()) -> str:
     """Some columns of all rows with lines for the titles of groups, or only of some rows."""
     speeds = {row["policy"]: row["results"][RANKING_SET][SPEED.name]["mean"] for row in board["rows"]}
-    columns = [column for column in columns if column not in MAIN_SETS or column in board["sets"]]
     lines = [columns]
     for title, rows in grouped(board).items():
         lines += [] if names else [[f"**{title}**", *[""] * (len(columns) - 1)]]
@@ -140,7 +136,7 @@ def _main_table(board: Mapping[str, Any], columns: Sequence[str], names: Sequenc
             for name, each in row["results"].items():
                 failed = f" ({_failures(each)})" if each["failures"] else ""
                 cells[name] = SPEED.format(each[SPEED.name]["mean"]) + failed
-            cells[RATIO] = SPEED.format(speeds[row["policy"]] / speeds.get(REFERENCE, math.nan))
+            cells[RATIO] = SPEED.format(speeds[row["policy"]] / speeds[REFERENCE])
             cells[COST.label] = COST.format(row["results"][RANKING_SET][COST.name]["iqm"])
             lines.append([cells[column] for column in columns])
     return markdown_table(lines)
@@ -160,8 +156,8 @@ def _details(rows: Sequence[Mapping[str, Any]], sets: Iterable[str], criteria: C
     """A table for each set: means, worst seeds and interquartile means, and the differences to base laws."""
     tables = []
     for name in sets:
-        lines = [_cells(row, name, criteria) for row in rows if name in row["results"]]
-        columns = [each for each in (lines[0] if lines else ()) if any(line[each] != "-" for line in lines)]
+        lines = [_cells(row, name, criteria) for row in rows]
+        columns = [column for column in lines[0] if any(line[column] != "-" for line in lines)]
         table = markdown_table([columns, *([line[column] for column in columns] for line in lines)])
         tables.append(f"On the set `{name}`:\n\n{table}")
     return "\n\n".join(tables)
