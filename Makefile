@@ -11,7 +11,7 @@ STAMP := .venv/.installed
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help train test examples notebooks coverage venv lint types docs web leaderboard leaderboard-check reproduce regression faults fuzz bits bits-check sanitize core-coverage install-check oldest check clean
+.PHONY: help train test examples notebooks coverage venv lint types docs web leaderboard leaderboard-check reproduce regression fuzz bits bits-check sanitize core-coverage install-check oldest check clean
 
 help:  ## List the targets
 	@grep -hE '^[a-z-]+:.*  ## ' $(MAKEFILE_LIST) | sed -E 's/:.*  ## /\t/' | awk -F '\t' '{printf "%-18s %s\n", $$1, $$2}'
@@ -77,13 +77,13 @@ web: $(STAMP)  ## Build the environment for browsers and node into site/live/ al
 
 leaderboard: $(STAMP)  ## Evaluate all policies and write the leaderboard and its analysis
 	$(BIN)/python -m agents.leaderboard
-	$(BIN)/python -m agents.analysis statistics residual_limit goal
+	$(BIN)/python -m agents.analysis statistics goal
 
 leaderboard-check: $(STAMP)  ## Fail if the leaderboard or its analysis is stale (PLANTS=25 evaluates 25 plants per set)
 	$(BIN)/python -m agents.leaderboard --check $(if $(PLANTS),--plants $(PLANTS))
-	$(BIN)/python -m agents.analysis statistics residual_limit goal --check
+	$(BIN)/python -m agents.analysis statistics goal --check
 
-reproduce: ROWS ?= direct-ppo direct-ppo-wide residual-ppo residual-on-gait residual-on-gait-wide residual-identifying efficient pareto
+reproduce: ROWS ?= direct-ppo direct-ppo-wide residual-ppo efficient
 reproduce: SEED ?= 100
 reproduce: $(STAMP)  ## Train one run of each row and compare it with the published ones (ten minutes)
 	$(BIN)/python -m agents.study $(ROWS) --seeds $(SEED) --runs runs/reproduce
@@ -91,9 +91,6 @@ reproduce: $(STAMP)  ## Train one run of each row and compare it with the publis
 
 regression: $(STAMP)  ## Fail if a ratio of speeds is below its floor
 	$(BIN)/python -m benchmarks.throughput --ratios
-
-faults: $(STAMP)  ## Interrupt trainings; fail if something is lost
-	$(BIN)/python -m tests.faults --short
 
 fuzz: $(STAMP)  ## Call the environments with random and invalid arguments; fail on an unexpected error
 	$(BIN)/python -m pytest -n 2 --hypothesis-profile fuzz tests/capsule_gym/test_arguments.py
@@ -130,7 +127,7 @@ oldest:  ## Run the environment's tests with the oldest supported versions
 		"hypothesis>=6.100" "mpmath>=1.3" "pytest>=8.2" "scipy>=1.11"
 	$(OLDEST)/python -m pytest tests/capsule_gym
 
-check: lint types docs leaderboard-check regression faults fuzz bits  ## All checks but the tests
+check: lint types docs leaderboard-check regression fuzz bits  ## All checks but the tests
 
 clean:  ## Remove caches and build outputs; keeps .venv and runs/
 	rm -rf build dist site .hypothesis .pytest_cache .ruff_cache .mypy_cache .coverage*

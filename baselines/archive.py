@@ -1,4 +1,4 @@
-"""The grid of plants, the archive format and the search loop that gaits and dynamic programming share.
+"""The grid of plants, the archive format and the search loop of dynamic programming.
 
 An archive is a folder with `archive.json`, an object whose lists hold one result a line, and with `arrays.npz` where
 results have arrays.
@@ -80,7 +80,6 @@ class PlantGrid:
 GRID = PlantGrid((0.35, 0.5, 0.75, 1.0), (0.005, 0.01, 0.03, 0.1, 0.2, 0.3, 0.5))
 # Grid of the frozen set `sticky`.
 STICKY_GRID = PlantGrid((0.35, 0.5, 0.75), (0.2, 0.3, 0.45, 0.6), static_ratio=1.3)
-PLANTS = GRID.plants
 ARCHIVE, ARRAYS = "archive.json", "arrays.npz"
 # What reading a malformed archive of numpy or JSON file raises.
 UNREADABLE = (

@@ -1,4 +1,4 @@
-"""The named scripted policies: a law inside the step with a zero residual, a gait, or no law at all."""
+"""The named scripted policies: a law inside the step with a zero residual, or a function of the observation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 
 from baselines import lqr, mpc
 from baselines.dynamic_programming import policy
-from baselines.gaits import GAIT_DT, archive
 from baselines.laws import LAWS as _LAWS
 from baselines.laws import TASK_LAWS
 
@@ -22,12 +21,6 @@ def _no_action(seeds: Sequence[int]) -> Act:
     """The action 0 for every environment."""
     zeros = np.zeros((len(seeds), 1), np.float32)
     return lambda observations: zeros
-
-
-def _random_actions(seeds: Sequence[int]) -> Act:
-    """Uniform actions; each environment has its own generator, so that its episode depends on its seed alone."""
-    generators = [np.random.default_rng([seed, 1]) for seed in seeds]
-    return lambda observations: np.array([[rng.uniform(-1.0, 1.0)] for rng in generators], np.float32)
 
 
 @dataclass(frozen=True)
@@ -58,21 +51,7 @@ LAWS = {law.policy: f"baselines:{name}" for name, law in _LAWS.items()}
 SCRIPTED = {
     each.name: each
     for each in (
-        ScriptedPolicy("zero", "no torque"),
-        ScriptedPolicy("random", "uniform random torque, drawn every agent step", {}, _random_actions),
         *(ScriptedPolicy(law.policy, law.description, {"controller": LAWS[law.policy]}) for law in _LAWS.values()),
-        ScriptedPolicy(
-            "gait-nominal",
-            "the tolerant gait of the nominal plant, whatever the plant; torque every 10 ms",
-            {"control_dt": GAIT_DT},
-            archive.start_nominal,
-        ),
-        ScriptedPolicy(
-            "gait-oracle",
-            "observes M and mu and takes the known gait that was fastest around such a plant; torque every 10 ms",
-            {"control_dt": GAIT_DT, "observe_parameters": True},
-            archive.start_oracle,
-        ),
         ScriptedPolicy("lqr", "LQR with a gain for every phase of a limit cycle of dp-nominal", {}, lqr.start),
         ScriptedPolicy("mpc", "sampling MPC on the nominal plant with the values of dp-nominal", {}, mpc.start),
         ScriptedPolicy(

@@ -14,7 +14,6 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
-from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +21,7 @@ from tqdm import tqdm
 
 from benchmarks import mujoco
 from benchmarks.measurement import OutputArgs, machine
-from capsule_gym import task
+from capsule_gym import sensitivity, task
 from capsule_gym.command_line import parse
 from capsule_gym.parameters import Capsule
 
@@ -96,41 +95,25 @@ def expected_trajectories(capsules: Sequence[Capsule], amplitude: float) -> list
 
 
 def run(torques: np.ndarray, capsule: Capsule, step: float) -> np.ndarray:
-    """Steps trajectories of one plant under torques in N m, shape (intervals, n), each held for `task.CONTROL_DT`.
-
-    Returns:
-        theta, theta_dot, x, x_dot at the start and after every interval, shape (intervals + 1, 4, n).
-    """
-    from capsule_gym import dynamics
-
-    plant = capsule.plant()
-    state: tuple[Any, Any, Any, Any] = START
-    states, steps = [np.tile(np.array(START)[:, None], torques.shape[1])], round(task.CONTROL_DT / step)
-    for u in torques:
-        for _ in range(steps):
-            state = dynamics.step(*state, u, plant, task.CONTROL_DT / steps)[:4]
-        states.append(np.array(state))
-    return np.array(states)
+    """The states at the end of control intervals with torques in N m: theta, theta_dot, x, x_dot, shape (n, 4)."""
+    return sensitivity(START, torques, (), capsule=capsule, control_dt=task.CONTROL_DT, physics_dt=step).states[1:]
 
 
-def deviations(solved: Sequence[Expected], step: float) -> np.ndarray:
-    """The deviations of theta, theta_dot, x and x_dot at the end of every trajectory, shape (trajectories, 4)."""
+def deviations(solved: Sequence[Expected], step: float, friction: str = "") -> np.ndarray:
+    """Deviations of theta, theta_dot, x and x_dot at the ends, shape (trajectories, 4); MuJoCo's with a friction."""
     found = []
-    for capsule, group in groupby(solved, key=lambda each: each.capsule):
-        members = list(group)
-        longest = max(each.intervals for each in members)
-        states = run(np.array([each.torques[:longest] for each in members]).T, capsule, step)
-        found += [np.abs(states[each.intervals, :, i] - each.state) for i, each in enumerate(members)]
+    for capsule, torques, intervals, state in solved:
+        if friction:
+            states = mujoco.simulate(mujoco.build_model(friction, step, capsule), torques[:intervals])
+        else:
+            states = run(torques[:intervals], capsule, step)
+        found.append(np.abs(states[-1] - state))
     return np.array(found)
 
 
-def mujoco_deviations(solved: Sequence[Expected], friction: str, step: float) -> np.ndarray:
-    """The same for MuJoCo."""
-    models = [mujoco.build_model(friction, step, each.capsule) for each in solved]
-    ends = [
-        mujoco.simulate(model, each.torques[: each.intervals])[-1] for model, each in zip(models, solved, strict=True)
-    ]
-    return np.abs(np.array(ends) - [each.state for each in solved])
+def cell(values: np.ndarray) -> str:
+    """The largest and the median value."""
+    return f"{values.max():.1e} ({np.median(values):.1e})"
 
 
 def compare_mujoco() -> list[list[str]]:
@@ -146,13 +129,11 @@ def compare_mujoco() -> list[list[str]]:
     for friction in tqdm(("", *mujoco.FRICTIONS), desc="MuJoCo"):
         if friction:
             speed = mujoco.creep(mujoco.build_model(friction, MUJOCO_STEPS[0], capsule), load)
-            measured = [mujoco_deviations(solved, friction, h) for solved, h in cases]
         else:
             # A floor that slopes by the same load.
-            sloped, torques = Capsule(mu=capsule.mu, slope=-math.atan(LOAD * capsule.mu)), np.zeros((500, 1))
-            speed = abs(run(torques, sloped, MUJOCO_STEPS[0])[-1, 3, 0])
-            measured = [deviations(solved, h) for solved, h in cases]
-        cells = [f"{1e3 * each[:, 2].max():.1e} ({1e3 * np.median(each[:, 2]):.1e})" for each in measured]
+            sloped = Capsule(mu=capsule.mu, slope=-math.atan(LOAD * capsule.mu))
+            speed = abs(run(np.zeros(500), sloped, MUJOCO_STEPS[0])[-1, 3])
+        cells = [cell(1e3 * deviations(*case, friction)[:, 2]) for case in cases]
         table.append([f"MuJoCo, {friction}" if friction else "capsule_gym", f"{speed:.0e}" if speed else "0", *cells])
     return table
 
@@ -166,8 +147,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for kind, capsules, amplitude in tqdm(kinds, desc="errors"):
         solved = expected_trajectories(capsules, amplitude)
         length = float(np.median([task.CONTROL_DT * each.intervals for each in solved]))
-        columns = [deviations(solved, step).max(axis=1) for step in STEPS]
-        cells = [f"{column.max():.1e} ({np.median(column):.1e})" for column in columns]
+        cells = [cell(deviations(solved, step).max(axis=1)) for step in STEPS]
         table.append([kind, f"±{amplitude:g}", *cells, f"{length:.1f} s"])
     note = (
         f"Largest (in brackets: median) error in any state after {SECONDS:g} s of random torque held for "

@@ -12,22 +12,22 @@ import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
-from benchmarks.measurement import OutputArgs, fastest, machine, take_turns
+from benchmarks.measurement import OutputArgs, machine, rates
 from capsule_gym.command_line import Count, parse
 
 COMMAND = "python -m benchmarks.first_step"
 ROOT = Path(__file__).resolve().parents[1]
 STEP = "env.reset(seed=0); env.step(env.action_space.sample())"
 ONE = f"import gymnasium; env = gymnasium.make('capsule_gym:CapsuleStickSlip-v0'{{}}); {STEP}"
-LAW = "lambda theta, theta_dot, x, x_dot, memory, reference: (-theta, memory)"
 PROGRAMS = {
     "Pendulum-v1": f"import gymnasium; env = gymnasium.make('Pendulum-v1'); {STEP}",
     "direct": ONE.format(""),
     "adaptive law": ONE.format(", controller='baselines:adaptive'"),
-    "law of a user": "import capsule_gym; "
-    + ONE.format(f", controller=capsule_gym.Controller('own', {LAW}, [[0.0, 0.0]])"),
+    "law of a user": "import capsule_gym; law = lambda *state: (-state[0], state[4]); "
+    + ONE.format(", controller=capsule_gym.Controller('own', law, [[0.0, 0.0]])"),
     "batch": ONE.format(", num_envs=8").replace(".make(", ".make_vec("),
     "trained policy": "import capsule_gym; policy = capsule_gym.load_policy('residual-ppo'); "
     + ONE.format(", **policy.env_kwargs").replace("env.action_space.sample()", "policy(env.reset(seed=0)[0])"),
@@ -63,11 +63,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         python = Path(folder, "Scripts" if os.name == "nt" else "bin", "python")
         subprocess.run([sys.executable, "-m", "venv", folder], check=True)
         subprocess.run([python, "-m", "pip", "install", "-q", ROOT, "-c", ROOT / "constraints.txt"], check=True)
-        turns = {name: lambda program=program: seconds(python, program) for name, program in PROGRAMS.items()}
+        turns = {name: partial(seconds, python, program) for name, program in PROGRAMS.items()}
         # The first processes write Python's compiled files.
-        take_turns(turns, 1)
-        rates = fastest(take_turns(turns, args.turns))
-    rows = [[name, f"{1.0 / rate:.2f}", f"{rates['Pendulum-v1'] / rate:.2f}"] for name, rate in rates.items()]
+        rates(turns, 1)
+        found = rates(turns, args.turns)
+    rows = [[name, f"{1.0 / rate:.2f}", f"{found['Pendulum-v1'] / rate:.2f}"] for name, rate in found.items()]
     note = f"Processor time of a whole process, 10th percentile of {args.turns}, of an installed wheel. {machine()}."
     args.report(COMMAND, [["first step", "s", "over Pendulum-v1"], *rows], note)
     return 0

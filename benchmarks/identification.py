@@ -25,11 +25,7 @@ LATENCY = (0.002, 0.018)
 FREE: dict[str, Any] = {name: RANGES[name] for name in RANGES if name not in OTHERS}
 DRAWN = replace(RANDOMIZATIONS["real-wide"], **FREE)
 # White noise alone, and the whole of `real`; both with all of the prior's latencies and lags.
-ACTUATED: dict[str, Any] = {
-    "latency": LATENCY,
-    "lag": RANGES["lag"],
-    "motor_friction": 0.0,
-}
+ACTUATED: dict[str, Any] = {"latency": LATENCY, "lag": RANGES["lag"], "motor_friction": 0.0}
 WHITE = {name: getattr(REAL, name) for name in ("theta_noise", "theta_dot_noise", "x_dot_noise")}
 SENSORS: dict[str, Disturbances] = {"white": Disturbances(**WHITE, **ACTUATED), "real": replace(REAL, **ACTUATED)}
 

@@ -1,4 +1,4 @@
-"""Shared functions of the benchmarks: output files, the description of the machine, and measurements in turns.
+"""Output files, the description of the machine, and measurements in turns.
 
 Ratios within one run are comparable between machines; absolute numbers are not.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -42,9 +42,10 @@ class OutputArgs:
         """Prints paragraphs and tables, and writes them to the page if it was requested."""
         print(*(part if isinstance(part, str) else text_table(part, left=1) for part in parts), sep="\n\n")
         if self.markdown is not None:
-            header = f"<!-- Written by {command}: do not edit. -->"
             paragraphs = [part if isinstance(part, str) else markdown_table(part) for part in parts]
-            write_atomically(self.markdown, "\n\n".join([header, *paragraphs]) + "\n")
+            write_atomically(
+                self.markdown, "\n\n".join([f"<!-- Written by {command}: do not edit. -->", *paragraphs]) + "\n"
+            )
 
 
 def machine() -> str:
@@ -62,15 +63,10 @@ def machine() -> str:
     return ", ".join([cpu + VECTORS.get(native.LEVEL, ""), cores, platform.system(), python, *versions])
 
 
-def take_turns(contenders: Mapping[str, Callable[[], float]], turns: int) -> dict[str, list[float]]:
-    """Measures the seconds of all contenders in turns, so that other processes affect all of them equally."""
+def rates(contenders: Mapping[str, Callable[[], float]], turns: int) -> dict[str, float]:
+    """Rates, 1/s, at the 10th percentiles of seconds, measured in turns, so that other processes affect all alike."""
     seconds: dict[str, list[float]] = {name: [] for name in contenders}
     for _ in tqdm(range(turns), desc="turns"):
         for name, turn in contenders.items():
             seconds[name].append(turn())
-    return seconds
-
-
-def fastest(seconds: Mapping[str, Sequence[float]]) -> dict[str, float]:
-    """The rates, per second, at the 10th percentiles of the times."""
     return {name: 1.0 / float(np.percentile(each, 10.0)) for name, each in seconds.items()}

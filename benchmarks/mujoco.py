@@ -18,10 +18,8 @@ IMPRATIO, NO_SLIP_ITERATIONS = 100.0, 50
 STIFF_STEPS, STIFF_IMPEDANCE = 2.0, (0.9999, 0.9999, 0.001, 0.5, 2.0)
 # Friction of the joint x, or of a sphere on a plane with an elliptic cone and one or more of these settings.
 FRICTIONS = ("frictionloss", "contact", "impratio", "no-slip", "stiff", "no-slip, discrete")
-# Time in which a platform on a contact sinks into the floor, s.
-SETTLING_SECONDS = 1.0
-# The platform is loaded for HOLD_SECONDS; the last of them is measured, when the pendulum is at rest.
-HOLD_SECONDS = 6
+# Time in which a platform on a contact sinks into the floor, and in which it is loaded, s; the last second is measured.
+SETTLING_SECONDS, LOADED_SECONDS = 1.0, 6
 
 
 def build_model(friction: str, timestep: float, capsule: Capsule, integrator: str = "implicitfast") -> Any:
@@ -49,22 +47,12 @@ def build_model(friction: str, timestep: float, capsule: Capsule, integrator: st
     return spec.compile()
 
 
-def creep(model: Any, load: float) -> float:
-    """The speed of the platform under a constant horizontal force below the friction limit, m/s; exactly 0 in stick.
-
-    Args:
-        model: a model of `build_model`.
-        load: the force, N.
-    """
+def hold(model: Any, data: Any, torque: float, seconds: float = task.CONTROL_DT) -> None:
+    """Holds a torque in N m, by default for one control interval."""
     import mujoco
 
-    data, steps = start_data(model), round(1.0 / model.opt.timestep)
-    data.qfrc_applied[model.joint("x").dofadr[0]] = load
-    x = []
-    for _ in range(HOLD_SECONDS):
-        mujoco.mj_step(model, data, nstep=steps)
-        x.append(data.joint("x").qpos[0])
-    return abs(x[-1] - x[-2])
+    data.ctrl[0] = torque
+    mujoco.mj_step(model, data, nstep=round(seconds / model.opt.timestep))
 
 
 def start_data(model: Any) -> Any:
@@ -81,18 +69,24 @@ def start_data(model: Any) -> Any:
     return data
 
 
+def creep(model: Any, load: float) -> float:
+    """The speed of the platform under a constant horizontal force in N below the friction limit, m/s; 0 in stick."""
+    data, x = start_data(model), []
+    data.qfrc_applied[model.joint("x").dofadr[0]] = load
+    for _ in range(LOADED_SECONDS):
+        hold(model, data, 0.0, 1.0)
+        x.append(data.joint("x").qpos[0])
+    return abs(x[-1] - x[-2])
+
+
 def simulate(model: Any, torques: np.ndarray) -> np.ndarray:
     """Simulates a trajectory from theta = -pi/3 at rest under torques in N m, each held for `task.CONTROL_DT`.
 
     Returns:
         theta, theta_dot, x, x_dot at the end of each interval: shape (intervals, 4).
     """
-    import mujoco
-
     data, states = start_data(model), np.empty((len(torques), 4))
-    theta, x = data.joint("theta"), data.joint("x")
     for torque, state in zip(torques, states, strict=True):
-        data.ctrl[0] = torque
-        mujoco.mj_step(model, data, nstep=round(task.CONTROL_DT / model.opt.timestep))
-        state[:] = theta.qpos[0], theta.qvel[0], x.qpos[0], x.qvel[0]
+        hold(model, data, torque)
+        state[:] = [value for name in ("theta", "x") for value in (*data.joint(name).qpos, *data.joint(name).qvel)]
     return states

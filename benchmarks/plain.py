@@ -31,11 +31,7 @@ def find_compiler() -> str | None:
 
 
 def copy_to_c(compiler: str, simulation: Simulation) -> tuple[Callable[[np.ndarray], object], np.ndarray]:
-    """Copies environments of the speed task with direct torque into plain C.
-
-    Args:
-        compiler: command of the C compiler.
-        simulation: the environments, a multiple of its lanes.
+    """Copies environments of the speed task with direct torque, a multiple of the core's lanes, into plain C.
 
     Returns:
         Their `Simulation.step`, and the rows of `Simulation.world` before `Row.clock`.

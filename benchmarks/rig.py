@@ -1,34 +1,32 @@
 """From a rig to a policy, on hidden plants: `python -m benchmarks.rig`.
 
 Every hidden plant, drawn from `real-wide` with the disturbances `real`, is recorded for 20 s and identified. An agent
-is trained on the identified ranges and drives the hidden plant for one episode, as do two agents with the same training
-on the plants `paper`, without disturbances, and on `real-wide` with the disturbances `real`.
+with the settings of `direct-ppo` and the last 4 observations is trained on the identified ranges and drives the hidden
+plant for one episode, as do two agents with the same training on the plants `paper`, without disturbances, and on
+`real-wide` with the disturbances `real`.
 """
 
 from __future__ import annotations
 
 import json
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from capsule_gym import CapsuleEnv, Excitation, identify, record
+from agents.training.presets import PRESETS
+from capsule_gym import CapsuleEnv, Excitation, Policy, identify, record
 from capsule_gym.command_line import Count, parse
 from capsule_gym.files import to_json, write_atomically
 from capsule_gym.task import EPISODE_STEPS
 
-if TYPE_CHECKING:
-    from stable_baselines3 import PPO
-    from stable_baselines3.common.vec_env import VecNormalize
-
 HIDDEN: dict[str, Any] = {"randomization": "real-wide", "disturbances": "real"}
+CONFIG = replace(PRESETS["direct", "ppo"], stack_size=4)
 LOGGED_DT = 0.01
 # Smaller ones follow where the excitation ends the episode, N m.
 AMPLITUDES = (0.45, 0.35, 0.25)
-TRAINING: dict[str, Any] = {"stack_size": 4, "initial_range": (1.047, 8.0), "termination_penalty": 30.0}
 
 
 @dataclass(frozen=True)
@@ -49,43 +47,24 @@ class Args:
     """File of the results, which a repeated command completes."""
 
 
-def train(seed: int, total_steps: int, **env_kwargs: Any) -> tuple[PPO, VecNormalize]:
-    """Trains an agent with direct torque, which observes the last 4 observations."""
-    from stable_baselines3 import PPO
-    from stable_baselines3.common.utils import LinearSchedule
-    from stable_baselines3.common.vec_env import VecNormalize
+def train(seed: int, total_steps: int, **env_kwargs: Any) -> Policy:
+    """Trains an agent with direct torque on other plants and disturbances."""
+    from agents.training.algorithms import make_env, make_model
+    from agents.training.export import export
 
-    from capsule_gym.sb3 import CapsuleSB3VecEnv
-
-    batch = CapsuleSB3VecEnv(128, seed=seed, **TRAINING, **env_kwargs)
-    env = VecNormalize(batch, gamma=0.995)
-    model = PPO(
-        "MlpPolicy",
-        env,
-        learning_rate=LinearSchedule(1e-3, 0.0, 1.0),
-        n_steps=128,
-        batch_size=1024,
-        n_epochs=6,
-        gamma=0.995,
-        ent_coef=0.003,
-        seed=seed,
-        device="cpu",
-    )
-    model.learn(total_steps)
-    env.training = False
-    return model, env
+    config = replace(CONFIG, seed=seed, total_steps=total_steps)
+    model = make_model(config, make_env(config, seed, **env_kwargs))
+    return export("agent", model.learn(total_steps), config, "none")
 
 
-def drive(agent: tuple[PPO, VecNormalize], seed: int) -> dict[str, float]:
+def drive(agent: Policy, seed: int) -> dict[str, float]:
     """The metrics of one episode on a hidden plant."""
-    model, normalisation = agent
-    env = CapsuleEnv(**HIDDEN, stack_size=TRAINING["stack_size"])
+    env = CapsuleEnv(**{**CONFIG.env_kwargs(), **HIDDEN})
     observation, _ = env.reset(seed=seed)
+    terminated = False
     for _ in range(EPISODE_STEPS):
-        action, _ = model.predict(normalisation.normalize_obs(observation), deterministic=True)
-        observation, _, terminated, _, _ = env.step(action)
-        if terminated:
-            break
+        if not terminated:
+            observation, _, terminated, _, _ = env.step(agent(observation))
     found = env.episode_metrics(EPISODE_STEPS)
     return {name: found[name] for name in ("mean_speed", "failed")}
 
@@ -105,12 +84,8 @@ def main() -> None:
     args = parse(Args, "python -m benchmarks.rig")
     args.json.parent.mkdir(parents=True, exist_ok=True)
     rows = json.loads(args.json.read_text(encoding="utf-8")) if args.json.exists() else []
-    done = {row["seed"] for row in rows}
-    if missing := [seed for seed in range(args.seed, args.seed + args.plants) if seed not in done]:
-        common = {
-            "paper": train(0, args.total_steps, randomization="paper"),
-            "real_wide": train(0, args.total_steps, **HIDDEN),
-        }
+    if missing := sorted(set(range(args.seed, args.seed + args.plants)) - {row["seed"] for row in rows}):
+        common = {"paper": train(0, args.total_steps), "real_wide": train(0, args.total_steps, **HIDDEN)}
     for seed in missing:
         with warnings.catch_warnings(record=True) as doubts:
             warnings.simplefilter("always", UserWarning)
@@ -120,15 +95,13 @@ def main() -> None:
         rows.append({"seed": seed, **row, "warnings": [str(doubt.message) for doubt in doubts]})
         write_atomically(args.json, to_json(rows))
         print(seed, {name: round(own["mean_speed"], 2) for name, own in row.items()}, flush=True)
+    fastest = np.array([row["identified"]["mean_speed"] for row in rows])
     for name in ("identified", "paper", "real_wide"):
-        speeds = np.array([row[name]["mean_speed"] for row in rows])
-        failed = sum(row[name]["failed"] for row in rows)
-        slower = sum(row[name]["mean_speed"] < row["identified"]["mean_speed"] for row in rows)
+        speeds, failed = (np.array([row[name][metric] for row in rows]) for metric in ("mean_speed", "failed"))
         print(
-            f"{name:10s} mean {speeds.mean():6.2f} cm/s, lowest {speeds.min():6.2f}, {failed:.0f} of {len(rows)} fail",
-            end="",
+            f"{name:10s} mean {speeds.mean():6.2f} cm/s, lowest {speeds.min():6.2f}, {failed.sum():.0f} of {len(rows)} "
+            f"fail; the identified agent is faster on {(speeds < fastest).sum()}"
         )
-        print("" if name == "identified" else f"; the identified agent is faster on {slower} of {len(rows)}")
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -56,12 +56,10 @@ def extrapolated(capsule: Capsule, torques: np.ndarray, name: str) -> float:
     def shifted(factor: float) -> float:
         if name == "torque":
             return final(capsule, factor * torques)[0]
-        return final(Capsule(**{**vars(capsule), name: factor * getattr(capsule, name)}), torques)[0]
+        return final(replace(capsule, **{name: factor * getattr(capsule, name)}), torques)[0]
 
-    estimates = []
-    for h in STEPS:
-        near, far = (shifted(1.0 + n * h) - shifted(1.0 - n * h) for n in (1, 2))
-        estimates.append((8.0 * near - far) / (12.0 * h))
+    near, far = (np.array([shifted(1.0 + n * h) - shifted(1.0 - n * h) for h in STEPS]) for n in (1, 2))
+    estimates = (8.0 * near - far) / (12.0 * STEPS)
     return estimates[1 + int(np.argmin(np.abs(np.diff(estimates))))]
 
 

@@ -4,8 +4,8 @@ All actions are drawn beforehand. A single environment runs whole episodes, incl
 does not truncate episodes, so that all batch sizes are comparable; an environment that fails is reset within the step.
 
 Contenders take turns, and the 10th percentiles of their processor times are used, so that other processes have little
-effect. Unlike rates, ratios are comparable between machines. Each floor is about two thirds of the lowest ratio found
-with AVX2 and AVX-512; a ratio below its floor usually means that the compiler vectorises a loop no longer.
+effect. Unlike rates, ratios are comparable between machines. A ratio below its floor usually means that the compiler
+vectorises a loop no longer.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from benchmarks.measurement import OutputArgs, fastest, machine, take_turns
+from benchmarks.measurement import OutputArgs, machine, rates
 from benchmarks.plain import copy_to_c, find_compiler
 from capsule_gym import ENV_ID, task
 from capsule_gym.command_line import Count, parse
@@ -61,13 +61,12 @@ def _draw(space: gym.Space[Any], count: int) -> Iterator[Any]:
     """Endless actions out of a space; those of the capsule are multiplied by `ACTION_SCALE`."""
     space.seed(0)
     samples = [space.sample() for _ in range(count)]
-    return cycle(
-        samples if np.asarray(samples[0]).dtype.kind == "i" else [np.float32(ACTION_SCALE) * s for s in samples]
-    )
+    discrete = np.asarray(samples[0]).dtype.kind == "i"
+    return cycle(samples if discrete else [np.float32(ACTION_SCALE) * sample for sample in samples])
 
 
-def single(env_id: str, **kwargs: Any) -> Step:
-    """Steps of one environment with gymnasium's default wrappers."""
+def single(env_id: str, *, reset: bool = False, **kwargs: Any) -> Step:
+    """Steps or resets of one environment with gymnasium's default wrappers."""
     env = gym.make(env_id, **kwargs)
     env.reset(seed=0)
     actions = _draw(env.action_space, DRAWS)
@@ -77,14 +76,7 @@ def single(env_id: str, **kwargs: Any) -> Step:
         if terminated or truncated:
             env.reset()
 
-    return step
-
-
-def resets(env_id: str) -> Step:
-    """Resets of one environment with gymnasium's default wrappers."""
-    env = gym.make(env_id)
-    env.reset(seed=0)
-    return env.reset
+    return env.reset if reset else step
 
 
 def batch(env_id: str, num_envs: int = BATCH, **kwargs: Any) -> Step:
@@ -97,21 +89,16 @@ def batch(env_id: str, num_envs: int = BATCH, **kwargs: Any) -> Step:
 
 def mujoco_physics() -> Step:
     """The physics of one capsule in MuJoCo under random torques, which restarts where its ball meets the platform."""
-    import mujoco
+    from benchmarks import mujoco
 
-    from benchmarks.mujoco import build_model, start_data
-
-    model = build_model("frictionloss", DIRECT_PHYSICS_DT, Capsule())
-    data = start_data(model)
-    limit, substeps = ACTION_SCALE * task.TORQUE_LIMIT, round(task.CONTROL_DT / DIRECT_PHYSICS_DT)
+    model = mujoco.build_model("frictionloss", DIRECT_PHYSICS_DT, Capsule())
+    data, limit = mujoco.start_data(model), ACTION_SCALE * task.TORQUE_LIMIT
     torques = cycle(np.random.default_rng(0).uniform(-limit, limit, DRAWS).tolist())
 
     def step() -> None:
-        data.ctrl[0] = next(torques)
-        mujoco.mj_step(model, data, nstep=substeps)
+        mujoco.hold(model, data, next(torques))
         if abs(data.qpos[1]) >= task.THETA_LIMIT:
-            mujoco.mj_resetData(model, data)
-            data.qpos[1] = task.START_THETA
+            data.qpos[:], data.qvel[:] = (0.0, task.START_THETA), 0.0
 
     return step
 
@@ -154,8 +141,8 @@ def contenders() -> dict[str, Callable[[], Step]]:
         "CartPole-v1": partial(single, "CartPole-v1"),
         f"CartPole-v1, {BATCH}": partial(batch, "CartPole-v1"),
         "Pendulum-v1": partial(single, "Pendulum-v1"),
-        "capsule, reset": partial(resets, ENV_ID),
-        "CartPole-v1, reset": partial(resets, "CartPole-v1"),
+        "capsule, reset": partial(single, ENV_ID, reset=True),
+        "CartPole-v1, reset": partial(single, "CartPole-v1", reset=True),
         f"capsule, core, {BATCH}": lambda: from_the_start()[0],
     }
     if compiler := find_compiler():
@@ -197,22 +184,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns 1 if a ratio is below its floor."""
     args = parse(Args, COMMAND, arguments)
     found = contenders()
-    needed = {name for pair in FLOORS for name in pair if set(pair) <= set(found)}
+    floors = {pair: floor for pair, floor in FLOORS.items() if set(pair) <= set(found)}
     turns = {}
     for name, make in found.items():
-        if name in needed or not args.ratios:
+        if not args.ratios or any(name in pair for pair in floors):
             last = name.rpartition(", ")[2]
             turns[name] = partial(seconds_per_step, make(), int(last) if last.isdigit() else 1)
-    rates = fastest(take_turns(turns, args.turns))
-    table = [["ratio", "of", "to", "at least"]]
-    failed = False
-    for (one, other), floor in FLOORS.items():
-        if {one, other} <= set(rates):
-            table.append([f"{rates[one] / rates[other]:.2f}", one, other, f"{floor:g}"])
-            failed |= rates[one] / rates[other] < floor
-    rows = [["", "env-steps/s"], *([name, f"{each:,.0f}"] for name, each in rates.items())]
+    measured = rates(turns, args.turns)
+    ratios = {(one, other): measured[one] / measured[other] for one, other in floors}
+    table = [["ratio", "of", "to", "at least"], *([f"{ratios[p]:.2f}", *p, f"{floors[p]:g}"] for p in floors)]
+    rows = [["", "env-steps/s"], *([name, f"{each:,.0f}"] for name, each in measured.items())]
     args.report(COMMAND, table, rows, NOTE, f"{machine()}.")
-    return int(failed)
+    return int(any(ratios[pair] < floors[pair] for pair in floors))
 
 
 if __name__ == "__main__":

@@ -1,22 +1,176 @@
 """Processor time until an agent moves the capsule at 15 cm/s: `python -m benchmarks.training`.
 
 Contenders are the preset of `train.py`, Stable-Baselines3 and SBX (Stable-Baselines3 in JAX) on `make_vec_env` with
-their default hyperparameters and `VecNormalize`, as their documentation advises, and CleanRL's loop with the wrappers,
-networks and hyperparameters of its `ppo_continuous_action.py`. All learn the direct task by PPO in the environment of
-the preset; evaluations, on its validation plants, do not count. SBX is skipped where it is not installed.
+their default hyperparameters and `VecNormalize`, as their documentation advises, and a loop on one environment with the
+wrappers, network and hyperparameters of CleanRL's `ppo_continuous_action.py`. All learn the direct task by PPO in the
+environment of the preset; evaluations, on its validation plants, do not count. What is not installed is skipped.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from importlib.util import find_spec
+from typing import Any
 
+import gymnasium as gym
+import numpy as np
+from gymnasium import wrappers
+
+from agents.training.presets import PRESETS
+from baselines.evaluation.episodes import evaluate, scores
 from benchmarks.measurement import OutputArgs, machine
 from capsule_gym.command_line import Count, parse
+from capsule_gym.evaluation_sets import EvaluationSet
+from capsule_gym.task import ENV_ID
 
 COMMAND = "python -m benchmarks.training"
+CONFIG = PRESETS["direct", "ppo"]
+ID, ENV_KWARGS = f"capsule_gym:{ENV_ID}", CONFIG.env_kwargs()
+# Agent steps between evaluations; environments of Stable-Baselines3 and SBX, whose documentation advises several.
+EVERY, NUM_ENVS = 32_768, 8
+
+
+class Clock:
+    """Measures the processor time of a training until its policy is fast enough, without evaluations.
+
+    Attributes:
+        seconds: processor time so far, s.
+        steps: agent steps so far.
+        speed: mean speed in the last evaluation, cm/s.
+        over: whether the training has reached its aim, or is given up.
+    """
+
+    def __init__(self, plants: EvaluationSet, speed: float, seconds: float) -> None:
+        self.plants, self.least_speed, self.most_seconds = plants, speed, seconds
+        self.seconds, self.steps, self.speed, self.over, self.began = 0.0, 0, -np.inf, False, time.process_time()
+
+    def check(self, steps: int, policy: Callable[[], Any]) -> None:
+        """Evaluates the policy if an evaluation is due."""
+        if steps - self.steps >= EVERY:
+            self.seconds += time.process_time() - self.began
+            self.steps, self.speed = steps, float(scores(evaluate(policy(), self.plants), "mean_speed").mean())
+            self.over = self.speed >= self.least_speed or self.seconds >= self.most_seconds
+            self.began = time.process_time()
+
+    def learn(self, model: Any, total_steps: int) -> None:
+        """Trains an agent of Stable-Baselines3 or SBX."""
+        from agents.training.export import recurrent_policy
+
+        env = model.get_vec_normalize_env()
+
+        def on_step(*_: Any) -> bool:
+            self.check(model.num_timesteps, lambda: recurrent_policy("agent", model, env, ENV_KWARGS))
+            return not self.over
+
+        model.learn(total_steps, callback=on_step)
+
+
+def train_preset(seed: int, clock: Clock) -> None:
+    """Trains as `train.py`."""
+    from agents.training.algorithms import make_env, make_model
+
+    config = replace(CONFIG, seed=seed)
+    clock.learn(make_model(config, make_env(config, seed)), config.total_steps)
+
+
+def train_sb3(library: str, seed: int, clock: Clock) -> None:
+    """Trains with the defaults of Stable-Baselines3 or SBX."""
+    from stable_baselines3.common.env_util import make_vec_env
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    env = VecNormalize(make_vec_env(ID, NUM_ENVS, seed, env_kwargs=ENV_KWARGS))
+    clock.learn(__import__(library).PPO("MlpPolicy", env, seed=seed, device="cpu"), 10**9)
+
+
+def train_loop(seed: int, clock: Clock) -> None:
+    """Trains by a loop like CleanRL's `ppo_continuous_action.py`."""
+    import torch
+    from torch import nn
+    from torch.distributions import Normal
+
+    from baselines.evaluation.policies import wrap_policy
+
+    steps, epochs, batch, gamma, decay, clip, total, rate = 2048, 10, 64, 0.99, 0.95, 0.2, 1_000_000, 3e-4
+    rng = np.random.default_rng(seed)
+    torch.manual_seed(seed)
+    env: Any = wrappers.ClipAction(gym.make(ID, **ENV_KWARGS))
+    env = normalised = wrappers.NormalizeObservation(env)
+    env = wrappers.TransformObservation(env, lambda seen: np.clip(seen, -10, 10), env.observation_space)
+    env = wrappers.TransformReward(
+        wrappers.NormalizeReward(env, gamma=gamma), lambda r: max(-10.0, min(10.0, float(r)))
+    )
+
+    def network(scale: float) -> nn.Sequential:
+        layers = [nn.Linear(env.observation_space.shape[0], 64), nn.Linear(64, 64), nn.Linear(64, 1)]
+        for layer, gain in zip(layers, (2.0**0.5, 2.0**0.5, scale), strict=True):
+            nn.init.orthogonal_(layer.weight, gain)
+            nn.init.zeros_(layer.bias)
+        return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2])
+
+    actor, critic, log_std = network(0.01), network(1.0), nn.Parameter(torch.zeros(1))
+    parameters = [*actor.parameters(), *critic.parameters(), log_std]
+    optimiser = torch.optim.Adam(parameters, lr=rate, eps=1e-5)
+
+    def act(observations: np.ndarray) -> np.ndarray:
+        rms = normalised.obs_rms
+        inputs = np.clip((observations - rms.mean) / np.sqrt(rms.var + normalised.epsilon), -10, 10)
+        with torch.no_grad():
+            return actor(torch.as_tensor(inputs, dtype=torch.float32)).numpy()
+
+    seen, done = env.reset(seed=seed)[0], 0.0
+    for step in range(0, 10**9, steps):
+        # CleanRL anneals the rate over its 1,000,000 steps; a longer training keeps the last one.
+        optimiser.param_groups[0]["lr"] = rate * max(steps / total, 1.0 - step / total)
+        observations, actions = torch.zeros(steps, len(seen)), torch.zeros(steps, 1)
+        log_probs, rewards, dones = (torch.zeros(steps) for _ in range(3))
+        for t in range(steps):
+            observations[t], dones[t] = torch.as_tensor(seen), done
+            with torch.no_grad():
+                distribution = Normal(actor(observations[t]), log_std.exp())
+                actions[t] = distribution.sample()
+                log_probs[t] = distribution.log_prob(actions[t]).sum()
+            seen, rewards[t], terminated, truncated, _ = env.step(actions[t].numpy())
+            done = float(terminated or truncated)
+            seen = env.reset()[0] if done else seen
+        with torch.no_grad():
+            last = critic(torch.as_tensor(seen, dtype=torch.float32))
+            values = torch.cat([critic(observations)[:, 0], last])
+        advantages, advantage, continues = (
+            torch.zeros(steps),
+            torch.zeros(()),
+            1.0 - torch.cat([dones, torch.tensor([done])]),
+        )
+        for t in reversed(range(steps)):
+            error = rewards[t] + gamma * values[t + 1] * continues[t + 1] - values[t]
+            advantages[t] = advantage = error + gamma * decay * continues[t + 1] * advantage
+        values = values[:-1]
+        returns = advantages + values
+        for part in (part for _ in range(epochs) for part in rng.permutation(steps).reshape(-1, batch)):
+            distribution, value = Normal(actor(observations[part]), log_std.exp()), critic(observations[part])[:, 0]
+            ratio = (distribution.log_prob(actions[part]).sum(1) - log_probs[part]).exp()
+            advantage = (advantages[part] - advantages[part].mean()) / (advantages[part].std() + 1e-8)
+            policy_loss = -torch.min(ratio * advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * advantage).mean()
+            clipped = values[part] + (value - values[part]).clamp(-clip, clip)
+            errors = torch.max((value - returns[part]) ** 2, (clipped - returns[part]) ** 2)
+            optimiser.zero_grad()
+            (policy_loss + 0.25 * errors.mean()).backward()
+            nn.utils.clip_grad_norm_(parameters, 0.5)
+            optimiser.step()
+        clock.check(step + steps, lambda: wrap_policy(act, name="agent", env_kwargs=ENV_KWARGS))
+        if clock.over:
+            return
+
+
+CONTENDERS: dict[str, Callable[[int, Clock], None]] = {
+    "train.py": train_preset,
+    "SB3, make_vec_env": partial(train_sb3, "stable_baselines3"),
+    "SBX, make_vec_env": partial(train_sb3, "sbx"),
+    "CleanRL's loop": train_loop,
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,26 +192,25 @@ class Args(OutputArgs):
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = parse(Args, COMMAND, arguments)
-    # torch takes seconds to import.
     import torch
 
-    from benchmarks.trainers import CONTENDERS, Clock, train_sbx
+    from agents.training.callbacks import validation_plants
 
     torch.set_num_threads(1)
     rows = [["trainer", *(f"seed {seed}, s" for seed in range(args.seeds)), "thousands of steps"]]
     for name, train in CONTENDERS.items():
-        if train is train_sbx and find_spec("sbx") is None:
+        if name.startswith("SBX") and find_spec("sbx") is None:
             print("SBX is skipped: pip install sbx-rl", file=sys.stderr)
             continue
-        clocks = []
+        row, steps = [name], []
         for seed in range(args.seeds):
-            clock = Clock(seed, args.speed, args.seconds)
+            clock = Clock(validation_plants(replace(CONFIG, seed=seed)), args.speed, args.seconds)
             train(seed, clock)
             reached = clock.speed >= args.speed
-            text = f"{clock.seconds:.0f}" if reached else f"> {clock.seconds:.0f} ({clock.speed:.1f} cm/s)"
-            print(f"{name}, seed {seed}: {text} s", file=sys.stderr, flush=True)
-            clocks.append((text, f"{1e-3 * clock.steps:.0f}"))
-        rows.append([name, *(text for text, _ in clocks), ", ".join(steps for _, steps in clocks)])
+            row.append(f"{clock.seconds:.0f}" if reached else f"> {clock.seconds:.0f} ({clock.speed:.1f} cm/s)")
+            steps.append(f"{1e-3 * clock.steps:.0f}")
+            print(f"{name}, seed {seed}: {row[-1]} s", file=sys.stderr, flush=True)
+        rows.append([*row, ", ".join(steps)])
     note = (
         f"Processor time, without evaluations, until the mean speed on validation plants is {args.speed:g} cm/s; > "
         f"where it was not, with the last speed. Direct torque, PPO, one thread of torch. {machine()}."

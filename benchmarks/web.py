@@ -11,22 +11,23 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 import capsule_gym
-from benchmarks.measurement import OutputArgs, fastest, machine
+from benchmarks.measurement import OutputArgs, machine, rates
 from capsule_gym.command_line import Count, parse, refuse
 from capsule_gym.task import EPISODE_STEPS
 from web import build
 from web.episodes import drivers
 
 COMMAND = "python -m benchmarks.web"
-# No control law, a law, a network, and a law with a network and a filter.
-CONTROLLERS = ("zero", "adaptive", "direct-ppo", "residual-identifying")
+# A law, and a network.
+CONTROLLERS = ("adaptive", "direct-ppo")
 # Runs episodes of a driver and prints the seconds of each.
 SCRIPT = """
 const [path, name, episodes] = process.argv.slice(1);
@@ -64,9 +65,13 @@ def native_episode(name: str) -> float:
     act = policy.start([0]) if isinstance(policy, capsule_gym.Policy) else None
     for _ in range(EPISODE_STEPS):
         observation, *_ = env.step(act(observation) if act else nothing)
-    seconds = time.process_time() - start
-    env.close()
-    return seconds
+    return time.process_time() - start
+
+
+def node_episodes(module: Path, name: str, count: int) -> Iterator[float]:
+    """The seconds of nominal episodes in node."""
+    command = ["node", "--input-type=module", "--eval", SCRIPT, module.as_uri(), name, str(count)]
+    return map(float, subprocess.run(command, check=True, capture_output=True, text=True).stdout.split())
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -77,15 +82,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     table = [["controller", "native, steps/s", "node, steps/s", "node over native"]]
     with tempfile.TemporaryDirectory() as folder:
         build.main(["--output", folder])
-        command = ["node", "--input-type=module", "--eval", SCRIPT, Path(folder, "capsule.mjs").as_uri()]
         for name in CONTROLLERS:
-            words = subprocess.run([*command, name, str(args.turns)], check=True, capture_output=True, text=True)
-            seconds = {
-                "native": [native_episode(name) for _ in range(args.turns)],
-                "node": [float(word) for word in words.stdout.split()],
-            }
-            native, node = (EPISODE_STEPS * rate for rate in fastest(seconds).values())
-            table.append([name, f"{native:,.0f}", f"{node:,.0f}", f"{node / native:.3f}"])
+            node = node_episodes(Path(folder, "capsule.mjs"), name, args.turns)
+            found = rates({"native": partial(native_episode, name), "node": node.__next__}, args.turns)
+            native, browser = (EPISODE_STEPS * rate for rate in found.values())
+            table.append([name, f"{native:,.0f}", f"{browser:,.0f}", f"{browser / native:.3f}"])
     note = (
         "Agent steps, of 20 ms each, of one capsule in closed loop per second of the processor; 10th percentile of the "
         f"times of {args.turns} episodes. {machine()}."

@@ -113,7 +113,7 @@ class Args:
     Examples:
       python -m capsule_gym.demo direct-ppo
       python -m capsule_gym.demo keyboard --rival adaptive --speed 0.5
-      python -m capsule_gym.demo residual-on-gait --rival adaptive --set drift --seed 3
+      python -m capsule_gym.demo residual-real --rival adaptive --set drift --seed 3
       python -m capsule_gym.demo direct-ppo/seed-2 --M 0.6 --mu 0.05 --seconds 10 -o out.gif
     """
 

@@ -70,15 +70,6 @@ def test_a_rows_settings_are_defaults_that_options_change(row):
     assert (options.task, options.algo) == (ROWS[row].task, ROWS[row].algo)
 
 
-def test_options_change_what_they_name():
-    words = "--seed 3 --controller baselines:compliant --gamma 0.9 --observe-parameters --randomization wide"
-    found = train.read_args([*words.split(), "--total-steps", "8e6", "--run", "there"])
-    changed = {"seed": 3, "controller": "baselines:compliant", "gamma": 0.9, "observe_parameters": True}
-    changed |= {"randomization": "wide", "total_steps": 8_000_000}
-    assert found.hyperparameters == dataclasses.replace(PRESETS["residual", "ppo"], **changed)
-    assert found.run == Path("there")
-
-
 @pytest.mark.parametrize(("task", "algo"), list(PRESETS))
 def test_help_explains_every_hyperparameter_with_its_default(task, algo, capsys):
     with pytest.raises(SystemExit) as stop:
@@ -118,13 +109,14 @@ def test_resume_takes_everything_from_the_run_but_its_length(run):
     assert longer.hyperparameters == dataclasses.replace(before.hyperparameters, total_steps=2000)
 
 
-def test_resume_asks_before_it_runs_the_code_of_a_law_from_elsewhere(tmp_path, capsys):
-    folder = started(tmp_path / "run", "residual", "ppo", controller="os:abort")
+@pytest.mark.parametrize(("name", "code"), [("controller", "os:abort"), ("wrapper", ("os:abort",))])
+def test_resume_asks_before_it_runs_code_from_elsewhere(name, code, tmp_path, capsys):
+    folder = started(tmp_path / "run", "residual", "ppo", **{name: code})
     with pytest.raises(SystemExit):
         train.read_args(["--resume", str(folder)])
-    assert f"{folder / 'config.json'} names code to import, 'os:abort': --trust-controller" in capsys.readouterr().err
+    assert f"{folder / 'config.json'} names code to import, {code!r}: --trust-controller" in capsys.readouterr().err
     options = train.read_args(["--resume", str(folder), "--trust-controller"])
-    assert options.hyperparameters.controller == "os:abort"
+    assert getattr(options.hyperparameters, name) == code
 
 
 @pytest.mark.parametrize(

@@ -2,19 +2,15 @@
 export interface Driver {
   name: string;
   description: string;
-  kind: "law" | "gait" | "policy" | "recording" | "none";
+  kind: "law" | "policy" | "recording";
   /** One of `tasks`. */
   task: string;
   /** Control law inside the step; one of `controllers`. */
   controller: string;
   /** Seed of a policy's training run. */
   seed?: number;
-  /** Lowest and highest energy weight of a policy that observes it, cm/J. */
-  energyWeight?: [number, number];
   /** Frozen sets of a recorded driver, which drives only on their plants. */
   recorded?: string[];
-  /** Number of seeds of a driver that draws random torques. */
-  seeds?: number;
   /** Length of a step, s. */
   controlDt: number;
   /** Steps of a whole episode. */
@@ -77,8 +73,6 @@ export interface Frozen {
 
 /** Further options of `drive`. */
 export interface Told {
-  /** cm/J. */
-  energyWeight?: number;
   /** Only for an episode that draws values. A frozen plant's default is its own seed. */
   seed?: number;
   /** Not accepted with a set, which defines them. */
@@ -238,8 +232,6 @@ export interface OwnDriver {
     control_dt: number;
     steps: number;
   };
-  /** Lowest and highest energy weight of a policy that observes it, cm/J. */
-  energyWeight?: [number, number];
   /** The network as the core takes it. */
   network: number[];
 }

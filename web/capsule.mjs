@@ -36,9 +36,9 @@ function numbered(names) {
 }
 
 /** Returns the public fields of a driver. */
-function describe({ settings, network, gaits, recordings, seeds, ...shown }) {
+function describe({ settings, network, recordings, ...shown }) {
   const own = { controlDt: settings.control_dt, steps: settings.steps };
-  return { ...shown, ...own, ...(recordings && { recorded: Object.keys(recordings) }), ...(seeds && { seeds: seeds.count }) };
+  return { ...shown, ...own, ...(recordings && { recorded: Object.keys(recordings) }) };
 }
 
 /** All drivers with their public fields. */
@@ -201,27 +201,6 @@ function checkChanges(changes) {
     last = t;
     return { t, ...checkPlant(`changes[${n}].`, change) };
   });
-}
-
-/** The generator of random torques: numpy's PCG64, from a state and an increment of 128 bits. */
-class Draws {
-  constructor(state, increment) {
-    this.state = state;
-    this.increment = increment;
-  }
-
-  copy() {
-    return new Draws(this.state, this.increment);
-  }
-
-  /** Draws a number from -1 to 1, like numpy's `uniform`. */
-  next() {
-    const cut = (bits, value) => BigInt.asUintN(bits, value);
-    this.state = cut(128, this.state * 0x2360ed051fc65da44385df649fccf645n + this.increment);
-    const [mixed, turn] = [cut(64, (this.state >> 64n) ^ this.state), this.state >> 122n];
-    const turned = cut(64, (mixed >> turn) | (mixed << (64n - turn)));
-    return Number(turned >> 11n) * 2 ** -52 - 1;
-  }
 }
 
 /** One capsule, with or without a control law inside its step. `load` creates it. */
@@ -496,7 +475,6 @@ export class Episode extends Capsule {
   #place;
   #set;
   #recording = null;
-  #draws = null;
   #action = 0;
 
   /** Called by `drive`. */
@@ -519,7 +497,7 @@ export class Episode extends Capsule {
 
   /** Begins an episode and clears the driver's memory. */
   reset({ set, plant, seed, ...options } = {}) {
-    const { name, recordings, seeds } = this.#driver;
+    const { name, recordings } = this.#driver;
     let start = options;
     if (set !== undefined || plant !== undefined) {
       const { changes, ...others } = options;
@@ -535,11 +513,10 @@ export class Episode extends Capsule {
     }
     const { seed: own = 0, ...first } = start;
     const chosen = seed ?? own;
-    if (seed !== undefined && !seeds && !this.draws) throw new RangeError(`seed must be left out: ${name} draws nothing`);
-    const draws = seeds && drawsOf(seeds, checkCount("seed", chosen, seeds.count));
+    if (seed !== undefined && !this.draws) throw new RangeError(`seed must be left out: ${name} draws nothing`);
     this.#place.view.cells.fill(0);
     this.#recording = recordings ? recordingOf(recordings[set], plant) : null;
-    [this.#action, this.#draws] = [0, draws];
+    this.#action = 0;
     return super.reset({ ...first, ...(this.draws && (seed !== undefined || set) ? { seed: chosen } : {}) });
   }
 
@@ -551,36 +528,19 @@ export class Episode extends Capsule {
 
   /** The whole state, including the driver's memory. */
   snapshot() {
-    const [action, recording, draws] = [this.#action, this.#recording, this.#draws?.copy() ?? null];
-    return { ...super.snapshot(), action, recording, draws };
+    return { ...super.snapshot(), action: this.#action, recording: this.#recording };
   }
 
   /** Restores the state, including the driver's memory. */
   restore(snapshot) {
     super.restore(snapshot);
     [this.#action, this.#recording] = [snapshot.action, snapshot.recording];
-    this.#draws = snapshot.draws?.copy() ?? null;
   }
 
   #choose() {
     if (this.#driver.network) return this.#act();
-    if (this.#driver.gaits) return this.#perform();
     if (this.#recording) return HEADER.torques[this.#recording[this.info.steps]];
-    return this.#draws?.next() ?? 0;
-  }
-
-  /** The action of the gait for the plant's cell; the observation ends with the plant's M and mu. */
-  #perform() {
-    const { address, call, view } = this.#place;
-    const { M, edges, cells, gaits } = this.#driver.gaits;
-    const [mass, friction] = this.observation.slice(-2);
-    const distances = M.map((centre) => Math.abs(mass - centre));
-    const column = edges.filter((edge) => edge < friction * friction).length;
-    const [family, ...parameters] = gaits[cells[distances.indexOf(Math.min(...distances))][column]];
-    const [time, state] = [this.info.steps * this.controlDt, this.observation.slice(0, 3)];
-    view.gait.set(parameters);
-    if (family === "phase-space") return call.cubic(address.gait, ...state);
-    return family === "harmonics" ? harmonics(parameters, time, state, call) : bangBang(parameters, time, state, this.controlDt);
+    return 0;
   }
 
   #act() {
@@ -589,51 +549,10 @@ export class Episode extends Capsule {
   }
 }
 
-/** The torque in torque limits of a Fourier series with feedback, as in `baselines.gaits.families`. */
-function harmonics(p, time, state, { sin, cos }) {
-  const [sine, cosine] = [sin, cos].map((of) => of((2 * Math.PI * time) / p[0]));
-  let [real, imaginary] = [0, 0];
-  for (let k = 4; k > 0; k--) {
-    [real, imaginary] = [real + p[1 + k], imaginary - p[5 + k]];
-    [real, imaginary] = [real * cosine - imaginary * sine, real * sine + imaginary * cosine];
-  }
-  return p[1] + real + feedback(p.slice(10), state);
-}
-
-/** The same for a square wave, its mean over a step, with feedback. */
-function bangBang(p, time, state, step) {
-  const durations = p.slice(0, 4).map(Math.abs);
-  const [first, second, third, fourth] = durations;
-  const period = first + second + third + fourth;
-  const integral = (end) => {
-    const cycles = Math.floor(end / period);
-    let [rest, total] = [end - cycles * period, cycles * (first - second + third - fourth)];
-    durations.forEach((duration, n) => {
-      const elapsed = Math.min(rest, duration);
-      total += n % 2 ? -elapsed : elapsed;
-      rest -= elapsed;
-    });
-    return total;
-  };
-  const start = time + p[4] * period;
-  return (integral(start + step) - integral(start)) / step + feedback(p.slice(5), state);
-}
-
-function feedback(gains, [theta, theta_dot, x_dot]) {
-  return gains[0] * theta + gains[1] * theta_dot + gains[2] * x_dot;
-}
-
 /** Returns a driver's network, from the archive if the module contains the driver. */
 function networkOf(driver) {
   const network = driver?.network ?? new Float64Array(0);
   return network instanceof Float64Array ? network : readArray(network);
-}
-
-/** Returns the generator that Python uses for a seed. */
-function drawsOf({ at }, seed) {
-  const bytes = new DataView(CONTENT.buffer, CONTENT.byteOffset + at + 32 * seed, 32);
-  const number = (place) => (bytes.getBigUint64(place + 8, true) << 64n) | bytes.getBigUint64(place, true);
-  return new Draws(number(0), number(16));
 }
 
 /** Returns the index in `HEADER.torques` of each action on a plant. */
@@ -681,7 +600,6 @@ async function prepare(controller, task, settings, given, driver) {
     fields: [Float64Array, CORE.batch.length],
     network: [Float64Array, network.length],
     cells: [Float64Array, CORE.cells],
-    gait: [Float64Array, CORE.parameters],
   });
   placed.view.network.set(network);
   return [placed, kind];
@@ -714,11 +632,11 @@ export async function load(controller, options = {}) {
 }
 
 /**
- * Creates an episode of one of `drivers`, at its beginning. The options are those of `reset`, the energy weight, and
- * the disturbances, as in `load`. Alternatively, `set` and `plant` select a plant of a frozen set by its number; the
- * set then defines the start and the disturbances.
+ * Creates an episode of one of `drivers`, at its beginning. The options are those of `reset`, and the disturbances, as
+ * in `load`. Alternatively, `set` and `plant` select a plant of a frozen set by its number; the set then defines the
+ * start and the disturbances.
  */
-export async function drive(name, { energyWeight, disturbances, ...options } = {}) {
+export async function drive(name, { disturbances, ...options } = {}) {
   const driver = find("driver", name, DRIVERS);
   const { task, controller, settings } = driver;
   const found = sets[options.set];
@@ -727,12 +645,6 @@ export async function drive(name, { energyWeight, disturbances, ...options } = {
   const given = found ?? { task, capsule: settings.capsule, disturbances: disturbances ?? settings.disturbances };
   const [placed, kind] = await prepare(controller, task, settings, given, driver);
   const episode = new Episode(placed, { ...kind, set: kindOf(given) }, driver);
-  if (energyWeight !== undefined) {
-    if (!driver.energyWeight) throw new RangeError(`energyWeight must be left out: ${name} observes none`);
-    checkNumber("energyWeight", energyWeight, ...driver.energyWeight);
-    placed.view.settings[SETTING.energy_weight] = energyWeight;
-    placed.view.network[CORE.network.indexOf("log_energy_weight")] = placed.call.log(energyWeight);
-  }
   episode.reset(options);
   return episode;
 }

@@ -17,9 +17,7 @@ import numpy as np
 
 import baselines
 from baselines.dynamic_programming.policy import TORQUES
-from baselines.gaits.archive import GaitMap, known_gaits, tolerant_nominal
 from baselines.laws import TASK_LAWS
-from baselines.laws.gait import PARAMETERS
 from baselines.policies import ScriptedPolicy
 from capsule_gym import Policy, _core, evaluation_sets, parameters, resets, task
 from capsule_gym.config import EnvConfig, find_task
@@ -43,8 +41,6 @@ RANGES = Randomization(
     c=(0.05, 0.15), static_ratio=(1.0, 1.5), backward_ratio=(0.5, 1.5), viscous=(0.0, 2.0), stribeck_speed=(0.02, 1.0),
     slope=(-0.2, 0.2), motor_friction=(0.0, LARGEST_MOTOR_FRICTION),
 )  # fmt: skip
-# Range of energy weights (cm/J) in the training of the policy that observes its weight.
-TRAINED_WEIGHTS = (0.1, 20.0)
 
 
 class Archive:
@@ -72,8 +68,8 @@ def pack_data(module: bytes) -> str:
     """The archive with all data for the JavaScript, compressed, in base64; `module` is the compiled core."""
     archive = Archive()
     # The names and sizes of what the core takes.
-    names = "ROWS", "SETTINGS", "BATCH", "NETWORK", "CELLS", "HISTORY_ROWS"
-    core = {"parameters": len(PARAMETERS), **{name.lower(): getattr(_core, name) for name in names}}
+    names = "ROWS", "SETTINGS", "BATCH", "CELLS", "HISTORY_ROWS"
+    core = {name.lower(): getattr(_core, name) for name in names}
     # The fields of a task's memory, those shown in `info`, and the draws at a reset, whose rows follow the rest.
     tasks = {}
     for own in map(find_task, _core.TASKS):
@@ -169,7 +165,6 @@ def describe_policy(name: str, policy: Policy | ScriptedPolicy) -> dict[str, Any
     described: dict[str, Any] = {"name": name, "description": policy.description, "task": find_task(options.task).name}
     described |= {"controller": law, "settings": describe_settings(options)}
     if isinstance(policy, Policy):
-        described |= {"energyWeight": TRAINED_WEIGHTS} if policy.observes_energy_weight else {}
         described |= {"kind": "policy", "seed": policy.training_seed, "network": policy._network}
     return described
 
@@ -179,12 +174,6 @@ def describe_driver(policy: Policy | ScriptedPolicy, archive: Archive) -> dict[s
     name, described = policy.name, describe_policy(policy.name, policy)
     if isinstance(policy, Policy):
         return {**described, "network": archive.add_array(described["network"])}
-    if name in ("gait-nominal", "gait-oracle"):
-        nominal = GaitMap((NOMINAL.M,), (NOMINAL.mu,), (tolerant_nominal(),), ((0,),))
-        found = nominal if name == "gait-nominal" else known_gaits().oracle
-        gaits = [(gait.family, *gait.parameters) for gait in found.gaits]
-        own = {"M": found.M, "edges": found.edges().tolist(), "cells": found.cells, "gaits": gaits}
-        return {**described, "kind": "gait", "gaits": own}
     if name in RECORDED:
         recordings = {}
         for each in evaluation_sets.SET_NAMES:
@@ -192,12 +181,7 @@ def describe_driver(policy: Policy | ScriptedPolicy, archive: Archive) -> dict[s
             steps = (taken != OVER).sum(axis=1).tolist()
             recordings[each] = {**archive.add(taken[taken != OVER].tobytes()), "steps": steps}
         return {**described, "kind": "recording", "recordings": recordings}
-    if name == "random":
-        # State and increment of each seed's generator, 16 bytes each.
-        states = [np.random.default_rng([seed, 1]).bit_generator.state["state"] for seed in range(SEEDS)]
-        content = b"".join(each[key].to_bytes(16, "little") for each in states for key in ("state", "inc"))
-        return {**described, "kind": "none", "seeds": {**archive.add(content), "count": SEEDS}}
-    return {**described, "kind": "none" if described["controller"] == DIRECT else "law"}
+    return {**described, "kind": "law"}
 
 
 def describe_set(found: evaluation_sets.EvaluationSet) -> dict[str, Any]:

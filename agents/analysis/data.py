@@ -1,4 +1,4 @@
-"""Data of the leaderboard's analysis: ranked rows, learning curves, and the known Pareto fronts."""
+"""Data of the leaderboard's analysis: ranked rows and learning curves."""
 
 from __future__ import annotations
 
@@ -13,9 +13,7 @@ import numpy as np
 from agents.evaluation.criteria import CRITERIA
 from agents.leaderboard.rows import Row
 from agents.training.config import EVALUATIONS
-from baselines.dynamic_programming.archive import optimal_front
 from baselines.evaluation.statistics import estimate
-from baselines.gaits.archive import pareto_front
 from capsule_gym.evaluation_sets import EvaluationSet
 
 SPEED = "mean_speed"
@@ -70,9 +68,3 @@ def read_learning(folder: Path, task: str = "speed") -> Learning:
             raise ValueError(f"{path} must be the log of a training run, got {reason}") from error
         found[seed] = steps, values
     return found
-
-
-def fronts() -> dict[str, list[tuple[float, float]]]:
-    """The known Pareto fronts of the nominal plant: pairs of cost of transport and mean speed (cm/s), slowest first."""
-    gaits = [(gait.cost_of_transport, gait.mean_speed) for gait in pareto_front()]
-    return {"best-known gaits": gaits, "optimum": optimal_front()}

@@ -10,16 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from agents.analysis.data import SPEED, Learning, fronts
+from agents.analysis.data import SPEED, Learning
 from agents.leaderboard.rows import Row
 from baselines.drawing import BLUE, GREEN, INK, MUTED, VERMILION, Pen, add_note, new_figure, save, style
+from baselines.dynamic_programming.archive import optimal_front
 from baselines.evaluation.episodes import TABLE_METRICS, TableMetric
 from baselines.evaluation.statistics import Curve, estimate, learning_curve, performance_profile
 
 # Sets with random, constant plants, and their pens.
 PROFILED_SETS = ("paper", "wide")
 PENS = (Pen(BLUE), Pen(VERMILION, (0.0, (5.0, 1.6))))
-FRONT_PENS = (Pen(MUTED), Pen(GREEN, (0.0, (5.0, 1.6))))
 FAINT = "#c5ccd6"
 # Distance between labels next to a scatter plot, relative to its height.
 LABEL_SPACING = 0.048
@@ -104,16 +104,14 @@ def draw_learning(learning: Mapping[str, Learning], metric: TableMetric = TABLE_
 
 
 def draw_transport(rows: Sequence[Row]) -> Any:
-    """Draws speed against cost of transport on the nominal plant, with the known fronts."""
+    """Draws speed against cost of transport on the nominal plant, with the front of dynamic programming."""
     from matplotlib.ticker import LogLocator
 
     figure = new_figure(max(4.4, 1.4 + 0.145 * len(rows)))
     # Room for the labels on the right, whose width the layout underestimates.
     figure.get_layout_engine().set(rect=(0.0, 0.0, 0.985, 1.0))
     axes = figure.subplots()
-    for (name, points), pen in zip(fronts().items(), FRONT_PENS, strict=True):
-        x, y = zip(*points, strict=True)
-        axes.plot(x, y, **pen.line(marker=".", markersize=4.0, linewidth=1.0, label=f"front of the {name}"))
+    axes.plot(*zip(*optimal_front(), strict=True), ".-", color=GREEN, markersize=4.0, label="dynamic programming")
     marks, absent = [], []
     for row in rows:
         cost, speed = (estimate(row.score("nominal", metric)) for metric in ("cost_of_transport", SPEED))
@@ -141,8 +139,8 @@ def draw_transport(rows: Sequence[Row]) -> Any:
     no_progress = f" Without forward progress, and so without a cost: {', '.join(absent)}." if absent else ""
     add_note(
         figure,
-        "Interquartile means over all episodes on nominal. The fronts hold one start, from rest over 33 s: gaits that "
-        f"a search found, none both slower and costlier than another.{no_progress}",
+        "Interquartile means over all episodes on nominal. Dynamic programming: with energy weights, from one start at "
+        f"rest over 33 s.{no_progress}",
     )
     return figure
 

@@ -24,8 +24,6 @@ from capsule_gym.parameters import DISTURBANCES, REAL, SENSORS, Disturbances
 SIZES = (0.5, 1.0, 2.0, 4.0)
 # Number and first seed of the episodes, on plants of randomization="paper".
 EPISODES, FIRST_SEED = 50, 23_000_000
-# Policies without progress or with failures even without disturbances.
-LEFT_OUT = ("zero", "random")
 
 
 def _sized_as_real(*names: str) -> dict[str, Any]:
@@ -85,7 +83,7 @@ def run(candidates: Sequence[Candidate], horizon: float | None = None) -> dict[s
 
 def document() -> Document:
     """The tables and the figure for all rows."""
-    results = run([each for each in all_candidates() if each.name not in LEFT_OUT])
+    results = run(all_candidates())
     fields = {name: ", ".join(f"`{each}={size}`" for each, size in given.items()) for name, given in DISTURBED.items()}
     fields[ALL] = '`disturbances="real"`'
     sizes = markdown_table([["disturbance", "at the size 1"], *([name, text] for name, text in fields.items())])

@@ -25,11 +25,10 @@ class Args:
     Finished runs are skipped. Ctrl-C stops; the best policy so far is in the run's folder.
 
     Examples:
-      python -m agents.distillation --seeds {0..4}
-      python -m agents.distillation dp-distilled-wide --seeds 0
+      python -m agents.distillation dp-distilled-wide --seeds {0..4}
     """
 
-    name: Annotated[Positional[str], arg(metavar="NAME", help=f"One of {', '.join(STUDENTS)}.")] = "dp-distilled"
+    name: Annotated[Positional[str], arg(metavar="NAME", help=f"One of {', '.join(STUDENTS)}.")]
     seeds: Annotated[tuple[int, ...], arg(metavar="N")] = (0, 1, 2)
     """Training seeds."""
     runs: Path = RUNS

@@ -118,7 +118,7 @@ class Network:
             env_kwargs=student.env_kwargs,
             training_seed=seed,
             revision=revision,
-            identifies=student.identifies,
+            identifies=True,
         )
 
 

@@ -1,8 +1,8 @@
 """The data of distillation: states that expert and student visit, and the regret of every torque in these states.
 
 The expert is the optimum of the episode's plant, `baselines.dynamic_programming.policy.Oracle`. It observes M and mu.
-From a student, M and mu are hidden: it learns the torque with the least mean regret over the plants that a state may
-belong to. A student with `identifies=True` also observes the online estimates of `capsule_gym.observation`.
+From a student, M and mu are hidden: it observes the online estimates of `capsule_gym.observation`, and learns the
+torque with the least mean regret over the plants that a state may belong to.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from capsule_gym import CapsuleVectorEnv
 from capsule_gym._core import CELLS, ESTIMATES
 from capsule_gym.config import EnvConfig
 from capsule_gym.network import make_header, write_inputs
-from capsule_gym.parameters import NOMINAL, Randomization
+from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
 from capsule_gym.resets import draw_plant
 from capsule_gym.task import CONTROL_DT
 
@@ -52,9 +52,9 @@ def collect(
     """
     count, none = student.num_envs, AutoresetMode.DISABLED
     env = CapsuleVectorEnv(num_envs=count, autoreset_mode=none, **{**student.env_kwargs, "observe_parameters": True})
-    expert = Oracle(count, grid=student.grid, law=student.law)
+    expert = Oracle(count, student.grid)
     shape: dict[str, Any] = {"layers": 1, "relu": False, "tanh_squashing": True, "clip": 1.0}
-    shape |= {"identifies": student.identifies, "observes_energy_weight": False, "outputs_torque": False}
+    shape |= {"identifies": True, "observes_energy_weight": False, "outputs_torque": False}
     header = make_header(EnvConfig(**student.env_kwargs), **shape)
     observed, memory = int(header["observed"]), np.zeros(count * CELLS)
     given = np.zeros((count, int(header["inputs"])), np.float32)
@@ -64,10 +64,8 @@ def collect(
     inputs, regrets = [], []
     for _ in range(student.steps):
         write_inputs(header, observations, memory, given)
-        scores = expert.scores(observations, env.simulation)
-        margins = np.full((count, 1), student.margin)
-        if student.deviations:
-            margins += student.deviations * NOMINAL.g * given[:, [M_DEVIATION]]
+        scores = expert.scores(observations)
+        margins = np.full((count, 1), student.margin) + student.deviations * NOMINAL.g * given[:, [M_DEVIATION]]
         scores -= student.max_regret * np.clip(1.0 - expert.normal_force / margins, 0.0, 1.0)
         regret = np.minimum(scores.max(axis=1, keepdims=True) - scores, student.max_regret).astype(np.float32)
         inputs.append(given[running])
@@ -90,10 +88,9 @@ def _plant_changes(student: Student, rng: np.random.Generator) -> dict[str, Any]
     """The options of a reset: the times at which M and mu change within an episode, and their new values."""
     if not student.change_rate:
         return {}
-    distribution = Randomization.named(student.change_randomization or student.randomization)
     seconds, changes = student.steps * CONTROL_DT, []
     for _ in range(student.num_envs):
         times = np.sort(rng.uniform(0.0, seconds, rng.poisson(student.change_rate * seconds))).tolist()
-        plants = [draw_plant(distribution, NOMINAL, rng) for _ in times]
+        plants = [draw_plant(RANDOMIZATIONS["wide"], NOMINAL, rng) for _ in times]
         changes.append([{"t": t, "M": M, "mu": mu} for t, (M, mu) in zip(times, plants, strict=True)])
     return {"changes": changes}

@@ -76,12 +76,17 @@ def wrapped_env(config: Config, env_kwargs: Mapping[str, Any], steps: int) -> gy
     return Monitor(env)
 
 
-def make_env(config: Config, seed: int) -> VecNormalize:
+def make_env(config: Config, seed: int, **changes: Any) -> VecNormalize:
     """Creates the training environments with normalised observations and, for PPO, normalised rewards.
+
+    Args:
+        config: the configuration.
+        seed: of the environments.
+        **changes: other arguments of the environment, for example ranges that were identified.
 
     A wrong argument of the environment raises a TypeError or ValueError that names it.
     """
-    kwargs = config.env_kwargs()
+    kwargs = {**config.env_kwargs(), **changes}
     # Only for training: policies are selected with `residual_limit`, and the task's commands and sensors.
     if config.training_limit is not None:
         kwargs["residual_limit"] = config.training_limit

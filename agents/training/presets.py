@@ -15,7 +15,7 @@ OFF_POLICY: dict[str, Any] = {
 # With only the default start, training converges to a one-sided gait; without correlated noise or without
 # `observation_scale`, it mostly converges to a narrow gait (docs/algorithms.md).
 DIRECT_OFF_POLICY: dict[str, Any] = {
-    **{"total_steps": 500_000, "evaluate_every": 20_000},
+    **{"total_steps": 400_000, "evaluate_every": 40_000},
     **{"initial_range": (1.047, 8.0), "episode_seconds": 4.0, "termination_penalty": 10.0},
     **{"learning_rate": 1e-3, "num_envs": 32, "batch_size": 256, "learning_starts": 2000, "n_steps": 3, "tau": 0.005},
     **{"action_noise": 0.25, "noise_time": 0.25, "observation_scale": (2.0, 0.25, 6.0)},
@@ -79,54 +79,31 @@ ENV_PRESETS: dict[Environment, Config] = {
     ),
 }
 
-# Residuals on a gait: small residuals with little noise.
-ON_GAIT = _vary(
-    PPOConfig(controller="baselines:gait", residual_limit=0.75, episode_seconds=10.0),
-    {"total_steps": 1_000_000, "num_envs": 256, "n_steps": 64, "gamma": 0.9975, "evaluate_every": 100_000},
-    {"learning_rate": 3e-4, "final_learning_rate": 3e-5, "log_std_init": -1.2},
-)
-LARGE_BATCHES: dict[str, Any] = {"n_steps": 128, "batch_size": 4096, "learning_rate": 1e-3}
+# Residuals on a fast law: little noise.
 ON_PREDICTION = _vary(
-    ON_GAIT,
-    {"controller": "baselines:gait_predictive", "disturbances": "real", "randomization": "real-wide"},
-    {**LARGE_BATCHES, "residual_limit": 1.0, "total_steps": 2_000_000, "termination_penalty": 100.0},
+    PPOConfig(controller="baselines:gait_predictive", disturbances="real", randomization="real-wide"),
+    {"residual_limit": 1.0, "episode_seconds": 10.0, "termination_penalty": 100.0, "total_steps": 2_000_000},
+    {"num_envs": 256, "n_steps": 128, "batch_size": 4096, "gamma": 0.9975, "log_std_init": -1.2},
+    {"learning_rate": 1e-3, "final_learning_rate": 3e-5},
     # Without latencies from 0 on, one of five seeds failed where the sensors have none.
     {"latency_range": (0.0, 0.015), "privileged": True, "evaluate_every": 250_000, "evaluation_episodes": 512},
 )
-FRUGAL = PPOConfig(task="direct", controller=None, num_envs=256, n_steps=64)
-# Keys are the names of the folders in agents/checkpoints; each run sets its own seed. All committed policies but those
-# of residual-ppo, direct-ppo and residual-real are of an earlier revision, whose PPO had more options.
+# Keys are the names of the folders in agents/checkpoints; each run sets its own seed.
 ROWS: dict[str, Config] = {
     "residual-ppo": PRESETS["residual", "ppo"],
     "direct-ppo": PRESETS["direct", "ppo"],
-    "direct-ppo-wide": _vary(PRESETS["direct", "ppo"], {"randomization": "wide"}),
-    "direct-sac": PRESETS["direct", "sac"],
-    "residual-on-gait": ON_GAIT,
-    "residual-on-gait-wide": _vary(ON_GAIT, {"randomization": "wide"}),
-    "residual-identifying": _vary(
-        ON_GAIT,
-        {"controller": "baselines:gait_identifying", "randomization": "wide", "residual_limit": 1.5},
-        {**LARGE_BATCHES, "total_steps": 8_000_000, "termination_penalty": 50.0, "evaluate_every": 1_000_000},
-    ),
+    "direct-ppo-wide": _vary(PRESETS["direct", "ppo"], {"randomization": "wide", "observe_estimates": True}),
+    "direct-tqc": PRESETS["direct", "tqc"],
     "residual-real": _vary(ON_PREDICTION, {"randomization": "real"}),
     "residual-real-wide": ON_PREDICTION,
+    # With the default start, or a discount factor of 0.9975, the swings stay narrow: 12 to 15 cm/s.
     "direct-real": _vary(
-        FRUGAL,
-        {"disturbances": "real", "randomization": "real", "stack_size": 8, "hidden": 128, "batch_size": 4096},
-        {"total_steps": 15_000_000, "gamma": 0.9975, "termination_penalty": 100.0},
-        {"evaluate_every": 1_000_000, "evaluation_episodes": 1024},
+        PRESETS["direct", "ppo"],
+        {"disturbances": "real", "randomization": "real", "stack_size": 8, "initial_range": (1.047, 8.0)},
+        {"total_steps": 8_000_000, "hidden": 128, "evaluate_every": 1_000_000, "evaluation_episodes": 512},
     ),
-    "efficient": _vary(FRUGAL, {"total_steps": 4_000_000, "energy_weight": 3.5}),
-    "pareto": _vary(FRUGAL, {"total_steps": 10_000_000, "energy_weight": 1.0}),
+    "efficient": _vary(PRESETS["direct", "ppo"], {"energy_weight": 3.75}),
     "goal": ENV_PRESETS["CapsuleGoal-v0"],
-    # Little noise: noise of 1 % of the torque would keep the platform from resting on this floor.
-    "residual-on-pulses": _vary(
-        ON_GAIT,
-        {"env": "CapsuleGoal-v0", "controller": "baselines:goal_pulses", "static_ratio": 1.0, "residual_limit": 0.5},
-        {"energy_weight": 0.0, "termination_penalty": 10.0, "episode_seconds": 8.0, "log_std_init": -4.5},
-        {"total_steps": 10_000_000, "n_steps": 128, "batch_size": 4096, "final_learning_rate": 1e-5},
-        {"gamma": 0.995, "gae_lambda": 0.995, "evaluate_every": 500_000, "evaluation_episodes": 1024},
-    ),
     "velocity": ENV_PRESETS["CapsuleVelocity-v0"],
 }
 

@@ -20,7 +20,6 @@ from baselines.dynamic_programming.grid import clamped, coordinates, find_cells,
 from baselines.dynamic_programming.problem import NOMINAL_MARGIN, Problem, Transitions, plant_problems
 from baselines.dynamic_programming.solver import cell_curvature
 from capsule_gym.parameters import NOMINAL
-from capsule_gym.simulation import Simulation
 
 Act = Callable[[np.ndarray], np.ndarray]
 
@@ -59,28 +58,25 @@ class Lookahead:
     """The policy on the nominal plant, for `count` environments; its torques leave a `margin` of normal force, N.
 
     The values of several problems, all of one static ratio, are interpolated; those of a single problem are used
-    unchanged. `law` is the argument of `Transitions`.
+    unchanged.
     """
 
-    def __init__(self, count: int, margin: float, *problems: Problem, law: tuple[str, float] | None = None) -> None:
+    def __init__(self, count: int, margin: float, *problems: Problem) -> None:
         self._tables = _tables(*problems)
         assumed = Problem(margin=margin, static_ratio=problems[0].static_ratio)
-        self._transitions, self._with_law = Transitions(assumed, count * NUM_TORQUES, law), law is not None
+        self._transitions = Transitions(assumed, count * NUM_TORQUES)
         self._actions = np.tile(TORQUES.astype(np.float64), count)
         self._q = np.full(count, NOMINAL.m * NOMINAL.l / (NOMINAL.M + NOMINAL.m))
         self._corners, self._weights = np.zeros((count, 1), np.int64), np.ones((count, 1))
 
-    def scores(self, observations: np.ndarray, simulation: Simulation | None = None) -> np.ndarray:
+    def scores(self, observations: np.ndarray) -> np.ndarray:
         """The score of each torque: its reward plus the value of the next state, cm; `FAILURE_SCORE` if it fails.
 
-        Observations begin with theta, theta_dot and x_dot. A law, which has a memory, requires the `simulation` of the
-        environments.
+        Observations begin with theta, theta_dot and x_dot.
 
         Returns:
             Shape (count, torques), float64, in the order of `TORQUES`.
         """
-        if self._with_law and simulation is not None:
-            self._transitions.take_over(simulation)
         states = np.repeat(observations[:, :3].T.astype(np.float64), NUM_TORQUES, axis=1)
         ends, rewards, failed = self._transitions.step(states, self._actions)
         # A failed step may end in NaN, which has no cell.
@@ -117,13 +113,13 @@ class Oracle(Lookahead):
     The values are interpolated between the plants of a grid, which has the static ratio of the observed plants.
     """
 
-    def __init__(self, count: int, grid: PlantGrid = GRID, law: tuple[str, float] | None = None) -> None:
-        super().__init__(count, MIN_NORMAL_FORCE, *plant_problems(grid), law=law)
+    def __init__(self, count: int, grid: PlantGrid = GRID) -> None:
+        super().__init__(count, MIN_NORMAL_FORCE, *plant_problems(grid))
         self._grid = grid
         self._observed = np.zeros((count, 2), np.float32)
         self._corners, self._weights = np.zeros((count, 4), np.int64), np.zeros((count, 4))
 
-    def scores(self, observations: np.ndarray, simulation: Simulation | None = None) -> np.ndarray:
+    def scores(self, observations: np.ndarray) -> np.ndarray:
         """`Lookahead.scores` on the observed plants."""
         plants = observations[:, -2:]
         # On most steps no plant has changed.
@@ -136,7 +132,7 @@ class Oracle(Lookahead):
             cells = [self._grid.cell(*plant) for plant in zip(M[changed].tolist(), mu[changed].tolist(), strict=True)]
             self._corners[changed], a, b = (np.array(each) for each in zip(*cells, strict=True))
             self._weights[changed] = np.stack([(1.0 - a) * (1.0 - b), (1.0 - a) * b, a * (1.0 - b), a * b], axis=1)
-        return super().scores(observations, simulation)
+        return super().scores(observations)
 
 
 def start_nominal(seeds: Sequence[int]) -> Act:

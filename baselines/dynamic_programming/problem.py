@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from baselines.archive import GRID, STICKY_GRID, PlantGrid
 from capsule_gym.config import DIRECT_PHYSICS_DT, EnvConfig
-from capsule_gym.layout import LANES, Row
+from capsule_gym.layout import Row
 from capsule_gym.parameters import NOMINAL, Capsule
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA
@@ -90,15 +90,11 @@ PROBLEMS = (
 class Transitions:
     """A batch of environments that takes one step from each of `count` states under any torques.
 
-    All states have the plant of the problem; `set_plants` sets others. `law` is the name of a control law to whose
-    torque the actions are added, and the residual limit, N m.
+    All states have the plant of the problem; `set_plants` sets others.
     """
 
-    def __init__(self, problem: Problem, count: int, law: tuple[str, float] | None = None) -> None:
-        options = problem.options
-        if law:
-            options = replace(options, physics_dt=None, controller=law[0], residual_limit=law[1])
-        self._simulation = Simulation(count, options)
+    def __init__(self, problem: Problem, count: int) -> None:
+        self._simulation = Simulation(count, problem.options)
         self._simulation.reset(np.arange(count))
         self._zeros = np.zeros(count)
         self.margin = problem.margin
@@ -108,12 +104,6 @@ class Transitions:
         """Gives every state a plant of its own: M in kg and mu, shape (count,)."""
         self._simulation.write(Row.M, M)
         self._simulation.write(Row.mu, mu)
-
-    def take_over(self, simulation: Simulation) -> None:
-        """Copies the episodes of a simulation with the same law, each to `count / num_envs` adjacent environments."""
-        places = np.arange(self._simulation.num_envs)
-        columns = simulation.columns(places * simulation.num_envs // places.size)
-        self._simulation.world[places // LANES, :, places % LANES] = columns.T
 
     @property
     def normal_force(self) -> np.ndarray:

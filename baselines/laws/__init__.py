@@ -37,17 +37,12 @@ LAWS = {
         "feedback-linearising-optimal-profile",
         "the fastest profile (9) with 1.5 N m and without Principle 4, feedback linearisation (35)",
     ),
-    "compliant": Law("adaptive", "compliant", "the paper's profile (9), adaptive law (39) with low gains"),
     "epc": Law("feedback_linearisation", "epc", "the EPC profile, feedback linearisation (35)"),
-    "gait": Law("gait", "gait-guarded", "a gait at 1 kHz that does not observe the plant, with a guard of the contact"),
-    "gait_identifying": Law(
-        "gait", "gait-identifying", "gait-guarded, whose guard identifies how light the platform is"
+    "gait": Law(
+        "gait", "gait-guarded", "a gait at 1 kHz that does not observe the plant; a guard of the contact estimates M"
     ),
     "gait_predictive": Law(
         "predictive", "gait-predictive", "gait-guarded on a state that an observer and a predictor of the latency give"
-    ),
-    "adaptive_predictive": Law(
-        "predictive", "adaptive-predictive", "adaptive on a state that an observer and a predictor of the latency give"
     ),
     "open_loop": Law("periodic", "open-loop", "torque as a function of time alone, tuned without disturbances"),
     "open_loop_real": Law("periodic", "open-loop-real", "torque as a function of time alone, tuned under disturbances"),

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from baselines.laws.gains import (
-    COMPLIANT,
     PUBLISHED,
     REGULARISED,
     UNREGULARISED,
@@ -174,11 +173,3 @@ def adaptive_as_published() -> Controller:
 def adaptive_optimal_profile() -> Controller:
     """The adaptive law along the fastest profile (9) that satisfies Principles 1 to 4 with 1.5 N m."""
     return adaptive(optimal(1.5), name="adaptive-optimal-profile")
-
-
-def compliant() -> Controller:
-    """The adaptive law with low gains, which hardly counteract a residual torque.
-
-    K1 Lambda_theta is 0.2 N m/rad instead of 15.6, and the non-collocated terms are zero.
-    """
-    return adaptive(**COMPLIANT._asdict(), name="compliant")

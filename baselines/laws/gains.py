@@ -23,8 +23,6 @@ class Gains(NamedTuple):
 
 # Sect. 5.
 PUBLISHED = Gains(Lambda_theta=12.0, Lambda_x=30.0, K1=1.3, K2=10.0, K3=50.0, Gamma_1=0.1, Gamma_2=0.1)
-# Gains of `compliant`.
-COMPLIANT = Gains(Lambda_theta=4.0, Lambda_x=PUBLISHED.Lambda_x, K1=0.05, K2=0.0, K3=0.0, Gamma_1=0.0, Gamma_2=0.0)
 
 
 class Choices(NamedTuple):

@@ -1,8 +1,8 @@
 """A gait without a clock as a `Controller`: the torque is a polynomial of the state, and a guard keeps the contact.
 
-The law does not observe the plant and follows no reference. `python -m baselines.gaits --law` has found the
-numbers in `gait.json`. The guard of `gait_identifying` identifies a platform that is lighter than those of the search
-by the momentum that the pendulum gives it.
+The law does not observe the plant and follows no reference. `python -m baselines.gaits` has found the numbers in
+`gait.json`. The guard identifies a platform that is lighter than those of the search by the momentum that the pendulum
+gives it.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from capsule_gym.task import TORQUE_LIMIT
 FILE = Path(__file__).with_name("gait.json")
 # In the order of the core: the coefficients phi_ijk of theta^i theta_dot^j x_dot^k and of the step in the direction of
 # slip; the guard's gain in N m s^2, and the theta_dot^2 cos(theta), 1/s^2, from which it acts.
-PARAMETERS = tuple(name for name in _core.LAWS["gait"][0].split() if name != "torque_limit")
+PARAMETERS = tuple(_core.LAWS["gait"][0].partition(" torque_limit")[0].split())
 COEFFICIENTS = PARAMETERS[:-2]
-# The guard is designed for this mass of the platform and all larger ones, kg.
+# The parameters were searched on platforms of this mass and larger ones, kg.
 _WIDE = RANDOMIZATIONS["wide"].M
 assert _WIDE is not None
 LIGHTEST = _WIDE[0]
@@ -49,6 +49,8 @@ def gait_constants(parameters: Sequence[float]) -> dict[str, float]:
 def gait(parameters: Sequence[float] | None = None) -> Controller:
     """The gait: its torque is a function of theta, theta_dot and x_dot. It does not observe M and mu.
 
+    Its guard estimates M while the platform slips and acts earlier on platforms lighter than those of `wide`.
+
     Args:
         parameters: numbers in the order of `PARAMETERS`; None for those of `gait.json`.
 
@@ -56,17 +58,8 @@ def gait(parameters: Sequence[float] | None = None) -> Controller:
         TypeError: if a parameter is not a number.
         ValueError: if a parameter is not finite, or their number is wrong.
     """
-    return Controller("gait", CoreLaw("gait", **gait_constants(_checked(parameters))), NO_REFERENCE)
-
-
-def gait_identifying(parameters: Sequence[float] | None = None) -> Controller:
-    """The gait with a guard that estimates M while the platform slips and acts earlier on light platforms.
-
-    On platforms within the range of `wide`, once M is estimated, the torque is that of `gait`, also for `parameters`.
-    """
-    m, l, g = NOMINAL.m, NOMINAL.l, NOMINAL.g
-    constants = gait_constants(_checked(parameters))
-    law = CoreLaw("gait_identifying", **constants, m=m, l=l, g=g, lightest=LIGHTEST, dt=LAW_DT)
+    pendulum = {name: getattr(NOMINAL, name) for name in ("m", "l", "g")}
+    law = CoreLaw("gait", **gait_constants(_checked(parameters)), **pendulum, lightest=LIGHTEST, dt=LAW_DT)
     return Controller(law.name, law, NO_REFERENCE, memory=(0.0,) * law.cells)
 
 

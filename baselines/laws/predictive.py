@@ -1,4 +1,4 @@
-"""Control laws for late, noisy measurements and a lagging motor: an observer and a predictor around other laws.
+"""A control law for late, noisy measurements and a lagging motor: an observer and a predictor around the gait.
 
 The sensors show an earlier state. An observer with fixed gains estimates it, and the nominal model predicts from it,
 with the torques returned since, the state at which the next torque acts. M, mu and the bias of the measured x_dot are
@@ -7,13 +7,11 @@ estimated on the way. The position is not measured.
 
 from __future__ import annotations
 
-from baselines.laws.adaptive import adaptive, constants_of
-from baselines.laws.gains import PUBLISHED, REGULARISED, plant_constants
+from baselines.laws.gains import plant_constants
 from baselines.laws.gait import LIGHTEST, NO_REFERENCE, gait_constants, known_parameters
 from capsule_gym.config import LAW_DT
 from capsule_gym.controller import Controller, CoreLaw
 from capsule_gym.parameters import NOMINAL
-from capsule_gym.task import TORQUE_LIMIT
 
 # The friction coefficient at first.
 FIRST_MU = 0.02
@@ -28,15 +26,3 @@ def gait_predictive() -> Controller:
     law = CoreLaw("gait_predictive", **constants, lightest=LIGHTEST, dt=LAW_DT)
     memory = (*ESTIMATE, *(0.0,) * (law.cells - len(ESTIMATE)))
     return Controller(law.name, law, NO_REFERENCE, memory)
-
-
-def adaptive_predictive() -> Controller:
-    """The regularised adaptive law (39) on the state of the observer and predictor.
-
-    Its x is the integral of the predicted x_dot.
-    """
-    base = adaptive()
-    constants = constants_of(PUBLISHED, REGULARISED, NOMINAL.plant(), base.reference, base.dt)
-    law = CoreLaw("adaptive_predictive", **constants, torque_limit=TORQUE_LIMIT)
-    queue = (0.0,) * (law.cells - len(ESTIMATE) - len(base.memory) - 1)
-    return Controller(law.name, law, base.reference, (*ESTIMATE, *queue, *base.memory, 0.0), base.dt)

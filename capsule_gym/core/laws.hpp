@@ -22,5 +22,5 @@ struct NoLaw {
 }  // namespace LEVEL
 
 #define CAPSULE_LAWS(LAW)                                                                                              \
-  LAW(NoLaw) LAW(Adaptive) LAW(FeedbackLinearising) LAW(Gait) LAW(GaitCandidate) LAW(GaitIdentifying)                  \
-  LAW(GaitPredictive) LAW(AdaptivePredictive) LAW(GoalPulses) LAW(VelocityPulses) LAW(Tracking) LAW(Oscillator)
+  LAW(NoLaw) LAW(Adaptive) LAW(FeedbackLinearising) LAW(Gait) LAW(GaitCandidate) LAW(GaitPredictive)                   \
+  LAW(GoalPulses) LAW(VelocityPulses) LAW(Tracking) LAW(Oscillator)

@@ -48,10 +48,3 @@ EXPORT(act) double act(const double* packed, double* memory) {
   return action;
 }
 
-// Functions for what JavaScript computes.
-EXPORT(log) double log(double x) { return web::log(x); }
-EXPORT(sin) double sin(double x) { return web::sincos(x).sin; }
-EXPORT(cos) double cos(double x) { return web::sincos(x).cos; }
-EXPORT(cubic) double cubic(const double* parameters, double theta, double theta_dot, double x_dot) {
-  return web::cubic(theta, theta_dot, x_dot, web::load<web::GaitCandidate::Parameters<double>>(parameters));
-}

@@ -4,8 +4,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from capsule_gym import Controller, Policy
+from capsule_gym import Controller
 from capsule_gym.policy import POLICY
+from tests.capsule_gym import test_policy as policies
 
 PLANTS = {
     "name": "tiny",
@@ -67,21 +68,9 @@ quiet = Controller("quiet", no_torque, np.zeros((1, 2)))
 def make_policy(seed=0, **changes):
     """A policy with one layer that pumps energy into the pendulum, a little more with each seed."""
     weights = np.array([[-1.0, 0.05 + 0.02 * seed, 0.0, 0.0, 0.0]], np.float32)
-    fields = {
-        "name": "learnt",
-        "algorithm": "ppo",
-        "layers": ((weights, np.full(1, 0.1, np.float32)),),
-        "activation": "tanh",
-        "squashing": "clip",
-        "mean": np.zeros(5),
-        "variance": np.ones(5),
-        "clip": 10.0,
-        "epsilon": 1e-8,
-        "env_kwargs": {"randomization": "wide"},
-        "training_seed": seed,
-        "revision": "0123456789ab",
-    }
-    return Policy(**{**fields, **changes})
+    fields = {"name": "learnt", "layers": ((weights, np.full(1, 0.1, np.float32)),), "training_seed": seed}
+    plain = {"mean": np.zeros(5), "variance": np.ones(5), "env_kwargs": {"randomization": "wide"}}
+    return policies.make_policy(**{**plain, **fields, **changes})
 
 
 def write_run(folder, seed, **changes):

@@ -122,13 +122,6 @@ def test_a_run_worse_than_its_row_names_a_likely_reason(tmp_path, changes, theta
     assert reason is None or f"A likely reason: {reason}" in text
 
 
-def test_a_run_of_no_published_kind_is_compared_with_no_row(tmp_path):
-    config = dataclasses.replace(ROWS["direct-ppo"], energy_weight=0.123)
-    content = {"task": "direct", "algo": "ppo", "hyperparameters": config.to_dict()}
-    (tmp_path / "config.json").write_text(json.dumps(content))
-    assert report.compare_to_row(tmp_path, [], load_set("paper"), np.zeros(10)) == ""
-
-
 @pytest.mark.parametrize("limit", [1.5, 1.0])
 def test_a_recording_is_the_motion_of_the_episode(limit):
     law = {} if limit == 1.5 else {"controller": "baselines:adaptive", "residual_limit": limit}
@@ -139,13 +132,6 @@ def test_a_recording_is_the_motion_of_the_episode(limit):
     assert found["t"][-1] == pytest.approx(1.0) and found["t"].shape == found["torque"].shape
     assert np.abs(found["torque"]).max() <= episode["peak_torque"]
     assert len({picture.tobytes() for picture in pictures}) == len(pictures) > 20
-
-
-def test_a_recording_ends_with_its_episode():
-    policy, one = Sine(1.5, period=10.0, name="wild"), EvaluationSet("one", (PLANT,))
-    found, _ = report.record(policy, PLANT, one, 2.0)
-    (episode,) = evaluate(policy, one, horizon=2.0)
-    assert -1e-9 <= found["t"][-1] - episode["duration"] < 0.02
 
 
 def test_two_policies_of_one_name_are_refused(tmp_path):
@@ -162,12 +148,3 @@ def test_a_link_out_of_a_runs_folder_is_no_part_of_its_page(tmp_path):
     log.symlink_to(tmp_path / "private.csv")
     with pytest.raises(ValueError, match=r"evaluations.csv must be a file in the run's folder.*private.csv"):
         report.find_run(str(tmp_path / "run"))
-
-
-def test_an_existing_file_is_kept(capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "there.html").write_text("mine")
-    with pytest.raises(SystemExit):
-        report.main(["adaptive", "-o", "there.html"])
-    assert "--output must name a new file unless --overwrite is given" in capsys.readouterr().err
-    assert (tmp_path / "there.html").read_text() == "mine"

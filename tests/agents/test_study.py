@@ -22,18 +22,6 @@ def job(folder, seed=0, **changes):
     return Job("tiny", config, folder / "tiny" / f"seed-{seed}")
 
 
-def test_a_plan_holds_every_row_with_every_seed_first_seeds_first(tmp_path):
-    jobs = plan(["direct-ppo", "direct-sac"], [0, 4], tmp_path)
-    assert [each.name for each in jobs] == [
-        "direct-ppo/seed-0",
-        "direct-sac/seed-0",
-        "direct-ppo/seed-4",
-        "direct-sac/seed-4",
-    ]
-    assert jobs[3].config == dataclasses.replace(ROWS["direct-sac"], seed=4)
-    assert jobs[3].run == tmp_path / "direct-sac" / "seed-4"
-
-
 def test_a_run_with_other_settings_is_not_resumed(tmp_path):
     run = tmp_path / "direct-ppo" / "seed-0"
     run.mkdir(parents=True)

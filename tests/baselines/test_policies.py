@@ -24,11 +24,3 @@ def test_a_law_is_a_controller_and_a_policy_with_a_zero_residual(name):
     policy = SCRIPTED[LAWS[name].policy]
     assert policy.env_kwargs == {"controller": f"baselines:{name}"}
     assert policy.start([0, 1])(np.zeros((2, 10), np.float32)).tolist() == [[0.0], [0.0]]
-
-
-def test_random_actions_depend_on_their_own_seed_alone():
-    observations = np.zeros((2, 5), np.float32)
-    act, again = SCRIPTED["random"].start([3, 4]), SCRIPTED["random"].start([4])
-    first, second = act(observations), act(observations)
-    assert first[1] == again(observations[:1])[0] != first[0] != second[0]
-    assert (np.abs(first) <= 1.0).all() and first.dtype == np.float32

@@ -7,7 +7,7 @@ import importlib
 import numpy as np
 import pytest
 
-from benchmarks import accuracy, measurement, mujoco, throughput, trainers
+from benchmarks import accuracy, measurement, mujoco, throughput, training
 from benchmarks.plain import find_compiler
 from capsule_gym.layout import Row
 from capsule_gym.parameters import Capsule
@@ -32,9 +32,8 @@ def test_bad_arguments_are_refused_before_the_measurement(command, words, messag
 def test_contenders_take_turns_and_the_tenth_percentile_counts() -> None:
     log: list[str] = []
     contenders = {name: lambda name=name: log.append(name) or float(len(log)) for name in "ab"}
-    assert measurement.take_turns(contenders, 3) == {"a": [1.0, 3.0, 5.0], "b": [2.0, 4.0, 6.0]}
-    assert log == ["a", "b"] * 3
-    assert measurement.fastest({"a": np.arange(1.0, 12.0).tolist()}) == {"a": pytest.approx(0.5)}
+    assert measurement.rates(contenders, 11) == {"a": pytest.approx(1.0 / 3.0), "b": pytest.approx(1.0 / 4.0)}
+    assert log == ["a", "b"] * 11
 
 
 def test_a_training_ends_at_its_speed_and_evaluations_cost_nothing(monkeypatch) -> None:
@@ -45,17 +44,17 @@ def test_a_training_ends_at_its_speed_and_evaluations_cost_nothing(monkeypatch) 
         now[0] += 100.0
         return [{"mean_speed": next(speeds), "policy": policy}]
 
-    monkeypatch.setattr(trainers, "evaluate", evaluate)
-    clock = trainers.Clock(0, 15.0, 50.0)
-    for steps, over in ((trainers.EVERY, False), (trainers.EVERY + 1, False), (2 * trainers.EVERY, True)):
+    monkeypatch.setattr(training, "evaluate", evaluate)
+    clock = training.Clock(None, 15.0, 50.0)
+    for steps, over in ((training.EVERY, False), (training.EVERY + 1, False), (2 * training.EVERY, True)):
         now[0] += 1.0
         clock.check(steps, lambda: None)
         assert clock.over is over
-    assert (clock.seconds, clock.steps, clock.speed) == (3.0, 2 * trainers.EVERY, 15.0)
-    clock = trainers.Clock(0, 15.0, 0.5)
+    assert (clock.seconds, clock.steps, clock.speed) == (3.0, 2 * training.EVERY, 15.0)
+    clock = training.Clock(None, 15.0, 0.5)
     speeds = iter([1.0])
     now[0] += 1.0
-    clock.check(trainers.EVERY, lambda: None)
+    clock.check(training.EVERY, lambda: None)
     assert clock.over and clock.speed == 1.0
 
 
@@ -66,8 +65,8 @@ def test_every_ratio_is_measured() -> None:
 
 def test_a_ratio_below_its_floor_fails(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(throughput, "contenders", lambda: {"fast": list, "slow": list, "other": list})
-    monkeypatch.setattr(throughput, "take_turns", lambda turns, _: {name: [seconds[name]] for name in turns})
-    seconds = {"fast": 0.5, "slow": 1.0, "other": 1.0}
+    monkeypatch.setattr(throughput, "rates", lambda turns, _: {name: rates[name] for name in turns})
+    rates = {"fast": 2.0, "slow": 1.0, "other": 1.0}
     for floor, status in ((1.9, 0), (2.1, 1)):
         monkeypatch.setattr(throughput, "FLOORS", {("fast", "slow"): floor, ("fast", "not installed"): 100.0})
         page = tmp_path / "page.md"
@@ -110,7 +109,7 @@ def test_mujoco_has_the_same_plant_and_about_the_same_friction(friction: str | N
     torques = np.random.default_rng(0).uniform(-0.5, 0.5, 100)
 
     def end(mu: float) -> np.ndarray:
-        return accuracy.run(torques[:, None], Capsule(mu=mu), 1e-3)[1:, :, 0]
+        return accuracy.run(torques, Capsule(mu=mu), 1e-3)
 
     mu = 0.1 if friction else 0.0
     model = mujoco.build_model(friction or mujoco.FRICTIONS[0], 1e-3, Capsule(mu=mu), "RK4")

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
 import pytest
 
-from capsule_gym.command_line import Count, Positional, check_output, parse
+from capsule_gym.command_line import Count, Positional, parse
 
 
 @dataclass(frozen=True)
@@ -57,15 +56,3 @@ def test_a_wrong_command_line_ends_with_2_and_says_what_is_wrong(words, said, ca
         read(*words)
     assert ended.value.code == 2
     assert said.lower() in capsys.readouterr().err.lower()
-
-
-def test_outputs_are_refused_before_the_work(tmp_path: Path):
-    path = tmp_path / "out.json"
-    check_output("--json", None)
-    check_output("--json", path)
-    path.touch()
-    check_output("--json", path, overwrite=True)
-    for wrong in (path, tmp_path, tmp_path / "nowhere" / "out.json"):
-        with pytest.raises(ValueError, match=r"--json must name a .*file") as caught:
-            check_output("--json", wrong)
-        assert repr(str(wrong)) in str(caught.value)

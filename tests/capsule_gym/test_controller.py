@@ -14,7 +14,7 @@ import pytest
 from baselines.laws.gains import plant_constants
 from capsule_gym import CapsuleEnv, Controller
 from capsule_gym.controller import CoreLaw, find_controller
-from capsule_gym.layout import ROWS, Row
+from capsule_gym.layout import ROWS
 from capsule_gym.parameters import NOMINAL
 from tests.capsule_gym.fakes import picky_controller
 
@@ -24,18 +24,6 @@ def test_a_law_is_called_at_the_start_and_after_each_interval():
     env.reset(seed=0)
     env.step(np.zeros(1, np.float32))
     assert env.simulation.world[0, ROWS, 0] == 21.0
-
-
-def test_a_single_environment_names_a_law_that_is_not_finite():
-    env = CapsuleEnv(controller=picky_controller)
-    with pytest.raises(ValueError, match=r"control law 'picky' .* in environment 0 \(step 0, state .*'x': -6\.0"):
-        env.reset(seed=0, options={"state": [0.1, 0.0, -6.0, 0.0]})
-    assert np.isfinite(env.simulation.observations).all() and np.isfinite(env.simulation.rows(0, Row.steps)).all()
-    assert env.reset()[1]["law_torque"] == 0.1
-    env.reset(seed=0, options={"state": [-1.0, 0.0, 5.5, 0.0]})
-    with pytest.raises(ValueError, match=r"not finite in environment 0 \(step \d"):
-        for _ in range(3):
-            env.step(np.zeros(1, np.float32))
 
 
 TABLE = r"^Controller\.reference must be a table of finite numbers"
@@ -80,12 +68,6 @@ def importing(theta, theta_dot, x, x_dot, memory, reference):
 
 def law_of(gain):
     return lambda theta, theta_dot, x, x_dot, memory, reference: (gain * theta, memory)
-
-
-def test_the_constants_of_a_law_may_be_of_any_type_that_numba_knows():
-    env = CapsuleEnv(controller=Controller("own", law_of(np.float32(2.0)), np.zeros((1, 2))), torque_limit=5.0)
-    _, info = env.reset(seed=0)
-    assert info["law_torque"] == 2.0 * info["state"][0]
 
 
 GAINS = SimpleNamespace(gain=1.0)
@@ -172,10 +154,6 @@ def test_many_calls_of_a_law_of_the_core_are_single_calls():
     assert pickle.loads(pickle.dumps(law)) == law
 
 
-def call(memory, reference):
-    return CoreLaw("none")(0.0, 0.0, 0.0, 0.0, memory, reference)
-
-
 CONSTANTS = "'gait_candidate' takes the constants torque_limit, got $"
 
 
@@ -185,14 +163,8 @@ CONSTANTS = "'gait_candidate' takes the constants torque_limit, got $"
         (ValueError, lambda: CoreLaw("odd"), "name must be one of none, adaptive, .*, got 'odd'"),
         (TypeError, lambda: CoreLaw("gait_candidate"), CONSTANTS),
         (TypeError, lambda: CoreLaw("feedback_linearising", **LINEARISING, K=1.0), "the constants .*, got .*, K$"),
-        (
-            ValueError,
-            lambda: CoreLaw("gait_candidate", torque_limit=math.nan),
-            "torque_limit must be 1 numbers, got nan",
-        ),
-        (ValueError, lambda: CoreLaw("gait_candidate", torque_limit=(1.0, 2.0)), "torque_limit must be 1 numbers"),
-        (ValueError, lambda: call((0.0, 0.0), (0.0, 0.0)), "must have the shapes"),
-        (ValueError, lambda: call((0.0,), (0.0,)), "must have the shapes"),
+        (ValueError, lambda: CoreLaw("gait_candidate", torque_limit=math.nan), "must be 1 numbers, got nan"),
+        (ValueError, lambda: CoreLaw("none")(0.0, 0.0, 0.0, 0.0, (0.0, 0.0), (0.0, 0.0)), "must have the shapes"),
     ],
 )
 def test_invalid_constants_and_shapes_raise_an_error(error, make, message):

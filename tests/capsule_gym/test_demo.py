@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from capsule_gym import Capsule, demo
+from capsule_gym import demo
 from capsule_gym.demo import NAMES, STRENGTH, Episode, Keyboard, find_policy
 from capsule_gym.env import shown_state
 from capsule_gym.evaluation_sets import load_set
@@ -37,9 +37,9 @@ def state(episode: Episode) -> dict:
 
 
 def test_every_policy_has_one_name_and_acts():
-    assert {"zero", "adaptive", "gait-guarded", "direct-ppo", "keyboard"} <= set(NAMES)
+    assert {"adaptive", "gait-guarded", "direct-ppo", "keyboard"} <= set(NAMES)
     assert len(NAMES) == len(set(NAMES))
-    for name in ("random", "gait-oracle", "dp-oracle", "direct-ppo/seed-2"):
+    for name in ("pd", "lqr", "dp-oracle", "direct-ppo/seed-2"):
         episode = Episode(find_policy(name), PAPER, PLANT)
         episode.advance(0.2)
         assert episode.policy.name in name and state(episode)["torque"] != 0.0
@@ -60,44 +60,34 @@ def test_an_episode_is_the_environments_and_stands_still_at_its_end(name):
     assert (state(episode), episode.time) == (last, time)
 
 
-def test_the_set_decides_which_capsule_is_shown(monkeypatch, tmp_path):
-    shown = []
-    own = SimpleNamespace(name="own", env_kwargs={"capsule": Capsule(l=0.4)}, start=find_policy("zero").start)
-    monkeypatch.setattr(demo, "find_policy", lambda name: own)
-    monkeypatch.setattr(demo, "draw_episode", lambda renderer, args, episode, rival: shown.append(episode) or [])
-    monkeypatch.setattr(demo, "write_gif", lambda pictures, path: None)
-    for name in ("paper", "sticky"):
-        demo.main(["own", "--set", name, "-o", str(tmp_path / "out.gif")])
-    assert [episode.env.simulation.capsule for episode in shown] == [Capsule(), Capsule(static_ratio=1.3)]
-
-
 def test_a_file_has_the_pictures_that_were_asked_for(tmp_path, capsys):
     path = tmp_path / "out.gif"
-    assert demo.main(["direct-ppo", "--rival", "zero", "--seconds", "0.4", "-o", str(path)]) == 0
-    episode = Episode(find_policy("direct-ppo"), PAPER, PLANT)
-    episode.advance(0.4)
-    speed = 100.0 * state(episode)["x"] / 0.4
-    assert capsys.readouterr().out.startswith(f"direct-ppo {speed:.2f} cm/s; zero 0.00 cm/s over 0.4 s on M = ")
+    assert demo.main(["direct-ppo", "--rival", "pd", "--seconds", "0.4", "-o", str(path)]) == 0
+    episodes = [Episode(find_policy(name), PAPER, PLANT) for name in ("direct-ppo", "pd")]
+    for episode in episodes:
+        episode.advance(0.4)
+    speeds = "; ".join(f"{each.policy.name} {100.0 * state(each)['x'] / 0.4:.2f} cm/s" for each in episodes)
+    assert capsys.readouterr().out.startswith(f"{speeds} over 0.4 s on M = ")
     with Image.open(path) as picture:
         assert (picture.n_frames, picture.info["duration"]) == (11, 40)
         first = np.asarray(picture.convert("RGB"))
         picture.seek(10)
         assert (first != np.asarray(picture.convert("RGB"))).any()
     with pytest.raises(SystemExit):
-        demo.main(["zero", "--seconds", "0.1", "-o", str(path)])
+        demo.main(["adaptive", "--seconds", "0.1", "-o", str(path)])
     with Image.open(path) as picture:
         assert picture.n_frames == 11
-    assert demo.main(["random", "--seconds", "0.2", "--speed", "0.5", "-o", str(path), "--overwrite"]) == 0
+    assert demo.main(["pd", "--seconds", "0.2", "--speed", "0.5", "-o", str(path), "--overwrite"]) == 0
     with Image.open(path) as picture:
         assert picture.n_frames == 11
 
 
 def test_a_failure_ends_the_picture_and_the_rival_waits(monkeypatch, tmp_path, capsys):
-    made, policies = [], {"pusher": PUSHER, "zero": find_policy("zero")}
+    made, policies = [], {"pusher": PUSHER, "adaptive": find_policy("adaptive")}
     monkeypatch.setattr(demo, "find_policy", policies.get)
     monkeypatch.setattr(demo, "Episode", lambda *given: made.append(Episode(*given)) or made[-1])
     path = tmp_path / "out.gif"
-    demo.main(["pusher", "--rival", "zero", "-o", str(path)])
+    demo.main(["pusher", "--rival", "adaptive", "-o", str(path)])
     episode, rival = made
     assert episode.end in (Termination.pendulum, Termination.contact) and 0.0 < episode.time < 12.0
     assert rival.time == pytest.approx(episode.time)
@@ -106,7 +96,7 @@ def test_a_failure_ends_the_picture_and_the_rival_waits(monkeypatch, tmp_path, c
 
 def test_the_plant_is_that_of_the_sets_seed():
     def plant(**given):
-        return demo.Args(policy="zero", **given).plant(drift)
+        return demo.Args(policy="adaptive", **given).plant(drift)
 
     drift = load_set("drift")
     assert [plant(), plant(seed=42)] == [drift.plants[0], drift.plants[42]]
@@ -136,14 +126,14 @@ def test_held_keys_apply_torque_and_cancel_each_other(monkeypatch):
     ("words", "said"),
     [
         (["direct-po"], "did you mean 'direct-ppo'?"),
-        (["zero", "--set", "papr"], "got 'papr'; did you mean 'paper'?"),
-        (["zero", "--seed", "400"], "--seed must be one of the set's, 0 to 399, got 400"),
-        (["zero", "--seed", "-1"], "must be an integer >= 0, got '-1'"),
-        (["zero", "--M", "0"], "M must be a finite number"),
-        (["zero", "--seconds", "0"], "--seconds"),
-        (["zero", "--speed", "0"], "--speed must be a number from 0.1 to 20"),
-        (["zero", "-o", "out.mp4"], "--output must name a GIF"),
-        (["zero", "--rival", "keyboard", "-o", "out.gif"], "'keyboard' with --output"),
+        (["adaptive", "--set", "papr"], "got 'papr'; did you mean 'paper'?"),
+        (["adaptive", "--seed", "400"], "--seed must be one of the set's, 0 to 399, got 400"),
+        (["adaptive", "--seed", "-1"], "must be an integer >= 0, got '-1'"),
+        (["adaptive", "--M", "0"], "M must be a finite number"),
+        (["adaptive", "--seconds", "0"], "--seconds"),
+        (["adaptive", "--speed", "0"], "--speed must be a number from 0.1 to 20"),
+        (["adaptive", "-o", "out.mp4"], "--output must name a GIF"),
+        (["adaptive", "--rival", "keyboard", "-o", "out.gif"], "'keyboard' with --output"),
     ],
 )
 def test_bad_arguments_are_refused_in_a_line(words, said, capsys):
@@ -160,7 +150,7 @@ sys.modules["pygame"] = None
 from capsule_gym.demo import main
 main(sys.argv[1:])
 """
-    for name in ("zero", "keyboard"):
+    for name in ("adaptive", "keyboard"):
         done = subprocess.run([sys.executable, "-c", code, name], capture_output=True, text=True, check=False)
         assert done.returncode == 2 and "Traceback" not in done.stderr
         assert 'pip install "capsule-gym[render]"' in done.stderr.splitlines()[-1]
@@ -169,7 +159,7 @@ main(sys.argv[1:])
 def test_the_command_ends_with_its_window_and_by_an_interrupt(monkeypatch):
     events = iter([[], [pygame.event.Event(pygame.QUIT)]])
     monkeypatch.setattr(pygame.event, "get", lambda: next(events))
-    assert demo.main(["keyboard", "--rival", "zero", "--set", "nominal"]) == 0
+    assert demo.main(["keyboard", "--rival", "adaptive", "--set", "nominal"]) == 0
     assert not pygame.display.get_init()
 
     def interrupt() -> None:
@@ -177,5 +167,5 @@ def test_the_command_ends_with_its_window_and_by_an_interrupt(monkeypatch):
 
     monkeypatch.setattr(pygame.event, "get", interrupt)
     with pytest.raises(SystemExit) as ended:
-        demo.main(["zero"])
+        demo.main(["adaptive"])
     assert ended.value.code == 130

@@ -11,7 +11,6 @@ import pytest
 from scipy import stats
 
 from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Controller, Randomization
-from capsule_gym.native import evaluate
 from capsule_gym.parameters import NOMINAL, REAL, Disturbances
 
 CLEAN = Disturbances(stick_threshold=0.0)
@@ -118,13 +117,6 @@ def test_the_errors_of_readings_have_the_sizes_and_the_memory_that_are_asked_for
         assert memory == pytest.approx(math.exp(-0.02 / 0.05), abs=0.02)
         np.testing.assert_allclose(bias[:, :, n], np.broadcast_to(bias[0, :, n], (steps, count)), atol=1e-12)
         assert stats.kstest(bias[0, :, n], stats.uniform(-1.0, 2.0).cdf).pvalue > 1e-3
-
-
-def test_normal_numbers_are_normal():
-    # The bits of whole numbers, which the core mixes to random words.
-    numbers = np.array(evaluate("normals", np.arange(20_000, dtype=np.uint64).view(np.float64)))
-    assert stats.kstest(numbers.ravel(), "norm").pvalue > 1e-3
-    assert abs((numbers[0] * numbers[1]).mean()) < 5.0 / math.sqrt(numbers.shape[1])
 
 
 def proportional(theta, theta_dot, x, x_dot, memory, reference):

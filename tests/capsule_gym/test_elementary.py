@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import math
-import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-import capsule_gym
 from capsule_gym import _core, native
 from capsule_gym.elementary import arccos, log, sincos
 
@@ -24,7 +21,6 @@ def tanh(x):
     return native.evaluate("tanh", x)[0]
 
 
-HEADER = Path(capsule_gym.__file__).with_name("core") / "elementary.hpp"
 HALF_TURN = math.pi / 2
 # Largest errors of ten million random angles of each range, to the last digit.
 NEAR_ERROR, FAR_ERROR = 3.4e-16, 1.2e-15
@@ -75,32 +71,6 @@ def test_every_level_gives_the_same_bits_in_every_form_of_array(level, select_le
     table = values[:4000].reshape(4, 1000)
     assert sincos(table.T[1::2])[0].tolist() == sincos(table)[0].T[1::2].tolist()
     assert [part.shape for part in sincos(np.float64(0.5))] == [(), ()]
-
-
-def coefficients(letter: str) -> list[float]:
-    """The constants S_0, S_1, .. of the header, by their first letter."""
-    return [float(value) for value in re.findall(rf"\b{letter}_\d = ([^,;]+)[,;]", HEADER.read_text("utf-8"))]
-
-
-def interpolate(function, nodes: list) -> list[float]:
-    """The coefficients, from degree 0 on, of the polynomial that interpolates a function at the nodes."""
-    powers = mpmath.matrix([[z**degree for degree in range(len(nodes))] for z in nodes])
-    return [float(c) for c in mpmath.lu_solve(powers, mpmath.matrix([function(z) for z in nodes]))]
-
-
-def chebyshev(count: int) -> list:
-    return [mpmath.cos(mpmath.pi * (2 * k + 1) / (2 * count)) for k in range(count)]
-
-
-def test_the_coefficients_are_the_interpolation_that_the_header_names():
-    with mpmath.workdps(60):
-        wider = mpmath.mpf("1.0001")
-        squares = [(mpmath.pi / 2 * wider) ** 2 * (1 + node) / 2 for node in chebyshev(8)]
-        sine = interpolate(lambda z: (mpmath.sin(mpmath.sqrt(z)) / mpmath.sqrt(z) - 1) / z, squares)
-        cosine = interpolate(lambda z: (mpmath.cos(mpmath.sqrt(z)) - 1 + z / 2) / z**2, squares)
-        parts = [mpmath.log(2) / 2 * wider * node for node in chebyshev(10)]
-        exponential = interpolate(lambda r: (mpmath.expm1(r) - r) / r**2, parts)
-    assert (sine, cosine, exponential) == (coefficients("S"), coefficients("C"), coefficients("E"))
 
 
 def numbers(seed: int, low: float, high: float, count: int) -> list[float]:

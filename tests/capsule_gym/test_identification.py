@@ -15,7 +15,7 @@ from capsule_gym import Capsule, CapsuleEnv, Disturbances, Excitation, identify,
 from capsule_gym.identification import OTHERS
 from capsule_gym.parameters import REAL
 from capsule_gym.recording import read_log
-from capsule_gym.shooting import PLANT, Problem
+from capsule_gym.shooting import Problem
 
 TRUTH = {"M": 0.6, "mu": 0.08, "m": 0.13, "l": 0.31, "k": 0.35, "c": 0.095, "viscous": 0.2, "static_ratio": 1.2}
 OPTIONS = {"randomization": "none", "control_dt": 0.01, "capsule": Capsule(**TRUTH, motor_friction=0.06)}
@@ -217,10 +217,6 @@ def test_record_writes_what_happens(tmp_path):
         record(CapsuleEnv(controller="baselines:gait"), policy)
     late = CapsuleEnv(**{**OPTIONS, "disturbances": Disturbances(latency=0.01, unmeasured=("x_dot",))})
     assert list(record(late, seconds=0.1, seed=0)) == ["t", "torque", "theta", "theta_dot"]
-
-
-def test_names_are_those_of_the_package():
-    assert {*PLANT} < {*vars(Capsule())} and {*OTHERS} < {*vars(REAL)}
 
 
 def test_an_import_of_the_command_does_not_hide_the_function():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 
 import numpy as np
@@ -83,16 +82,6 @@ def test_a_row_is_the_same_alone_and_in_any_batch(relu):
     observations[7, 2] = np.nan
     broken = run(packed, observations)
     assert np.isnan(broken[7]) and np.delete(broken, 7).tobytes() == np.delete(whole, 7).tobytes()
-
-
-@pytest.mark.parametrize("n", [1, TOGETHER])
-def test_threads_share_a_network(n):
-    packed = make_network(make_layers((6, 256, 256, 1)))
-    observations = np.random.default_rng(5).normal(size=(8, 20, n, 6)).astype(np.float32)
-    alone = [[run(packed, rows).tobytes() for rows in batch] for batch in observations]
-    with ThreadPoolExecutor(8) as threads:
-        found = threads.map(lambda batch: [run(packed, rows).tobytes() for rows in batch], observations)
-        assert list(found) == alone
 
 
 def actions_for(wanted: np.ndarray, law_torques: np.ndarray, **changes: float) -> np.ndarray:

@@ -21,12 +21,7 @@ POSITIVE = ("M", "m", "l", "g", "backward_ratio")
 NON_NEGATIVE = ("k", "c", "mu", "viscous", "motor_friction")
 
 
-def test_the_defaults_are_the_papers():
-    own = {"M": 0.5, "m": 0.138, "l": 0.3, "g": 9.81, "k": 0.36, "c": 0.0923, "mu": 0.01}
-    ratios = {"static_ratio": 1.0, "backward_ratio": 1.0, "mass_ratio": 0.138 / 0.638}
-    others = dict.fromkeys(Plant._fields, 0.0)
-    assert Capsule().plant() == Plant(**(others | own | ratios))
-    # A plant is computed in float64 even if its constants were narrower.
+def test_a_plant_is_computed_in_float64_even_if_its_constants_were_narrower():
     narrow = {"M": np.float16(0.5), "m": np.float16(0.1), "l": np.float32(0.3), "c": np.float16(0.01)}
     assert Capsule(**narrow).plant() == Capsule(**{name: float(value) for name, value in narrow.items()}).plant()
 
@@ -45,12 +40,6 @@ def test_constants_out_of_range_are_refused_by_name_value_and_what_is_accepted(f
             Capsule(**{field: value})
     if field in NON_NEGATIVE:
         assert getattr(Capsule(**{field: 0}).plant(), field) == 0.0
-
-
-@pytest.mark.parametrize("value", ["Newton", None, np.array(["newton"] * 2)])
-def test_an_unknown_normal_force_is_refused(value):
-    with pytest.raises(ValueError, match=re.escape(f"Capsule.normal_force must be 'newton' or 'paper', got {value!r}")):
-        Capsule(normal_force=value)
 
 
 def test_painleves_paradox_is_refused_exactly_where_the_slip_equations_can_be_singular():
@@ -131,18 +120,14 @@ def test_the_fastest_rate_bounds_every_eigenvalue_closely(normal_force, close):
 # Randomization
 
 
-PAIR = r" a pair \(low, high\)"
 BAD_RANGES = [
-    *(({name: value}, ValueError, rf"{name}.*{PAIR} of finite numbers with")
-      for name in ("M", "mu") for value in ((0.2, 0.1), (math.nan, 1.0), (0.1, math.inf), (-0.1, 0.2))),
-    *(({name: value}, TypeError, rf"{name}.*{PAIR}") for name in ("M", "mu")
-      for value in (0.1, "ab", (0.1,), (0.1, 0.2, 0.3), ("0.1", "0.2"), (True, 2.0), (None, 0.2))),
+    ({"M": (0.2, 0.1)}, ValueError, r"M.* a pair \(low, high\) of finite numbers with"),
+    ({"mu": (True, 2.0)}, TypeError, r"mu.* a pair \(low, high\)"),
     # Zero is a friction coefficient, but no mass, and has no logarithm.
     ({"M": (0.0, 1.0)}, ValueError, r"M\[0\].*0 < low"),
     ({"mu": (0.0, 0.1), "log_mu": True}, ValueError, r"mu\[0\].*0 < low"),
     ({"mu": (5e-324, 0.1), "log_mu": True}, ValueError, r"mu must span at most a factor of 1e\+300 .*5e-324"),
-    ({"log_mu": 1}, TypeError, r"log_mu must be True or False, got 1"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("fields", "error", "message"), BAD_RANGES)
@@ -157,27 +142,13 @@ def test_every_corner_of_the_ranges_is_checked():
         light_and_rough.corners(Capsule())
     for randomization, capsule in (
         (Randomization(M=(0.05, 1.0)), Capsule(mu=2.0)),
-        (Randomization(mu=(0.0, 2.0)), Capsule(M=0.05)),
         (Randomization(M=(0.1, 1e300)), Capsule()),
-        (Randomization(M=(1e-300, 0.1)), Capsule()),
         (Randomization(mu=(0.0, 1e300)), Capsule()),
     ):
         with pytest.raises(ValueError, match=r"^Randomization\(.*(Painleve|must be a finite number from)"):
             randomization.corners(capsule)
     for randomization in (*RANDOMIZATIONS.values(), Randomization(M=(0.05, 1.0)), Randomization(mu=(0.0, 2.0))):
         randomization.corners(Capsule())
-
-
-def test_named_ranges():
-    assert Randomization.named("none") == Randomization()
-    assert Randomization.named("paper") == Randomization(M=(0.45, 0.55), mu=(0.009, 0.011))
-    assert Randomization.named("wide") == Randomization(M=[0.35, 0.75], mu=np.array([0.005, 0.3]), log_mu=True)
-    assert Randomization.named("broad") == Randomization(M=(0.25, 1.2), mu=(0.002, 0.6), log_mu=True)
-    own = Randomization(M=(0.4, 0.5))
-    assert Randomization.named(own) is own
-    for name, error in (("Wide", ValueError), (None, TypeError)):
-        with pytest.raises(error, match=rf"one of \['broad', 'none', 'paper', .*'wide'\], got {name!r}"):
-            Randomization.named(name)
 
 
 # Options

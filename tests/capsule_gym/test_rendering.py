@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from capsule_gym.parameters import Capsule
-from capsule_gym.rendering import FLOOR, GHOST, HEADER, HEIGHT, WIDTH, Renderer, _number, write_gif
+from capsule_gym.rendering import FLOOR, GHOST, HEADER, HEIGHT, WIDTH, Renderer, write_gif
 
 pygame = pytest.importorskip("pygame")
 Image = pytest.importorskip("PIL.Image")
@@ -74,23 +74,6 @@ def test_another_robot_out_of_the_picture_is_only_named() -> None:
         assert (pixels[STAGE] == GHOST).all(axis=2).any() == shown
         corner = slice(HEADER, HEADER + 40), slice(WIDTH - 200, WIDTH)
         assert (pixels[corner] != frame(x=1.0)[corner]).any()
-
-
-@pytest.mark.parametrize(
-    ("value", "decimals", "text"),
-    [(-0.04, 1, "0.0"), (-1.25, 2, "\N{MINUS SIGN}1.25"), (9999999.4, 0, "9999999"), (123456789.0, 1, "1.2e+08")],
-)
-def test_numbers_have_a_true_minus_sign_and_fit_their_place(value: float, decimals: int, text: str) -> None:
-    assert _number(value, decimals) == text
-
-
-def test_frames_survive_a_pygame_quit_by_others() -> None:
-    renderer = Renderer(Capsule(), "rgb_array", 50, 1.5)
-    renderer.draw(**STATE)
-    pygame.quit()
-    pixels = renderer.draw(**{**STATE, "time": 1.02, "x": 0.2123})
-    assert pixels is not None
-    np.testing.assert_array_equal(pixels[STAGE], frame(x=0.2123)[STAGE])
 
 
 def test_frames_need_no_display_and_importing_needs_no_pygame() -> None:

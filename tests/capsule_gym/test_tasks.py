@@ -9,7 +9,6 @@ import pytest
 
 from capsule_gym import CapsuleEnv, CapsuleVectorEnv, Controller
 from capsule_gym.config import EnvConfig, find_task
-from capsule_gym.env import shown_state
 from capsule_gym.resets import Stream, random_stream
 from capsule_gym.task import TASKS, Task
 from capsule_gym.tasks.velocity import with_commands
@@ -141,15 +140,6 @@ def test_the_goal_is_reached_after_a_second_of_rest_within_2_mm():
     env.reset(options={"state": [1.5, 5.0, 0.0, 0.0]})
     assert env.step(np.zeros(1, np.float32))[2]
     assert env.episode_metrics(750)["goal_time"] == 15.0
-
-
-@pytest.mark.parametrize(("name", "place"), [("goal", "goal"), ("velocity", "target")])
-def test_pictures_mark_the_goal_and_the_target(name, place):
-    env = CapsuleEnv(task=name)
-    env.reset(seed=3)
-    info = env.step(np.ones(1, np.float32))[4]
-    assert shown_state(env.simulation, 0)["ghost"] == (place, 0.0, info[place])
-    assert "ghost" not in shown_state(CapsuleEnv().simulation, 0)
 
 
 def test_a_task_that_the_core_lacks_is_refused():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.sensitivity import START, draw, errors
-from capsule_gym import Capsule, CapsuleEnv, _core, dynamics, sensitivity
+from capsule_gym import Capsule, CapsuleEnv, _core, sensitivity
 
 EVERY = (*("M", "mu", "m", "l", "g", "k", "c", "static_ratio", "backward_ratio"),)
 EXTENDED = ("viscous", "stribeck_speed", "slope", "motor_friction")
@@ -80,24 +80,6 @@ def test_stick_has_no_derivative_by_friction():
     assert not found.events.any() and not any(slopes.any() for slopes in found.derivatives.values())
 
 
-def test_energy_balance_by_duals():
-    # Without friction, damping and torque the derivatives conserve the energy to first order.
-    capsule = Capsule(mu=0.0, c=0.0)
-    state = np.array([0.4, 1.0, 0.0, 0.2])
-    found = sensitivity(state, [0.0] * 50, ("state",), capsule=capsule, physics_dt=1e-4)
-    p = capsule.plant()
-
-    def gradient(s: np.ndarray) -> np.ndarray:
-        theta, theta_dot, _, x_dot = s
-        coupling = p.m * p.l * np.cos(theta)
-        along = p.m * p.l * np.sin(theta) * x_dot * theta_dot - p.m * p.g * p.l * np.sin(theta) + p.k * theta
-        return np.array(
-            [along, p.m * p.l**2 * theta_dot - coupling * x_dot, 0.0, (p.M + p.m) * x_dot - coupling * theta_dot]
-        )
-
-    np.testing.assert_allclose(gradient(found.states[-1]) @ found.derivatives["state"][-1], gradient(state), rtol=1e-8)
-
-
 @pytest.mark.parametrize(
     ("changed", "error", "text"),
     [
@@ -116,9 +98,3 @@ def test_energy_balance_by_duals():
 def test_errors_name_the_argument(changed, error, text):
     with pytest.raises(error, match=text):
         sensitivity(**{"state": START, "torques": [0.1], **changed})
-
-
-def test_one_interval_is_a_step():
-    found = sensitivity(START, [0.5], (), capsule=Capsule(mu=0.1), control_dt=2e-3)
-    step = dynamics.step(*START, 0.5, Capsule(mu=0.1).plant(), 2e-3)
-    assert np.array_equal(found.states[1], np.array(step[:4]))

@@ -81,14 +81,17 @@ def hostile(tmp_path, monkeypatch) -> Path:
 PATHS = ("run", "lstm", "run/best", "lstm/best", "lstm/best/model.zip", "model.zip", "policy.safetensors", "archive")
 # The commands that read a path, with their arguments.
 READERS = {
-    "agents.evaluate": [*([path] for path in PATHS), ["adaptive", "--set", "set.json"], ["zero", "--against", "run"]],
+    "agents.evaluate": [
+        *([path] for path in PATHS),
+        ["adaptive", "--set", "set.json"],
+        ["adaptive", "--against", "run"],
+    ],
     "agents.report": [[path, "-o", "page.html"] for path in PATHS],
     "agents.study": [["direct-ppo", "--runs", "study", "--seeds", "0"]],
     "baselines.dynamic_programming": [["--folder", name, "--report"] for name in ("archive", "empty")],
-    "baselines.gaits": [["--folder", "archive", "--check"]],
     "capsule_gym.demo": [
         *([path, "-o", "a.gif"] for path in PATHS),
-        *(["zero", *words, "-o", "a.gif"] for words in (["--set", "set.json"], ["--rival", "run"])),
+        *(["adaptive", *words, "-o", "a.gif"] for words in (["--set", "set.json"], ["--rival", "run"])),
     ],
     "capsule_gym.export": [[path, "--c", "policy.h"] for path in PATHS],
     "capsule_gym.identify": [["policy.safetensors"], ["model.zip"]],

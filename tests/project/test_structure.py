@@ -11,26 +11,6 @@ import pytest
 from capsule_gym import evaluation_sets, policy
 
 ROOT = Path(__file__).resolve().parents[2]
-# Without the optional packages, an environment with and without a law is created and stepped.
-MINIMAL = """
-import sys
-for name in ("agents", "torch", "stable_baselines3", "pygame", "PIL", "matplotlib", "tyro", "tqdm"):
-    sys.modules[name] = None
-import gymnasium as gym
-import capsule_gym
-# It is light: numba and the baselines come when they are asked for.
-assert not {"numba", "baselines"} & set(sys.modules)
-for controller in (None, "baselines:adaptive"):
-    env = gym.make(capsule_gym.ENV_ID, controller=controller)
-    env.reset(seed=0)
-    env.step(env.action_space.sample())
-capsule_gym.load_policy("direct-ppo")
-"""
-
-
-def test_the_environment_needs_no_optional_package() -> None:
-    done = subprocess.run([sys.executable, "-c", MINIMAL], cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
 
 
 def test_another_package_baselines_is_named(tmp_path: Path) -> None:

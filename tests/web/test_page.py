@@ -188,12 +188,6 @@ def test_plants_of_a_set_and_masses_stay_within_their_range(open_page: Open) -> 
         assert page.locator("#trouble").is_hidden()
 
 
-def test_with_reduced_motion_it_waits(open_page: Open) -> None:
-    page = open_page(LAW, reduced_motion="reduce")
-    page.wait_for_timeout(300)
-    assert not playing(page) and figure(page, "time") == 0.0
-
-
 def test_a_hand_that_failed_stands_still_until_space_begins_again(open_page: Open) -> None:
     page = open_page("#driver=yourself&rival=adaptive&M=0.5&mu=0.01")
     page.uncheck("#help")
@@ -297,40 +291,6 @@ def test_what_is_wrong_in_a_link_is_shown(open_page: Open) -> None:
         assert page.locator("#trouble").is_visible()
 
 
-# Seconds for which each key is held in turn: 1 is the left key, 0 is none. All start from the page's first view.
-PATTERNS = {"hold left": [(1, 9)], "hold right": [(-1, 9)], "taps": [(1, 0.2), (0, 0.4)], "rule": [(1, 0.3), (-1, 0.9)]}
-PATTERNS |= {f"every {seconds} s": [(1, seconds), (-1, seconds)] for seconds in (0.1, 0.26, 0.5, 1)}
-# Follows the pattern, or without a pattern the helper's light with a reader's delay, for 10 s; distance in cm.
-FOLLOW = """async ([pattern, late]) => {
-    const { Lane } = await import("lane.js");
-    const { readScene } = await import("scene.js");
-    const lane = await Lane.open("yourself", readScene("#driver=yourself").scene, null);
-    lane.hand.helped = true;
-    const keys = pattern?.flatMap(([key, seconds]) => Array(Math.round(seconds / lane.dt)).fill(key));
-    const seen = Array(late).fill(0);
-    while (!lane.ended && lane.time < 10) {
-        seen.push(keys ? keys[lane.steps % keys.length] : lane.hand.turn);
-        const key = seen.shift();
-        lane.hand.live = key > 0 ? 0.4 : 0.1 * key;
-        lane.advance();
-    }
-    return [lane.failure, 100 * lane.capsule.state.x];
-}"""
-
-
-def test_no_naive_pattern_fails_with_the_helper_and_its_light_leads_forwards(open_page: Open) -> None:
-    page = open_page("#driver=yourself")
-    moved = {}
-    for name, pattern in PATTERNS.items():
-        failure, moved[name] = page.evaluate(FOLLOW, [pattern, 0])
-        assert failure == "", name
-    assert sum(distance > 10.0 for distance in moved.values()) >= 5 and moved["rule"] > 50.0
-    assert min(moved.values()) > -5.0
-    for late in (0, 5, 15):
-        failure, distance = page.evaluate(FOLLOW, [None, late])
-        assert failure == "" and distance > 40.0, late
-
-
 def test_a_reader_who_follows_the_light_moves_forwards_and_the_distance_is_kept(open_page: Open) -> None:
     page = open_page("#driver=yourself&speed=0.5", accept_downloads=True)
     page.focus("#stage")
@@ -352,18 +312,6 @@ def test_a_reader_who_follows_the_light_moves_forwards_and_the_distance_is_kept(
     assert float(best.removesuffix(" cm")) >= figure(page, "x")
     page.reload()
     shows(page, "best", best)
-
-
-def test_keys_turn_the_motor_while_they_are_held(open_page: Open) -> None:
-    page = open_page("#driver=yourself&speed=0.1")
-    page.uncheck("#help")
-    page.focus("#stage")
-    for key, torque in (("ArrowLeft", "0.60"), ("d", f"{MINUS}0.60")):
-        page.keyboard.down(key)
-        page.wait_for_function("torque => document.getElementById('figure-torque').textContent === torque", arg=torque)
-        page.keyboard.up(key)
-        shows(page, "torque-value", "0.00")
-    assert page.input_value("#torque") == "0"
 
 
 def test_check_replays_the_committed_episodes(open_page: Open) -> None:

@@ -36,7 +36,7 @@ class Hand {
 }
 
 /** Opens a driver's episode; the lane applies the jumps. */
-async function start(name, scene, weight) {
+async function start(name, scene) {
   const { set, plant, task, hand } = scene;
   const common = set ? { set } : { disturbances: disturbancesOf(scene) };
   if (name === YOURSELF) {
@@ -45,9 +45,8 @@ async function start(name, scene, weight) {
     capsule.reset({ ...first, ...(capsule.draws && { seed }), changes: [] });
     return { capsule, driver: new Hand(capsule, hand) };
   }
-  const told = weight === null ? {} : { energyWeight: weight };
   const first = set ? { plant, changes: [] } : startOf(scene);
-  const episode = await drive(name, { ...common, ...first, ...told });
+  const episode = await drive(name, { ...common, ...first });
   return { capsule: episode, driver: episode };
 }
 
@@ -58,10 +57,9 @@ export class Lane {
    *
    * @param {string} name of the driver.
    * @param {object} scene plant, jumps and hand; a recorded driver requires `keepFrozen(scene)` before.
-   * @param {number | null} weight energy weight; null for the driver's own.
    */
-  static async open(name, scene, weight) {
-    return new Lane(name, await start(name, scene, weight), scene.jumps);
+  static async open(name, scene) {
+    return new Lane(name, await start(name, scene), scene.jumps);
   }
 
   constructor(name, { capsule, driver }, jumps) {

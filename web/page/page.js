@@ -12,10 +12,7 @@ import { Contact, Stage } from "stage.js";
 
 const DT = constants.control_dt;
 const SPEEDS = [0.1, 0.15, 0.2, 0.3, 0.5, 0.7, 1, 1.5, 2, 3, 5, 7, 10, 15, 20];
-const KINDS = {
-  law: "Control laws", gait: "Gaits with a clock", policy: "Trained policies", recording: "The optimum, recorded",
-  none: "No control",
-};
+const KINDS = { law: "Control laws", policy: "Trained policies", recording: "The optimum, recorded" };
 const KEYS = { ArrowLeft: 1, a: 1, A: 1, ArrowRight: -1, d: -1, D: -1 };
 // Factor by which the helper reduces the strength of the right key.
 const RETURN_SHARE = 0.25;
@@ -58,8 +55,8 @@ async function open({ time = 0, play = player.playing } = {}) {
   const turn = ++opening;
   player.playing = false;
   try {
-    const lanes = [await Lane.open(scene.driver, scene, scene.weight)];
-    if (scene.rival) lanes.push(await Lane.open(scene.rival, scene, scene.rivalWeight));
+    const lanes = [await Lane.open(scene.driver, scene)];
+    if (scene.rival) lanes.push(await Lane.open(scene.rival, scene));
     if (turn !== opening) return;
     player.lanes = lanes;
   } catch (error) {
@@ -352,18 +349,17 @@ function bindChoices() {
     const first = firstScene();
     const own = scene.task === first.task ? first.driver : drivers.find(({ task }) => task === scene.task).name;
     const set = Object.keys(sets).find((name) => sets[name].task === scene.task);
-    Object.assign(scene, { driver: own, rival: "", weight: null, rivalWeight: null, hand: [] });
+    Object.assign(scene, { driver: own, rival: "", hand: [] });
     takePlant(scene, set, 0);
     open({ play: !reduced.matches });
   });
   choose("driver", "driver", () => {
-    Object.assign(scene, { weight: null, hand: [] });
+    scene.hand = [];
     keepFrozen(scene);
     // With manual control, the reader starts the episode.
     open({ play: scene.driver !== YOURSELF && !reduced.matches });
   });
   choose("rival", "rival", () => {
-    scene.rivalWeight = null;
     const other = keepFrozen(scene);
     scene.hand = other ? [] : handsSoFar();
     open({ time: other ? 0 : player.now });
@@ -372,15 +368,6 @@ function bindChoices() {
     showScene();
     link();
   });
-  for (const [id, key] of [["weight", "weight"], ["rival-weight", "rivalWeight"]]) {
-    const price = () => Number((10 ** Number(element(id).value)).toPrecision(3));
-    element(id).addEventListener("input", () => show(`${id}-value`, `${price()} cm/J`));
-    element(id).addEventListener("change", () => {
-      scene[key] = price();
-      scene.hand = handsSoFar();
-      open({ time: 0 });
-    });
-  }
   element("span").addEventListener("change", () => {
     span = Number(element("span").value);
     redraw();
@@ -561,8 +548,6 @@ function showScene() {
   const described = (name) => driverNamed(name).description.replaceAll("`", "");
   show("driver-text", scene.driver === YOURSELF ? own : described(scene.driver));
   show("rival-text", scene.rival ? described(scene.rival) : "");
-  showWeight("weight", driverNamed(scene.driver), scene.weight);
-  showWeight("rival-weight", driverNamed(scene.rival), scene.rivalWeight);
   element("hand").hidden = scene.driver !== YOURSELF;
   element("stage").classList.toggle("driving", scene.driver === YOURSELF);
   element("stage").classList.toggle("two", scene.view === "lane" && scene.rival !== "");
@@ -575,17 +560,6 @@ function showScene() {
   showPlant();
   redraw();
   link();
-}
-
-function showWeight(id, driver, weight) {
-  const bounds = driver?.energyWeight;
-  element(`${id}-row`).hidden = !bounds;
-  if (!bounds) return;
-  const price = weight ?? bounds[0];
-  [element(id).min, element(id).max] = bounds.map(Math.log10);
-  element(id).value = Math.log10(price);
-  element(id).setAttribute("aria-valuetext", `${price} cm/J`);
-  show(`${id}-value`, `${price} cm/J`);
 }
 
 function showDisturbances(recorded) {

@@ -78,7 +78,7 @@ export function keepFrozen(scene) {
 export function firstScene() {
   const known = (name) => (driverNamed(name) ? name : drivers[0].name);
   return {
-    task: "speed", driver: known("residual-ppo"), rival: known("adaptive"), weight: null, rivalWeight: null, view: "ghost",
+    task: "speed", driver: known("residual-ppo"), rival: known("adaptive"), view: "ghost",
     set: "", plant: 0, M: constants.nominal.M, mu: constants.nominal.mu, theta: undefined, jumps: [],
     seed: 0, ...IDEAL, speed: 1, t: null, hand: [],
   };
@@ -125,8 +125,6 @@ export function writeScene(scene) {
   const parts = new URLSearchParams({ driver: scene.driver });
   if (scene.driver === YOURSELF && scene.task !== first.task) parts.set("task", scene.task);
   if (scene.rival) parts.set("rival", scene.rival);
-  if (scene.weight !== null) parts.set("weight", shortened(scene.weight));
-  if (scene.rivalWeight !== null) parts.set("rival-weight", shortened(scene.rivalWeight));
   if (scene.rival && scene.view !== first.view) parts.set("view", scene.view);
   if (scene.set) {
     parts.set("set", scene.set);
@@ -160,7 +158,7 @@ export function handAction(action) {
 }
 
 function readDrivers(given, scene, complaints) {
-  for (const [part, weight] of [["driver", "weight"], ["rival", "rivalWeight"]]) {
+  for (const part of ["driver", "rival"]) {
     const name = given.get(part);
     if (name === null || name === "") continue;
     const chosen = drivers.filter(({ task }) => part === "driver" || task === scene.task);
@@ -169,8 +167,6 @@ function readDrivers(given, scene, complaints) {
       scene[part] = name;
       if (part === "driver") scene.task = driverNamed(name)?.task ?? readTask(given, complaints);
     } else complaints.push(`${part} must be one of ${accepted.join(", ")}, got "${name}"`);
-    const bounds = driverNamed(scene[part])?.energyWeight;
-    if (bounds) scene[weight] = readNumber(given, part === "driver" ? "weight" : "rival-weight", ...bounds, complaints);
   }
   useTask(scene.task);
 }

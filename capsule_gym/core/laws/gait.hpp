@@ -37,15 +37,8 @@ INLINE T guarded_torque(T theta, T theta_dot, T x_dot, const P& p, F guard_from,
   return torque - select(theta_dot > 0.0, brake, -brake);
 }
 
-struct Gait {
-  CAPSULE_LAW(Gait, "gait", false, NoMemory, NoReference, GAIT_CONSTANTS)
-
-  template <class T> INLINE T torque(const State<T>& s, NoMemory<T>&, const NoReference<T>&) const {
-    return guarded_torque(s.theta, s.theta_dot, s.x_dot, q, q.guard_from, q.torque_limit);
-  }
-};
-
-// The gait with its parameters in its memory, so that the environments of a batch can have different ones.
+// The gait with a fixed guard and with its parameters in its memory, so that the environments of a batch can have
+// different ones.
 struct GaitCandidate {
   template <class T> struct Parameters { GAIT_PARAMETERS(CAPSULE_NUMBER) };
 #define CANDIDATE_CONSTANTS(ONE, MANY) ONE(torque_limit)
@@ -56,12 +49,12 @@ struct GaitCandidate {
   }
 };
 
-// The gait with a guard that estimates M while the platform slips and acts earlier on platforms lighter than `lightest`
-// kg. Its memory is the filter's.
-struct GaitIdentifying {
+// The gait. Its guard estimates M while the platform slips and acts earlier on platforms lighter than `lightest` kg. Its
+// memory is the filter's.
+struct Gait {
   template <class T> using Memory = Filter<T>;
-#define IDENTIFYING_CONSTANTS(ONE, MANY) GAIT_CONSTANTS(ONE, MANY) ONE(m) ONE(l) ONE(g) ONE(lightest) ONE(dt)
-  CAPSULE_LAW(GaitIdentifying, "gait_identifying", true, Memory, NoReference, IDENTIFYING_CONSTANTS)
+#define GUARDED_CONSTANTS(ONE, MANY) GAIT_CONSTANTS(ONE, MANY) ONE(m) ONE(l) ONE(g) ONE(lightest) ONE(dt)
+  CAPSULE_LAW(Gait, "gait", true, Memory, NoReference, GUARDED_CONSTANTS)
   // Factor by which the guard's threshold falls faster than the weight of a lighter platform: of 1.0, 1.2, 1.3 and 1.5
   // the first without a failure in 1000 episodes from the distribution of `extrapolation`.
   static constexpr double CAUTION = 1.3;

@@ -1,11 +1,10 @@
-// Laws for late, noisy measurements and a lagging motor: an observer and a predictor around other laws.
+// A law for late, noisy measurements and a lagging motor: an observer and a predictor around the gait.
 //
 // The sensors show the state of LATENCY calls ago. An observer with fixed gains estimates that state. The nominal model
 // predicts from it, with the torques that the law has returned since, the state at which the next torque acts. The
 // friction coefficient, the mass of the platform and the bias of the measured x_dot are estimated by gradient descent
 // on the squared error of x_dot. The position is not measured.
 #pragma once
-#include "adaptive.hpp"
 #include "gait.hpp"
 
 namespace LEVEL {
@@ -113,22 +112,4 @@ struct GaitPredictive {
   }
 };
 
-// The adaptive law (39) on the predicted state. Its x is the integral of the predicted x_dot.
-struct AdaptivePredictive {
-  template <class T> struct Memory {
-    predictor::Memory<T> predicted;
-    AdaptiveMemory<T> own;
-    T x;
-  };
-#define ADAPTIVE_PREDICTIVE_CONSTANTS(ONE, MANY) ADAPTIVE_CONSTANTS(ONE, MANY) ONE(torque_limit)
-  CAPSULE_LAW(AdaptivePredictive, "adaptive_predictive", false, Memory, Reference, ADAPTIVE_PREDICTIVE_CONSTANTS)
-
-  template <class T> INLINE T torque(const State<T>& s, Memory<T>& memory, const Reference<T>& r) const {
-    auto& [predicted, own, x] = memory;
-    auto now = predict(predicted, s, q);
-    T wanted = adaptive_torque(State<T>{now.theta, now.theta_dot, x, now.x_dot}, own, r, q);
-    x = x + q.dt * now.x_dot;
-    return predicted.queue[predictor::LATENCY - 1] = clip(wanted, T(q.torque_limit));
-  }
-};
 }  // namespace LEVEL

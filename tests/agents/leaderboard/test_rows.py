@@ -67,7 +67,7 @@ def test_the_base_of_a_residual_is_the_policy_of_its_law():
     bases = {
         "adaptive": None,
         "residual-ppo": "adaptive",
-        "residual-identifying": "gait-identifying",
+        "residual-real": "gait-predictive",
         "direct-ppo": None,
     }
     assert {name: static_header(find_candidate(name))["base"] for name in bases} == bases
@@ -75,9 +75,9 @@ def test_the_base_of_a_residual_is_the_policy_of_its_law():
 
 def test_processes_give_the_same_bits():
     # Spawned workers import everything anew.
-    real = [find_candidate(name) for name in ("zero", "direct-ppo")]
+    real = [find_candidate(name) for name in ("adaptive", "direct-ppo")]
     alone, shared = (list(evaluate(real, SETS, jobs=jobs, horizon=0.1)) for jobs in (1, 2))
-    assert [row.name for row in alone] == ["zero", "direct-ppo"]
+    assert [row.name for row in alone] == ["adaptive", "direct-ppo"]
     for one, other in zip(alone, shared, strict=True):
         assert one.header == other.header
         assert all(values.tobytes() == other.scores[name].tobytes() for name, values in one.scores.items())

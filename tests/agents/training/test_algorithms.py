@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 import pickle
 import sys
@@ -20,9 +19,8 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 import train as command_line
 from agents.training.algorithms import CLASSES, make_env, make_model, make_noise
-from agents.training.config import RunError, TD3Config
+from agents.training.config import TD3Config
 from agents.training.export import export, load_best, recurrent_policy, save
-from agents.training.loop import begin, train
 from agents.training.presets import PRESETS
 from baselines.evaluation.episodes import evaluate
 from capsule_gym import load_policy
@@ -30,12 +28,11 @@ from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec
 from capsule_gym.files import to_json
 from capsule_gym.policy import POLICY
 from capsule_gym.sb3 import CapsuleSB3VecEnv
-from tests.agents.training.small import differences, finished, rows, small, train_until
+from tests.agents.training.small import finished, small
 
 # Largest difference between an action and torch's, which computes in float32.
 AGREEMENT = 2e-6
 PLANTS = EvaluationSet("two", (PlantSpec(M=0.5, mu=0.01, seed=0), PlantSpec(M=0.46, mu=0.01, seed=1)))
-SWING = "tests.agents.training.wrappers:Swing"
 
 
 # --- policy files and archives ---------------------------------------------------------------------------------------
@@ -111,14 +108,6 @@ def test_an_archive_loads_without_this_checkout(algo, tmp_path, monkeypatch):
     assert action.shape == (2, 1)
 
 
-def test_rewards_are_normalised_for_ppo_only():
-    for algo, normalised in (("ppo", True), ("sac", False)):
-        env = make_env(small("direct", algo), 0)
-        env.reset()
-        reward = env.step(np.full((env.num_envs, 1), 0.3, np.float32))[1]
-        assert np.array_equal(reward, env.get_original_reward()) is not normalised
-
-
 def test_fixed_factors_stay_as_they_are():
     env = make_env(small("direct", "sac", observation_scale=(2.0, 0.25, 6.0)), 0)
     shown = env.reset()
@@ -167,22 +156,6 @@ def test_an_agent_with_an_lstm_is_evaluated_with_its_memory(tmp_path):
 # --- wrappers --------------------------------------------------------------------------------------------------------
 
 
-def test_a_run_with_wrappers_trains_and_resumes(tmp_path, monkeypatch):
-    changes = {"total_steps": 384, "evaluate_every": 256, "num_envs": 4, "evaluation_episodes": 1}
-    config = small("direct", "ppo", wrapper=(SWING,), **changes)
-    env = make_env(config, 0)
-    assert env.observation_space.shape == (2,)
-    env.close()
-    whole, run = finished(tmp_path / "whole", config), tmp_path / "run"
-    begin(run, config)
-    train_until(run, 300, monkeypatch, killed=True)
-    assert train(run)
-    assert differences(run, whole) == []
-    assert float(rows(run / "evaluations.csv")[-1]["failed"]) in (0.0, 1.0)
-    with pytest.raises(ValueError, match="trained with --wrapper"):
-        load_best(run)
-
-
 WRAPPERS = "tests.agents.training.wrappers"
 
 
@@ -204,20 +177,6 @@ def test_a_wrong_wrapper_is_an_error_of_the_command_line(name, reason, tmp_path,
     error = capsys.readouterr().err.splitlines()[-1]
     assert error.startswith("train.py: error: ") and "--wrapper" in error and name in error and reason in error
     assert not (tmp_path / "run").exists()
-
-
-def test_a_wrapper_of_ones_own_is_trusted_before_it_is_resumed(tmp_path, capsys):
-    config = small("direct", "ppo", wrapper=("os:abort",))
-    (tmp_path / "config.json").write_text(
-        json.dumps({"algo": "ppo", "task": "direct", "hyperparameters": config.to_dict()})
-    )
-    with pytest.raises(SystemExit):
-        command_line.read_args(["--resume", str(tmp_path)])
-    assert "('os:abort',): --trust-controller" in capsys.readouterr().err
-    args = command_line.read_args(["--resume", str(tmp_path), "--trust-controller"])
-    assert args.hyperparameters == config
-    with pytest.raises(RunError, match="--wrapper must be MODULE:ATTRIBUTE"):
-        make_env(config, 0)
 
 
 def test_training_has_commands_sensors_and_a_limit_of_its_own():

@@ -5,13 +5,16 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import multiprocessing
 import os
 import random
 import re
+import resource
 import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +31,8 @@ from agents.training.checkpoint import locked
 from agents.training.config import Config, RunError, read_config
 from agents.training.loop import begin, train
 from agents.training.presets import PRESETS
-from agents.training.signals import Stop
-from tests.agents.training.small import differences, finished, parameters, rows, same, train_until
+from agents.training.signals import INTERRUPTED, Stop
+from tests.agents.training.small import differences, finished, parameters, same, train_until
 
 SMALL = {"num_envs": 8, "batch_size": 64, "hidden": 8, "evaluation_episodes": 1, "evaluate_every": 200}
 ON_POLICY: dict[str, Any] = {"n_steps": 16, "n_epochs": 1, "total_steps": 800}
@@ -262,16 +265,6 @@ def test_of_two_runs_that_begin_in_one_folder_the_second_is_refused(tmp_path, mo
     assert read_config(run) == first and train(run)
 
 
-def test_a_new_end_is_said_once(tmp_path, capsys, whole):
-    run = copy_of(whole["ppo"], tmp_path / "run")
-    for said in (True, False):
-        assert command_line.main(["--resume", str(run), "--total-steps", "1000", "--no-comparison"]) == 0
-        assert ("this is another run" in capsys.readouterr().out) == said
-        assert read_config(run).total_steps == 1000
-    evaluations = [int(row["steps"]) for row in rows(run / "evaluations.csv")]
-    assert evaluations[-1] >= 1000 and evaluations == sorted(set(evaluations))
-
-
 def test_the_second_signal_does_what_signals_did_before(capfd):
     heard = []
     before = signal.signal(signal.SIGTERM, lambda *_: heard.append("before"))
@@ -303,3 +296,56 @@ def test_only_the_main_thread_handles_signals():
     thread.start()
     thread.join()
     assert seen == [handler]
+
+
+# --- signals and full disks, in processes of their own ----------------------------------------------------------------
+
+# One process imports the modules, and is forked for each child.
+CONTEXT = multiprocessing.get_context("forkserver")
+CONTEXT.set_forkserver_preload(["agents.training.loop", "train"])
+
+
+def run_command(words: list[str], output: Path, largest: int) -> None:
+    """In the child: runs train.py; no file may grow beyond the largest size."""
+    command_line.QUIET_EXIT.install()
+    os.dup2(os.open(output, os.O_WRONLY | os.O_CREAT), 2)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (largest, resource.RLIM_INFINITY))
+    sys.exit(command_line.main(words))
+
+
+def resumed(run: Path, largest: int = resource.RLIM_INFINITY) -> Any:
+    """A process that resumes a run."""
+    words = ["--resume", str(run), "--no-comparison"]
+    process = CONTEXT.Process(target=run_command, args=(words, run.with_name("error"), largest))
+    process.start()
+    return process
+
+
+MOMENTS = [(signal.SIGKILL, ".checkpoint-*"), (signal.SIGTERM, "checkpoint-*"), (signal.SIGINT, "error")]
+
+
+@pytest.mark.parametrize(("number", "pattern"), MOMENTS, ids=["while writing", "while training", "at the start"])
+def test_a_process_that_gets_a_signal_loses_nothing_before_its_last_checkpoint(tmp_path, whole, number, pattern):
+    begin(tmp_path / "run", small("ppo"))
+    run, process = tmp_path / "run", resumed(tmp_path / "run")
+    while process.is_alive() and not any(tmp_path.rglob(pattern)):
+        time.sleep(1e-4)
+    os.kill(process.pid, number)
+    process.join(240.0)
+    assert process.exitcode in ((0, -number) if number == signal.SIGKILL else (0, INTERRUPTED))
+    assert "Traceback" not in (tmp_path / "error").read_text()
+    assert all(map(checkpoint.is_whole, run.glob("checkpoint-*")))
+    assert train(run)
+    assert differences(run, whole["ppo"]) == []
+
+
+def test_a_full_disk_ends_a_training_with_one_line_and_damages_nothing(tmp_path, monkeypatch, whole):
+    begin(tmp_path / "run", small("ppo"))
+    train_until(run := tmp_path / "run", 300, monkeypatch, killed=True)
+    process = resumed(run, largest=10_000)
+    process.join(240.0)
+    error = (tmp_path / "error").read_text()
+    assert process.exitcode == 2 and re.fullmatch(rf"train.py: error: .*{run}.*\n", error), error
+    assert all(map(checkpoint.is_whole, run.glob("checkpoint-*")))
+    assert train(run)
+    assert differences(run, whole["ppo"]) == []

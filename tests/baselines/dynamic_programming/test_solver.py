@@ -12,8 +12,7 @@ from baselines.dynamic_programming import solver
 from baselines.dynamic_programming.grid import FAILED, Grid
 from baselines.dynamic_programming.problem import Problem, Transitions
 from baselines.dynamic_programming.solver import FAILURE_VALUE, final_solutions, run_policy, solve, transitions
-from capsule_gym import CapsuleEnv, CapsuleVectorEnv
-from capsule_gym.layout import Row
+from capsule_gym import CapsuleEnv
 from capsule_gym.task import START_THETA
 
 SHAPE = (13, 18, 7)
@@ -61,29 +60,6 @@ def test_a_transition_is_a_step_of_the_environment_bit_for_bit():
         _, reward, terminated, _, info = env.step(action[None])
         assert (ends[:, i] == info["state"][[0, 1, 3]]).all()
         assert (rewards[i], failed[i]) == (reward, terminated)
-    env.close()
-
-
-def test_a_transition_with_a_law_is_what_the_running_episodes_do_next():
-    law = ("baselines:gait_identifying", 2.0)
-    kwargs = {"controller": law[0], "residual_limit": law[1], "energy_weight": 0.0}
-    env = CapsuleVectorEnv(num_envs=3, randomization="paper", **kwargs)
-    env.reset(seed=7)
-    rng, model = np.random.default_rng(2), Transitions(Problem(), 6, law)
-    for _ in range(30):
-        env.step(rng.uniform(-0.1, 0.1, (3, 1)).astype(np.float32))
-    model.take_over(env.simulation)
-    chosen = np.array([0, 1, 0])
-    actions = rng.uniform(-0.2, 0.2, 6).astype(np.float32)
-    states = env.simulation.rows(Row.theta, Row.x_dot + 1)[[0, 1, 3]].repeat(2, axis=1)
-    ends, rewards, failed = model.step(states, actions.astype(np.float64))
-    places = 2 * np.arange(3) + chosen
-    _, found, terminated, _, info = env.step(actions[places, None])
-    assert not terminated.any() and not failed.any()
-    # The model starts at x = 0 and the episodes are farther on: the results are equal up to rounding.
-    np.testing.assert_allclose(ends[:, places], info["state"].T[[0, 1, 3]], rtol=1e-12, atol=1e-14)
-    np.testing.assert_allclose(rewards[places], found, rtol=1e-9)
-    assert np.abs(ends[:, places] - ends[:, 2 * np.arange(3) + 1 - chosen]).max() > 1e-4
     env.close()
 
 

@@ -1,9 +1,10 @@
-"""Searches the parameters of `baselines:gait`, a law that does not observe the plant; `baselines.gaits --law`.
+"""Searches the parameters of `baselines:gait`, a law that does not observe the plant: `python -m baselines.gaits`.
 
-A CMA-ES starts from the tolerant gait of the nominal plant. Each generation runs all candidates in one batch on newly
-drawn plants of `wide`, evenly over M and log(mu). Every episode changes its plant twice, and every second one has a
-random residual torque: a law must be fast, tolerate changes and support a policy. At regular intervals the mean of the
-distribution runs on fixed episodes; the best of these means replaces the parameters on file if it scores better.
+A CMA-ES starts from a gait that tolerates other plants than the nominal one. Each generation runs all candidates in one
+batch on newly drawn plants of `wide`, evenly over M and log(mu). Every episode changes its plant twice, and every
+second one has a random residual torque: a law must be fast, tolerate changes and support a policy. At regular intervals
+the mean of the distribution runs on fixed episodes; the best of these means replaces the parameters on file if it
+scores better.
 """
 
 from __future__ import annotations
@@ -11,16 +12,19 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Iterator
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from baselines.gaits.archive import tolerant_nominal
+from baselines.archive import run_search
 from baselines.laws.gait import FILE, LIGHTEST, NO_REFERENCE, PARAMETERS
 from capsule_gym import CapsuleVectorEnv
+from capsule_gym.command_line import Count, parse
 from capsule_gym.controller import Controller, CoreLaw
 from capsule_gym.files import write_atomically
 from capsule_gym.layout import ROWS
@@ -28,6 +32,13 @@ from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
 from capsule_gym.resets import plant_at, plant_ranges
 from capsule_gym.task import HORIZON, TORQUE_LIMIT
 
+# The coefficients of a gait that an earlier search found on the nominal plant: of its gaits, the fastest at the slowest
+# of its speeds with M 10 % and mu about 20 % off.
+START_COEFFICIENTS = (
+    *(0.768173415, -1.52557133, 0.45381311, 0.0205869179, 0.78444579, 2.36305225, 0.415021591, 0.102463659),
+    *(-1.23348699, -0.787626445, -0.687351086, -0.689480601, -0.615375647, 0.361390553, -0.608135802, 0.84640501),
+    *(-2.1999663, -0.244974388, -0.0201974728, -2.62489784, 0.837836861),
+)
 # Scale of every parameter in the search.
 UNITS = (*(1.0 for _ in PARAMETERS[:-2]), 0.03, 20.0)
 FIRST_STEP = 0.2
@@ -130,7 +141,7 @@ def evaluate(batch: CapsuleVectorEnv, parameters: np.ndarray) -> tuple[float, di
 def search_law(num_generations: int, seed: int) -> Iterator[None]:
     """Runs one generation per iteration; writes the mean of the distribution if it scores better than the file."""
     rng = np.random.default_rng([seed, 3])
-    start = np.array([*tolerant_nominal().parameters, *START_GUARD]) / UNITS
+    start = np.array([*START_COEFFICIENTS, *START_GUARD]) / UNITS
     # The package would otherwise seed numpy's global generator.
     draws = {"seed": math.nan, "randn": lambda *shape: rng.standard_normal(shape)}
     options = {"popsize": POPULATION, "verbose": -9, **draws}
@@ -151,8 +162,35 @@ def search_law(num_generations: int, seed: int) -> Iterator[None]:
             print(f"generation {generation}: score {reached:.3f}, best {best:.3f}", flush=True)
             if reached > best:
                 best = reached
-                origin = {"command": f"python -m baselines.gaits --law {num_generations} --seed {seed}", **found}
+                origin = {
+                    "command": f"python -m baselines.gaits --generations {num_generations} --seed {seed}",
+                    **found,
+                }
                 named = dict(zip(PARAMETERS, mean.tolist(), strict=True))
                 content = {"parameters": named, "found": {"generation": generation, **origin}}
                 write_atomically(FILE, json.dumps(content, indent=1) + "\n")
         yield
+
+
+@dataclass(frozen=True)
+class Args:
+    """Searches the parameters of the law `baselines:gait`; baselines/laws/gait.json keeps the better ones.
+
+    Examples:
+      python -m baselines.gaits --generations 700
+    """
+
+    generations: Count = 700
+    """Generations of the search."""
+    seed: int = 0
+    """Seed of the search."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns the exit status."""
+    args = parse(Args, "python -m baselines.gaits", arguments)
+    return 130 if run_search(search_law(args.generations, args.seed), lambda: None) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
