@@ -143,8 +143,8 @@ class Candidate:
         policy, base = self.trained[0], SCRIPTED.get(self.base or "")
         steps, estimates = policy.env_kwargs.get("stack_size", 1), ", estimates of M, mu" if policy.identifies else ""
         senses = OBSERVED + (f" of {steps} steps" if steps > 1 else "") + (", law" if base else "") + estimates
-        # The estimates follow from the nominal model of the pendulum.
-        known = "nominal plant" if policy.identifies else base.told if base else "nothing"
+        # The estimates follow from a model of the pendulum.
+        known = "nominal pendulum" if policy.identifies else base.told if base else "nothing"
         return senses, "M, mu" if policy.env_kwargs.get("observe_parameters") else known
 
 

@@ -139,7 +139,10 @@ def test_uncommitted_training_code_raises_an_error(main, world, capsys):
         assert stop.value.code == 2
         assert "dirty: the revision 0123456789ab+ is not committed" in capsys.readouterr().err
     assert not (world / RESULTS / "dirty.npz").exists()
-    assert next(iter(leaderboard.check(world, policies.all_candidates(), []))).startswith("dirty: the revision")
+    assert leaderboard.uncommitted(policies.all_candidates()) == ["dirty: the revision 0123456789ab+ is not committed"]
+    with pytest.raises(SystemExit):
+        main("--check")
+    assert "dirty: no results" in capsys.readouterr().err
 
 
 def test_finished_rows_survive_an_interruption(main, world, monkeypatch, capsys):
