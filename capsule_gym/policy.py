@@ -138,7 +138,7 @@ class Policy:
             raise TypeError(f"env_kwargs['controller'] must be None or an import string, got {written(law)}")
         if not isinstance(options.task, str):
             raise TypeError(f"env_kwargs['task'] must be the name of a task, got {written(options.task)}")
-        flags: dict[str, Any] = {"relu": self.activation == "relu", "tanh_squashing": self.squashing == "tanh"}
+        flags: dict[str, float] = {"relu": self.activation == "relu", "tanh_squashing": self.squashing == "tanh"}
         flags |= {"clip": self.clip, "identifies": self.identifies}
         header = network.make_header(options, layers=len(self.layers), **flags)
         inputs = int(header["inputs"])

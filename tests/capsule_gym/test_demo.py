@@ -57,6 +57,14 @@ def test_an_episode_is_the_environments_and_stands_still_at_its_end(name):
     assert (state(episode), episode.time) == (last, time)
 
 
+def test_a_window_without_a_display_is_an_error(monkeypatch, capfd):
+    for name in ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(SystemExit):
+        demo.main(["keyboard", "--seconds", "0.1"])
+    assert "a window needs a display" in capfd.readouterr().err
+
+
 def test_a_file_has_the_pictures_that_were_asked_for(tmp_path, capsys):
     path = tmp_path / "out.gif"
     assert demo.main(["direct-ppo", "--rival", "pd", "--seconds", "0.4", "-o", str(path)]) == 0
