@@ -97,24 +97,17 @@ def test_an_argument_of_an_environment(kind, name, value):
             check_reset(env, seed=0)
 
 
-@pytest.mark.parametrize("name", names_of(Capsule))
-@given(value=anything | likely)
-def test_a_constant_of_a_capsule(name, value):
+PARTS = {Capsule: "capsule", Randomization: "randomization", Disturbances: "disturbances"}
+
+
+@pytest.mark.parametrize(("kind", "name"), [(kind, name) for kind in PARTS for name in names_of(kind)])
+@given(value=anything | likely | st.tuples(likely, likely).map(sorted), log_mu=st.booleans())
+def test_a_constant_a_range_and_a_disturbance(kind, name, value, log_mu):
+    others = {"log_mu": log_mu} if kind is Randomization else {}
     # A mass or a friction may admit Painleve's paradox with the other constants.
-    capsule = taken((name, "mu"), Capsule, **{name: value})
-    if capsule is not None:
-        env = taken(("physics_dt",), CapsuleEnv, capsule=capsule, randomization="none", observe_parameters=True)
-        if env is not None:
-            check_reset(env, seed=0)
-
-
-@pytest.mark.parametrize("name", names_of(Randomization))
-@given(value=anything | st.tuples(likely, likely) | st.tuples(likely, likely).map(sorted), log_mu=st.booleans())
-def test_a_range_of_a_randomization(name, value, log_mu):
-    randomization = taken((name,), Randomization, **{"log_mu": log_mu, name: value})
-    if randomization is not None:
-        names = ("Randomization", "physics_dt")
-        env = taken(names, CapsuleEnv, randomization=randomization, observe_parameters=True)
+    made = taken((name, "mu"), kind, **{**others, name: value})
+    if made is not None:
+        env = taken(("Randomization", "physics_dt"), CapsuleEnv, observe_parameters=True, **{PARTS[kind]: made})
         if env is not None:
             check_reset(env, seed=0)
 
