@@ -104,7 +104,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"{candidate.name} on the set {evaluation_set.name} ({count})\n")
     print(comparison_table(candidate.name, episodes, reference.name, others))
     print(
-        "\nInterquartile means unless stated, of shares means, with 95 % intervals for other training runs and other plants."
+        "\nInterquartile means; shares and where stated means; with 95 % intervals for other training runs and plants."
     )
     print(f"Differences to {reference.name} are taken episode by episode.")
     return 0
