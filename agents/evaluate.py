@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,12 +15,13 @@ from baselines.evaluation.episodes import (
     Episode,
     check_task,
     evaluate,
+    failures,
     scores,
     summarise,
     versions,
 )
 from baselines.evaluation.policies import find_candidate
-from baselines.evaluation.statistics import paired_difference
+from baselines.evaluation.statistics import estimate, paired_difference
 from baselines.tables import text_table
 from capsule_gym.command_line import Positional, arg, check_output, parse, refuse
 from capsule_gym.evaluation_sets import load_set
@@ -66,15 +67,16 @@ class Args:
 
 def comparison_table(name: str, episodes: Sequence[Episode], reference: str, others: Sequence[Episode]) -> str:
     """A table of metrics (rows) for the policy, the reference and their paired difference on one set (columns)."""
-    own, theirs = summarise(episodes), summarise(others)
     rows = [["", name, reference, "difference"]]
-    of_task = [metric for metric in TASK_METRICS if metric.name in own]
-    for metric in (*of_task, *TABLE_METRICS.values()):
-        values = [metric.with_interval(each[metric.name]) for each in (own, theirs)]
-        both = (scores(each, metric.name) for each in (episodes, others))
+    of_task = [metric for metric in (*TASK_METRICS, *TABLE_METRICS.values()) if metric.name in episodes[0]]
+    # The leaderboard ranks by the mean.
+    main = next(metric for metric in of_task if metric.name in {each.metric.name for each in CRITERIA.values()})
+    for metric in (replace(main, label=f"{main.label}, mean", share=True), *of_task):
+        both = [scores(each, metric.name) for each in (episodes, others)]
+        values = [metric.with_interval(estimate(each, mean=metric.share).to_dict()) for each in both]
         paired = paired_difference(*both, mean=metric.share).to_dict()
         rows.append([metric.label, *values, metric.with_interval(paired, sign=True)])
-    rows.append(["failures", *(f"{each['failures']}/{each['episodes']}" for each in (own, theirs))])
+    rows.append(["failures", *(f"{failures(each)}/{len(each)}" for each in (episodes, others))])
     return text_table(rows)
 
 
@@ -101,7 +103,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     count = f"{len(evaluation_set.plants)} episodes, {evaluation_set.hash[:12]}"
     print(f"{candidate.name} on the set {evaluation_set.name} ({count})\n")
     print(comparison_table(candidate.name, episodes, reference.name, others))
-    print("\nInterquartile means, of shares means, with 95 % intervals for other training runs and other plants.")
+    print("\nInterquartile means unless stated, of shares means, with 95 % intervals for other runs and other plants.")
     print(f"Differences to {reference.name} are taken episode by episode.")
     return 0
 

@@ -19,7 +19,8 @@ from agents.analysis.data import Learning, rank, read_learning
 from agents.analysis.figures import draw_learning, draw_profiles, draw_transport
 from agents.evaluate import comparison_table
 from agents.evaluation.criteria import CRITERIA
-from agents.leaderboard.rows import RESULTS, Row, evaluate_run, load_row, make_row, path_of
+from agents.leaderboard.rows import RESULTS, Row, load_row
+from agents.leaderboard.rows import evaluate as evaluate_rows
 from agents.training.config import BEST, CONFIG, EVALUATIONS, MODEL, NORMALISATION, Config, read_config
 from agents.training.presets import ROWS
 from baselines.drawing import BLUE, DPI, MUTED, new_figure, style
@@ -132,9 +133,8 @@ def render(names: Sequence[str], **trust: bool) -> str:
     sets = [each for each in map(load_set, SET_NAMES + TASK_SET_NAMES) if each.task == task]
     rows, learning = [], {}
     for name, candidate in found.items():
-        own = (results := path_of(ROOT / RESULTS, name)).is_file()
-        evaluated = [] if own else [evaluate_run(policy, sets) for policy in candidate.policies]
-        rows.append(load_row(results) if own else make_row(candidate, sets, evaluated))
+        own = (results := ROOT / RESULTS / f"{name}.npz").is_file()
+        rows.append(load_row(results) if own else next(evaluate_rows([candidate], sets, disturbed=False)))
         learning[candidate.name] = read_learning(CHECKPOINTS / name if own else Path(name), task)
     title = ", ".join(each.name for each in found.values() if each.name != criteria.baseline or len(found) == 1)
     return compose(title if names else "Leaderboard of capsule_gym", rank(rows, sets, task), sets, learning)
@@ -220,7 +220,7 @@ def compare_to_row(run: Path, own: Sequence[Episode], evaluation_set: Evaluation
     kind = [getattr(config, name) for name in KIND]
     name = next((row for row, each in ROWS.items() if [getattr(each, field) for field in KIND] == kind), None)
     try:
-        row = load_row(path_of(ROOT / RESULTS, str(name)))
+        row = load_row(ROOT / RESULTS / f"{name}.npz")
         row.check_set(evaluation_set)
     except ValueError:
         return ""

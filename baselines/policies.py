@@ -33,12 +33,16 @@ class ScriptedPolicy:
         env_kwargs: the arguments of `CapsuleVectorEnv` that it needs.
         start: takes the seeds of the environments and returns a function from observations (n, entries) to actions
             (n, 1), float32.
+        senses: the entries of the state that it reads.
+        told: its knowledge of the plant.
     """
 
     name: str
     description: str
     env_kwargs: dict[str, Any] = field(default_factory=dict)
     start: Start = _no_action
+    senses: str = "theta, theta_dot, x_dot"
+    told: str = "nominal plant"
 
 
 # Values of the environment's argument `controller`, by the names of the laws' policies.
@@ -47,7 +51,12 @@ LAWS = {law.policy: f"baselines:{name}" for name, law in _LAWS.items()}
 SCRIPTED = {
     each.name: each
     for each in (
-        *(ScriptedPolicy(law.policy, law.description, {"controller": LAWS[law.policy]}) for law in _LAWS.values()),
+        *(
+            ScriptedPolicy(
+                law.policy, law.description, {"controller": LAWS[law.policy]}, senses=law.senses, told=law.told
+            )
+            for law in _LAWS.values()
+        ),
         ScriptedPolicy("lqr", "LQR with a gain for every phase of a limit cycle of dp-nominal", {}, lqr.start),
         ScriptedPolicy("mpc", "sampling MPC on the nominal plant with the values of dp-nominal", {}, mpc.start),
         ScriptedPolicy(
@@ -61,13 +70,20 @@ SCRIPTED = {
             "observes M and mu; dynamic programming for that plant",
             {"observe_parameters": True},
             policy.start_oracle,
+            told="nominal plant, M, mu",
         ),
     )
 }
 
 # Scripted policies of the other tasks.
 TASK_SCRIPTED = {
-    law.policy: ScriptedPolicy(law.policy, law.description, {"task": law.task, "controller": f"baselines:{name}"})
+    law.policy: ScriptedPolicy(
+        law.policy,
+        law.description,
+        {"task": law.task, "controller": f"baselines:{name}"},
+        senses=law.senses,
+        told=law.told,
+    )
     for name, law in TASK_LAWS.items()
 }
 ALL_SCRIPTED = {**SCRIPTED, **TASK_SCRIPTED}

@@ -125,7 +125,7 @@ def _whole(word: re.Match[str]) -> str:
 def _watched(page: Any, table: str) -> str:
     """Links the policies of a ranking to the live page; returns another table unchanged."""
     heads = re.findall("<th>(.*?)</th>", table)
-    if not {"policy", f"x {BASELINE}"} <= {*heads}:
+    if not {"policy", "senses"} <= {*heads}:
         return table
     return ROW.sub(lambda row: _watched_row(page, row[0], heads.index("policy")), table)
 

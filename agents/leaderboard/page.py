@@ -1,261 +1,218 @@
-"""Output of the rows: leaderboard.json, LEADERBOARD.md and the table in the README.
+"""Output of the rows: leaderboard.json, LEADERBOARD.md, the README's message and table, and tables of other pages.
 
-Both texts depend only on the content of leaderboard.json, so that they can be checked without a simulation.
+All depend only on the content of leaderboard.json, so that they can be checked without a simulation.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from string import Template
 from typing import Any
 
-from agents.evaluation.criteria import CRITERIA
+from agents.evaluation.criteria import CRITERIA, Criteria
 from agents.leaderboard.rows import Row
 from baselines.evaluation.episodes import LABELS, SHARE_OF_OPTIMUM, TABLE_METRICS, TASK_METRICS, TableMetric, summarise
-from baselines.evaluation.policies import BASELINE, CHECKPOINTS
+from baselines.evaluation.policies import find_candidate
 from baselines.evaluation.statistics import paired_difference
 from baselines.tables import markdown_table
-from capsule_gym.evaluation_sets import FURTHER_SET_NAMES, EvaluationSet
-from capsule_gym.files import to_json, without_nonfinite
+from capsule_gym.evaluation_sets import EvaluationSet
+from capsule_gym.files import to_json
 
-RANKING_SET = "paper"
-# Sets in the README's table, and the number of fastest policies on each set that it contains.
-HEAD_SETS = {RANKING_SET: 11, "real": 3, "sticky": 3}
-# Metrics for the further sets of the speed task.
-BRIEF = ("mean_speed", "stuck_fraction", "share_of_optimum")
 COMMAND = "python -m agents.leaderboard"
-# Markers in the syntax of mkdocs; docs/index.md includes the text between them.
-START, END = "<!-- --8<-- [start:leaderboard] -->", "<!-- --8<-- [end:leaderboard] -->"
-# A line of the table in agents/checkpoints/README.md.
-TRAINED = re.compile(r"^\| `([\w-]+)` \|[^|]*\| `([^`]+)` \|$", re.MULTILINE)
-
-RATIO = TableMetric("ratio", f"x {BASELINE}", 2)
-# The fastest policy of the paper's method: the paper's law and family of profiles, with other times.
-BEST_OF_PAPER = "feedback-linearising-optimal-profile"
-SPEED, COST, TORQUE = (TABLE_METRICS[name] for name in ("mean_speed", "cost_of_transport", "rms_torque"))
-# Columns of tables: keys of the cells (`_cells`) by header.
-POLICY = {"policy": "policy"}
-# Narrow enough for a phone.
-RANKING = {
-    "": "place",
-    **POLICY,
-    "cm/s [95 %]": SPEED.name,
-    "minus base": f"minus base {RANKING_SET}",
-    RATIO.label: "ratio",
-    "of optimum": f"share {RANKING_SET}",
-    "CoT": "cost",
-    "failed": f"failures {RANKING_SET}",
+TABLES = "docs/leaderboard_tables.md"
+# The main table: its groups of rows, its sets, and the row to whose speed those of the others are compared.
+GROUPS = {
+    "Open loop": ("open-loop", "open-loop-real"),
+    "The paper": ("adaptive", "feedback-linearising-optimal-profile"),
+    "Simple feedback": ("pd", "oscillator", "gait-guarded", "gait-predictive"),
+    "Model-based": ("lqr", "mpc", "dp-nominal", "dp-oracle"),
+    "Learned": ("direct-ppo", "residual-ppo", "direct-real", "residual-real", "dp-distilled-wide"),
 }
-SENSITIVITY = {**POLICY, f"lowest {SPEED.label}": "low", "highest": "high", "width": "width"}
-
-
-def _rounded(value: Any, digits: int) -> Any:
-    """Rounds the floats in nested dicts to `digits` significant digits."""
-    if isinstance(value, dict):
-        return {key: _rounded(entry, digits) for key, entry in value.items()}
-    return float(f"{value:.{digits}g}") if isinstance(value, float) else value
-
-
-def training_commands() -> dict[str, str]:
-    """The command that trains each checkpoint, from the table in its README."""
-    path = CHECKPOINTS / "README.md"
-    return dict(TRAINED.findall(path.read_text(encoding="utf-8"))) if path.is_file() else {}
+# The paper's other laws.
+OTHER_LAWS = ("adaptive-as-published", "adaptive-optimal-profile", "epc", "feedback-linearising")
+RANKING_SET, REAL = "paper", "real"
+MAIN_SETS = (RANKING_SET, "wide", REAL, "real-wide", "sticky")
+REFERENCE = "open-loop"
+METRICS = {metric.name: metric for metric in (*TASK_METRICS, *TABLE_METRICS.values(), SHARE_OF_OPTIMUM)}
+SPEED, COST = METRICS["mean_speed"], METRICS["cost_of_transport"]
+RATIO = f"ratio to {REFERENCE}"
+COLUMNS = ("policy", *MAIN_SETS, RATIO, COST.label, "senses", "told")
+# Columns and rows of the README's table.
+HEAD_COLUMNS = ("policy", RANKING_SET, REAL, COST.label, "senses", "told")
+HEAD = ("open-loop", "adaptive", "pd", "gait-predictive", "lqr", "dp-oracle", "direct-ppo", "residual-real")
+# Tables of other pages: rows and sets.
+SECTIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "disturbances": (("gait-predictive", "residual-real", "residual-real-wide"), (REAL, "real-wide")),
+    "algorithms": (("direct-ppo", "direct-sac"), (RANKING_SET,)),
+    "energy": (("direct-ppo", "efficient"), (RANKING_SET,)),
+    "wide": (("direct-ppo", "direct-ppo-wide", "gait-guarded", "dp-distilled-wide"), (RANKING_SET, "wide")),
+    "sticky": (("sticky", "gait-guarded", "dp-oracle", "dp-distilled-wide"), ("sticky",)),
+    "paper": ((*GROUPS["The paper"], *OTHER_LAWS), (RANKING_SET,)),
+}
+# The message: policies with perfect sensors, policies that keep their speed with real ones, and the learned of these.
+PERFECT = ("lqr", "mpc", "dp-nominal", "dp-oracle", "direct-ppo", "residual-ppo")
+KEPT, LEARNED = ("lqr", "gait-predictive", "direct-real", "residual-real"), ("direct-real", "residual-real")
+ENTRIES = ("policy", "description", "training_seeds", "revision", "files", "base", "disturbed", "versions")
 
 
 def build(rows: Sequence[Row], sets: Sequence[EvaluationSet]) -> dict[str, Any]:
-    """The content of leaderboard.json: the rows of each task, the best on its ranking set first.
-
-    The sets are the columns. They must include the ranking set of each task with rows.
+    """The content of leaderboard.json: sets and rows of each task, the best mean on its ranking set first.
 
     Raises:
         ValueError: if a row was evaluated on other sets.
     """
-    by_task = {each.task: [other for other in sets if other.task == each.task] for each in sets}
-    versions: dict[str, set[str]] = {}
-    for row in rows:
-        for package, number in row.header["versions"].items():
-            versions.setdefault(package, set()).add(number)
-    tasks = {
-        task: {
-            "sets": {each.name: each.hash for each in own},
-            "rows": _ranked([row for row in rows if row.task == task], own, task),
-        }
-        for task, own in by_task.items()
-    }
-    board = {
-        "sets": {each.name: each.hash for each in sets if each.task == "speed"},
-        # If the rows were evaluated with different versions, all versions are listed.
-        "versions": {package: ", ".join(sorted(numbers)) for package, numbers in versions.items()},
-        "rows": tasks.pop("speed", {}).get("rows", []),
-        "tasks": tasks,
-    }
-    return without_nonfinite(board)
+    tasks = {}
+    for task in dict.fromkeys(each.task for each in sets):
+        own = [each for each in sets if each.task == task]
+        ranked = _ranked([row for row in rows if row.task == task], own, CRITERIA[task])
+        tasks[task] = {"sets": {each.name: each.hash for each in own}, "rows": ranked}
+    board = {**tasks.pop("speed", {"sets": {}, "rows": []}), "tasks": tasks}
+    # Six digits; infinities become null.
+    content: dict[str, Any] = json.loads(to_json(board), parse_float=lambda text: float(f"{float(text):.6g}"))
+    return content
 
 
-def _ranked(rows: Sequence[Row], sets: Sequence[EvaluationSet], task: str) -> list[dict[str, Any]]:
-    """The rows of one task, the best on its ranking set first; a row that does not improve on its base is below it."""
-    commands, criteria = training_commands(), CRITERIA[task]
-    ranking, metric, by_name = criteria.ranking_set, criteria.metric.name, {row.name: row for row in rows}
-    of_task = [metric.name for metric in TASK_METRICS]
-    shown = (*of_task, *TABLE_METRICS, SHARE_OF_OPTIMUM.name, "episodes", "failures")
-    content = []
+def _ranked(rows: Sequence[Row], sets: Sequence[EvaluationSet], criteria: Criteria) -> list[dict[str, Any]]:
+    """The rows of one task, the best mean on its ranking set first."""
+    metric, by_name, content = criteria.metric.name, {row.name: row for row in rows}, []
     for row in rows:
-        entry = {name: row.header[name] for name in ("policy", "description", "training_seeds", "revision", "files")}
-        if row.trained:
-            entry |= {"base": row.header["base"], "trained_by": commands.get(row.name)}
-        summaries = {}
+        results = {}
         for each in sets:
-            names = BRIEF if each.name in FURTHER_SET_NAMES else shown
             episodes = row.episodes(each)
-            kept = [name for name in episodes[0] if name in (*names, *LABELS, "failed")]
-            summaries[each.name] = summarise([{name: episode[name] for name in kept} for episode in episodes])
-        results = {name: {key: each[key] for key in shown if key in each} for name, each in summaries.items()}
-        numbers = {"results": results, "disturbed": row.header["disturbed"]}
+            kept = [name for name in episodes[0] if name in (*METRICS, *LABELS, "failed")]
+            results[each.name] = summarise([{name: episode[name] for name in kept} for episode in episodes])
+            del results[each.name]["training_seeds"]
+        entry = {name: row.header[name] for name in ENTRIES} | {"results": results}
+        entry["senses"], entry["told"] = find_candidate(row.name).inputs
         if base := by_name.get(row.header["base"] or ""):
             pairs = {each.name: (row.score(each.name, metric), base.score(each.name, metric)) for each in sets}
-            numbers["minus_base"] = {name: paired_difference(*pair).to_dict() for name, pair in pairs.items()}
-        content.append({**entry, **_rounded(numbers, 6)})
-    ranks = {row["policy"]: criteria.rank(row["results"][ranking][metric]["iqm"], row["policy"]) for row in content}
-
-    def place(row: Mapping[str, Any]) -> tuple[tuple[float, str], ...]:
-        own, gain = (ranks[row["policy"]],), row.get("minus_base", {}).get(ranking)
-        if gain is None or (gain["high"] < 0.0 if criteria.ascending else gain["low"] > 0.0):
-            return own
-        return max(own, (ranks[row["base"]], *own))
-
-    return sorted(content, key=place)
+            entry["minus_base"] = {name: paired_difference(*pair, mean=True).to_dict() for name, pair in pairs.items()}
+        content.append(entry)
+    ranking = criteria.ranking_set
+    return sorted(content, key=lambda row: criteria.rank(row["results"][ranking][metric]["mean"], row["policy"]))
 
 
-def _interval(metric: TableMetric, summary: Mapping[str, Any]) -> str:
-    """Formats a metric with its interval; the only possible line break is between the two."""
-    return metric.with_interval(summary[metric.name]).replace(", ", ",\N{NO-BREAK SPACE}")
+def grouped(board: Mapping[str, Any]) -> dict[str, list[Mapping[str, Any]]]:
+    """The rows of the main table by group; the last group contains rows that are in no table of another page."""
+    placed = {name for names, _ in SECTIONS.values() for name in names}.union(*GROUPS.values())
+    others = {"Others": [row["policy"] for row in board["rows"] if row["policy"] not in placed]}
+    groups = {title: _chosen(board, names) for title, names in {**GROUPS, **others}.items()}
+    return {title: rows for title, rows in groups.items() if rows}
 
 
-def _difference(row: Mapping[str, Any], set_name: str) -> str:
-    """The difference between a row and its base on a set, with its interval."""
-    found = row.get("minus_base", {}).get(set_name)
-    return SPEED.with_interval(found, sign=True).replace(", ", ",\N{NO-BREAK SPACE}") if found else "-"
+def _chosen(board: Mapping[str, Any], names: Sequence[str]) -> list[Mapping[str, Any]]:
+    return [row for row in board["rows"] if row["policy"] in names]
 
 
-def _cells(row: Mapping[str, Any], place: int, baseline: float, best: float) -> dict[str, str]:
-    """The texts of all cells of a row of leaderboard.json, by the keys used in the tables.
+def message(board: Mapping[str, Any]) -> str:
+    """The summary of the main table."""
+    found = {row["policy"]: row["results"] for row in board["rows"]}
 
-    `baseline` and `best` are the speeds of the paper's controller and of its method's fastest policy, in cm/s.
-    """
-    summary, disturbed = row["results"][RANKING_SET], row["disturbed"]
-    width = SPEED.format(disturbed["high"] - disturbed["low"])
-    cells = {
-        "place": str(place),
-        "policy": row["policy"],
-        "ratio": RATIO.format(summary["mean_speed"]["iqm"] / baseline if baseline > 0.0 else None),
-        "torque": TORQUE.format(summary["rms_torque"]["iqm"]),
-        "cost": COST.format(summary["cost_of_transport"]["iqm"]),
-        "training_seeds": str(len(row["training_seeds"]) or "-"),
-        "revision": f"`{row['revision']}`" if row["revision"] else "-",
-        "best ratio": RATIO.format(summary["mean_speed"]["iqm"] / best if best > 0.0 else None),
-        "low": SPEED.format(disturbed["low"]),
-        "high": SPEED.format(disturbed["high"]),
-        "width": width if float(width) else f"< {0.5 * 10.0**-SPEED.digits:g}",
-        **{name: _interval(metric, summary) for name, metric in TABLE_METRICS.items()},
-    }
-    for name, each in row["results"].items():
-        share, counts = 100.0 * each["failures"] / each["episodes"], f"{each['failures']}/{each['episodes']}"
-        rounded = f"{share:.0f}" if share >= 1.0 else "<\N{NO-BREAK SPACE}1"
-        cells |= {
-            f"failures {name}": counts,
-            # Gives a dash on sets that the table of optima does not cover.
-            f"share {name}": SHARE_OF_OPTIMUM.format(each.get(SHARE_OF_OPTIMUM.name, {}).get("iqm")),
-            f"speed {name}": SPEED.format(each["mean_speed"]["iqm"])
-            + (f" ({rounded}\N{NO-BREAK SPACE}%)" if share else ""),
-            f"minus base {name}": _difference(row, name),
-            f"interval {name}": _interval(SPEED, each) + (f", {counts} failed" if share else ""),
-        }
-    return cells
+    def speeds(*names: str, on: str = RANKING_SET) -> list[float]:
+        return [found[name][on][SPEED.name]["mean"] for name in names]
+
+    (blind, paper, pd), (pd_real,) = speeds(REFERENCE, "adaptive", "pd"), speeds("pd", on=REAL)
+    perfect, kept = speeds(*PERFECT), speeds(*KEPT, on=REAL)
+    return (
+        f"Torque as a function of time alone makes {blind:.1f} cm/s, {blind / paper:.1f} times the paper's controller; "
+        f"an encoder and two gains (`pd`) make {pd:.1f}. A model, dynamic programming or learning brings "
+        f"{min(perfect):.0f} to {max(perfect):.0f} with perfect sensors on the assumed plants. With real sensors most "
+        f"of these fall below the PD ({pd_real:.1f}); LQR, a predictor or training under such sensors keep "
+        f"{min(kept):.0f} to {max(kept):.0f}: learning is worth {min(speeds(*LEARNED, on=REAL)) - pd_real:.1f} cm/s "
+        "over the PD."
+    )
 
 
-def _all_cells(board: Mapping[str, Any]) -> list[dict[str, str]]:
-    """The texts of all cells of leaderboard.json, row by row."""
-    speeds = {row["policy"]: row["results"][RANKING_SET]["mean_speed"]["iqm"] for row in board["rows"]}
-    references = [speeds.get(name, 0.0) for name in (BASELINE, BEST_OF_PAPER)]
-    return [_cells(row, n, *references) for n, row in enumerate(board["rows"], start=1)]
+def _main_table(board: Mapping[str, Any], columns: Sequence[str], names: Sequence[str] = ()) -> str:
+    """Some columns of all rows with lines for the titles of groups, or only of some rows."""
+    speeds = {row["policy"]: row["results"][RANKING_SET][SPEED.name]["mean"] for row in board["rows"]}
+    lines = [columns]
+    for title, rows in grouped(board).items():
+        lines += [] if names else [[f"**{title}**", *[""] * (len(columns) - 1)]]
+        for row in (row for row in rows if not names or row["policy"] in names):
+            cells = {"policy": row["policy"], "senses": row["senses"], "told": row["told"]}
+            for name, each in row["results"].items():
+                failed = f" ({_failures(each)})" if each["failures"] else ""
+                cells[name] = SPEED.format(each[SPEED.name]["mean"]) + failed
+            cells[RATIO] = SPEED.format(speeds[row["policy"]] / speeds[REFERENCE])
+            cells[COST.label] = COST.format(row["results"][RANKING_SET][COST.name]["iqm"])
+            lines.append([cells[column] for column in columns])
+    return markdown_table(lines)
 
 
-def _table(rows: Sequence[Mapping[str, str]], columns: Mapping[str, str]) -> str:
-    """A Markdown table; `columns` maps headers to keys of the cells."""
-    return markdown_table([[*columns], *([row[key] for key in columns.values()] for row in rows)])
+def _failures(summary: Mapping[str, Any]) -> str:
+    return f"{summary['failures']}/{summary['episodes']}"
 
 
-def render(board: Mapping[str, Any]) -> str:
-    """Renders LEADERBOARD.md from page.md and the content of leaderboard.json."""
-    rows, cells, sets = board["rows"], _all_cells(board), board["sets"]
-    of_tasks = {task: each["rows"] for task, each in board["tasks"].items()}
-    hashes = {name: value for each in (board, *board["tasks"].values()) for name, value in each["sets"].items()}
-    details = {metric.label: name for name, metric in TABLE_METRICS.items() if metric != SPEED}
-    shared = [name for name in sets if any(SHARE_OF_OPTIMUM.name in row["results"][name] for row in rows)]
-    every = [row for each in (rows, *of_tasks.values()) for row in each]
-    trained_by = [f". Trained by `{row['trained_by']}`" if row.get("trained_by") else "" for row in every]
-    policies = [f"- `{row['policy']}`: {row['description']}{by}" for row, by in zip(every, trained_by, strict=True)]
-    parts = {
-        "ranking": _table(cells, RANKING),
-        "details": _table(cells, {**POLICY, **details, "training seeds": "training_seeds", "revision": "revision"}),
-        "sets": _table(cells, {**POLICY, **{name: f"speed {name}" for name in sets}}),
-        "intervals": _table(cells, {**POLICY, **{name: f"interval {name}" for name in sets}}),
-        "shares": _table(cells, {**POLICY, **{name: f"share {name}" for name in shared}}),
-        "differences": _table(
-            [each for each, row in zip(cells, rows, strict=True) if "minus_base" in row],
-            {**POLICY, **{name: f"minus base {name}" for name in sets}},
-        ),
-        "sensitivity": _table(cells, SENSITIVITY),
-        "policies": "\n".join(policies),
-        "hashes": ", ".join(f"`{name}` {value[:12]}" for name, value in hashes.items()),
-        "versions": ", ".join(f"{name} {value}" for name, value in board["versions"].items()),
-    }
-    parts |= {task: _task_tables(of_tasks.get(task, [])) for task in CRITERIA if task != "speed"}
-    return Template(Path(__file__).with_suffix(".md").read_text(encoding="utf-8")).substitute(parts)
+def _interval(metric: TableMetric, values: Iterable[float | None], *, sign: bool = False) -> str:
+    """Formats a value and the ends of its interval; the only possible line break is between the two."""
+    value, low, high = (metric.format(each, sign=sign) for each in values)
+    return f"{value} [{low},\N{NO-BREAK SPACE}{high}]"
 
 
-def _task_tables(rows: Sequence[Mapping[str, Any]]) -> str:
-    """The rows of another task than speed, one table per set."""
+def _details(rows: Sequence[Mapping[str, Any]], sets: Iterable[str], criteria: Criteria) -> str:
+    """A table for each set: means, worst seeds and interquartile means, and the differences to base laws."""
     tables = []
-    for name in rows[0]["results"] if rows else ():
-        metrics = [metric for metric in TASK_METRICS if metric.name in rows[0]["results"][name]]
-        lines = [["policy", *(metric.label for metric in metrics), "failed", "training seeds", "revision"]]
-        for row in rows:
-            result = row["results"][name]
-            values = [_interval(metric, result) for metric in metrics]
-            seeds, revision = len(row["training_seeds"]) or "-", f"`{row['revision']}`" if row["revision"] else "-"
-            lines.append([row["policy"], *values, f"{result['failures']}/{result['episodes']}", str(seeds), revision])
-        tables.append(f"On the set `{name}`:\n\n{markdown_table(lines)}")
+    for name in sets:
+        lines = [_cells(row, name, criteria) for row in rows]
+        columns = [column for column in lines[0] if any(line[column] != "-" for line in lines)]
+        table = markdown_table([columns, *([line[column] for column in columns] for line in lines)])
+        tables.append(f"On the set `{name}`:\n\n{table}")
     return "\n\n".join(tables)
 
 
-def head(board: Mapping[str, Any]) -> str:
-    """The README's Markdown table: the fastest policies on some sets, the baseline, and the paper's best policy."""
-    shown, speeds = {BASELINE, BEST_OF_PAPER}, {f"{RANKING_SET} (cm/s) [95 %]": SPEED.name}
-    for name, count in HEAD_SETS.items():
-        if name in board["sets"]:
-            ranked = sorted(board["rows"], key=lambda row: -row["results"][name]["mean_speed"]["iqm"])
-            shown |= {row["policy"] for row in ranked[:count]}
-            speeds |= {} if name == RANKING_SET else {f"{name} (cm/s)": f"speed {name}"}
-    columns = {
-        **{**POLICY, **speeds, "minus base": f"minus base {RANKING_SET}", RATIO.label: "ratio"},
-        **{"x the paper's best": "best ratio", COST.label: "cost", TORQUE.label: "torque"},
-        "failures": f"failures {RANKING_SET}",
-    }
-    return _table([each for each in _all_cells(board) if each["policy"] in shown], columns)
+def _cells(row: Mapping[str, Any], set_name: str, criteria: Criteria) -> dict[str, str]:
+    """The cells of `_details` by column; columns without any value are omitted."""
+    cells, result, seeds = {"policy": row["policy"]}, row["results"][set_name], len(row["training_seeds"])
+    for name, weight in criteria.weights.items():
+        if (metric := METRICS.get(name)) is None:
+            continue
+        each = result[name]
+        worst = max(each["seeds"]) if weight < 0.0 else min(each["seeds"])
+        cells[metric.label] = _interval(metric, (each["mean"], each["mean_low"], each["mean_high"]))
+        cells[f"worst seed: {metric.label}"] = metric.format(worst if seeds else None)
+        if not metric.share:
+            cells["interquartile mean"] = _interval(metric, (each["iqm"], each["low"], each["high"]))
+    base = row.get("minus_base", {}).get(set_name)
+    difference = _interval(criteria.metric, base.values(), sign=True) if base else "-"
+    cells |= {"failed": _failures(result), f"difference to base law on `{set_name}`": difference}
+    if SPEED.name in criteria.weights:
+        cells[COST.label] = COST.format(result[COST.name]["iqm"])
+    return {**cells, "seeds": str(seeds or "-"), "revision": row["revision"] or "-"}
+
+
+def _section(name: str, text: str) -> str:
+    """A text between the markers of mkdocs, by which other pages include it."""
+    return f"<!-- --8<-- [start:{name}] -->\n{text}\n<!-- --8<-- [end:{name}] -->"
 
 
 def files(root: Path, board: Mapping[str, Any]) -> dict[str, str]:
-    """The texts of leaderboard.json, LEADERBOARD.md and the README, which contains the table between its markers.
+    """The texts of leaderboard.json, LEADERBOARD.md, the README with message and table, and tables of other pages.
 
     Raises:
         ValueError: if a marker is missing in the README.
     """
-    before, start, rest = (root / "README.md").read_text(encoding="utf-8").partition(START)
-    _, end, after = rest.partition(END)
-    if not (start and end):
-        raise ValueError(f"README.md must contain {START} and then {END}")
-    readme = f"{before}{START}\n{head(board)}\n{END}{after}"
-    return {"README.md": readme, "leaderboard.json": to_json(board), "LEADERBOARD.md": render(board)}
+    rows, speed = [row for own in grouped(board).values() for row in own], CRITERIA["speed"]
+    parts = {
+        "message": _section("message", message(board)),
+        "main": _main_table(board, COLUMNS),
+        "details": _details(rows, (RANKING_SET, REAL), speed),
+        "policies": "\n".join(f"- `{row['policy']}`: {row['description']}" for row in rows),
+    }
+    readme = (root / "README.md").read_text(encoding="utf-8")
+    for name, text in {"message": message(board), "leaderboard": _main_table(board, HEAD_COLUMNS, HEAD)}.items():
+        start, end = _section(name, "").split("\n\n")
+        (before, first, rest), (_, last, after) = (readme.partition(start), readme.partition(end))
+        if not (first and last and end in rest):
+            raise ValueError(f"README.md must contain {start} and then {end}")
+        readme = before + _section(name, text) + after
+    tables = {name: _details(_chosen(board, names), sets, speed) for name, (names, sets) in SECTIONS.items()}
+    tables |= {task: _details(own["rows"], own["sets"], CRITERIA[task]) for task, own in board["tasks"].items()}
+    return {
+        "README.md": readme,
+        "leaderboard.json": to_json(board),
+        "LEADERBOARD.md": Template(Path(__file__).with_suffix(".md").read_text(encoding="utf-8")).substitute(parts),
+        TABLES: "\n\n".join([f"<!-- Written by `{COMMAND}`. -->", *map(_section, tables, tables.values())]) + "\n",
+    }

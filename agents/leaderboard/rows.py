@@ -1,20 +1,11 @@
 """The rows of the leaderboard: every episode of every training run, in one file per policy.
 
 `agents/leaderboard/results/NAME.npz` is a numpy archive without pickles. It contains a float64 array of shape (metrics,
-training seeds, episodes) for every set, and under `header` a JSON text in UTF-8:
+training seeds, episodes) for every set, and under `header` a JSON text in UTF-8: the policy, its description, training
+seeds, revisions, files (sha256) and base law; `metrics`, the first axis of the arrays; the `sets` (sha256); the
+`versions` that evaluated it; and `disturbed`, the range of the mean speed under small noise on the actions.
 
-| field | meaning |
-|---|---|
-| `policy`, `description` | the policy |
-| `training_seeds`, `revision`, `files` | its runs, the git revision of the training, the sha256 of each policy file |
-| `base` | the scripted policy whose law runs inside its step; null for none |
-| `metrics` | the rows of the arrays |
-| `sets` | the sha256 of each set's content |
-| `versions` | of Python and of the packages that evaluated it |
-| `disturbed` | of the speed task: the range of the mean speed under small noise on the actions (`disturbed_range`) |
-
-Distance and energy are omitted, since they follow from speed and cost of transport. The share of the optimum is
-omitted, since it follows from speed and plant.
+Distance, energy and share of the optimum are omitted, since they follow from speed, cost of transport and plant.
 """
 
 from __future__ import annotations
@@ -33,33 +24,24 @@ import numpy as np
 from tqdm import tqdm
 
 from baselines.archive import UNREADABLE
-from baselines.evaluation.episodes import Episode, as_episodes, versions
+from baselines.evaluation.episodes import Episode, as_episodes, disturbed_range, versions
 from baselines.evaluation.episodes import evaluate as evaluate_policy
 from baselines.evaluation.policies import Candidate, Policy
-from baselines.policies import SCRIPTED
 from capsule_gym.config import find_task
-from capsule_gym.evaluation_sets import NOMINAL_PLANT, EvaluationSet
+from capsule_gym.evaluation_sets import EvaluationSet
 from capsule_gym.files import write_atomically
 from capsule_gym.policy import POLICY
-from capsule_gym.task import HORIZON, METRICS, TASKS
+from capsule_gym.task import METRICS, TASKS
 
 # Relative to the project's folder.
 RESULTS = Path("agents", "leaderboard", "results")
 COLUMNS = tuple(name for name in METRICS if name not in ("distance", "energy"))
 HEADER = "header"
-# Half width of the noise on the actions, relative to the full action: the rounding error of a network in float32.
-NOISE = 1e-7
-COPIES = 200
 
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """All episodes of one policy, and the sources of their evaluation.
-
-    Attributes:
-        header: the fields of the table above.
-        scores: metrics by the set's name, shape (metrics, runs, episodes); a scripted policy has one run.
-    """
+    """All episodes of one policy: the header, and the arrays by the set's name; a scripted policy has one run."""
 
     header: dict[str, Any]
     scores: dict[str, np.ndarray]
@@ -91,10 +73,9 @@ class Row:
             ValueError: if the row was evaluated on another set of this name, or on none.
         """
         self.check_set(evaluation_set)
-        columns = self.scores[evaluation_set.name]
         found = []
         for i, seed in enumerate(self.header["training_seeds"] or [None]):
-            metrics = dict(zip(self.header["metrics"], columns[:, i], strict=True))
+            metrics = dict(zip(self.header["metrics"], self.scores[evaluation_set.name][:, i], strict=True))
             found += as_episodes(evaluation_set, metrics, training_seed=seed)
         return found
 
@@ -112,17 +93,13 @@ def static_header(candidate: Candidate) -> dict[str, Any]:
     """The fields of a row's header that do not require an evaluation."""
     trained, folder = candidate.trained, candidate.folder
     files = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob(POLICY))} if folder else {}
-    hashes = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
-    # The base of a residual is the scripted policy that only runs the same law.
-    law = candidate.policies[0].env_kwargs.get("controller")
-    bases = [name for name, each in SCRIPTED.items() if trained and law and each.env_kwargs.get("controller") == law]
     return {
         "policy": candidate.name,
         "description": candidate.description,
         "training_seeds": [policy.training_seed for policy in trained],
         "revision": ", ".join(dict.fromkeys(policy.revision for policy in trained)) or None,
-        "files": hashes,
-        "base": next(iter(bases), None),
+        "files": {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()},
+        "base": candidate.base,
     }
 
 
@@ -133,51 +110,13 @@ def columns(task: str) -> list[str]:
     return [*COLUMNS, *of_task.metrics(memory, np.zeros(1))]
 
 
-def evaluate_run(policy: Policy, sets: Sequence[EvaluationSet], horizon: float | None = None) -> dict[str, np.ndarray]:
-    """Evaluates one training run; returns the metrics of its episodes by the set's name, shape (metrics, episodes)."""
+def _work(policy: Policy, sets: Sequence[EvaluationSet], horizon: float | None, disturbed: bool) -> Any:
+    """The metrics of one run by the set's name, each of shape (metrics, episodes), and its sensitivity if asked for."""
     found = {}
     for each in sets:
         episodes = evaluate_policy(policy, each, horizon=horizon)
         found[each.name] = np.array([[episode[name] for episode in episodes] for name in columns(each.task)])
-    return found
-
-
-def disturbed_range(policy: Policy, horizon: float = HORIZON) -> tuple[float, float]:
-    """The sensitivity of a policy to perturbations: the range of its mean speed (cm/s) under noise on its actions.
-
-    If a difference in the tenth digit makes trajectories diverge, the mean speed of a single episode of `horizon` s is
-    a sample from a wide distribution.
-    """
-    copies = EvaluationSet("copies", (NOMINAL_PLANT,) * COPIES)
-    episodes = evaluate_policy(policy, copies, horizon=horizon, action_noise=NOISE)
-    speeds = [episode["mean_speed"] for episode in episodes]
-    return min(speeds), max(speeds)
-
-
-def make_row(
-    candidate: Candidate,
-    sets: Sequence[EvaluationSet],
-    runs: Sequence[dict[str, np.ndarray]],
-    ranges: Sequence[tuple[float, float]] = (),
-) -> Row:
-    """Creates a row from the results of `evaluate_run` and `disturbed_range` for each training seed, in order.
-
-    Of the ranges, the widest is used.
-    """
-    widest = max(ranges, key=lambda ends: ends[1] - ends[0], default=())
-    header = {
-        **static_header(candidate),
-        "metrics": columns(candidate.task),
-        "sets": {each.name: each.hash for each in sets},
-        "versions": versions(),
-        "disturbed": dict(zip(("low", "high"), widest, strict=False)),
-    }
-    return Row(header, {each.name: np.stack([run[each.name] for run in runs], axis=1) for each in sets})
-
-
-def _work(policy: Policy, sets: Sequence[EvaluationSet], horizon: float | None, disturbed: bool) -> Any:
-    """Evaluates one run on all sets, and its sensitivity if `disturbed`."""
-    return evaluate_run(policy, sets, horizon), disturbed_range(policy, horizon or HORIZON) if disturbed else ()
+    return found, disturbed_range(policy, horizon) if disturbed else {}
 
 
 def evaluate(
@@ -191,7 +130,7 @@ def evaluate(
     """Evaluates policies on the sets of their task, with a progress bar; yields each row as soon as it is finished.
 
     `jobs` is the number of processes, `horizon` the length of an episode in s. `disturbed` also evaluates the
-    sensitivity of policies of the speed task, which takes a third of the time.
+    sensitivity of policies of the speed task, which takes a third of the time; the widest range of all runs counts.
     """
     # Imported here, since the import is slow and --help does not need it.
     from joblib import Parallel, delayed
@@ -207,12 +146,14 @@ def evaluate(
     found = iter(tqdm(results, "evaluating", len(work), file=sys.stderr, disable=None))
     for candidate in candidates:
         runs, ranges = zip(*(next(found) for _ in candidate.policies), strict=True)
-        yield make_row(candidate, own[candidate.name], runs, [each for each in ranges if each])
-
-
-def path_of(folder: Path, name: str) -> Path:
-    """The file of a policy's results."""
-    return folder / f"{name}.npz"
+        header = {
+            **static_header(candidate),
+            "metrics": columns(candidate.task),
+            "sets": {each.name: each.hash for each in own[candidate.name]},
+            "versions": versions(),
+            "disturbed": max(ranges, key=lambda ends: ends["high"] - ends["low"] if ends else 0.0),
+        }
+        yield Row(header, {name: np.stack([run[name] for run in runs], axis=1) for name in header["sets"]})
 
 
 def save_row(folder: Path, row: Row) -> None:
@@ -221,7 +162,7 @@ def save_row(folder: Path, row: Row) -> None:
     arrays: dict[str, Any] = {HEADER: np.frombuffer(json.dumps(row.header).encode(), np.uint8), **row.scores}
     content = io.BytesIO()
     np.savez_compressed(content, **arrays)
-    write_atomically(path_of(folder, row.name), content.getvalue())
+    write_atomically(folder / f"{row.name}.npz", content.getvalue())
 
 
 def load_row(path: Path) -> Row:
@@ -248,4 +189,4 @@ def load_row(path: Path) -> Row:
 
 def load_rows(folder: Path, names: Iterable[str]) -> list[Row]:
     """Reads the rows of policies, in order, with the errors of `load_row`."""
-    return [load_row(path_of(folder, name)) for name in names]
+    return [load_row(folder / f"{name}.npz") for name in names]

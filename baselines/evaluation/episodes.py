@@ -22,7 +22,7 @@ from baselines.evaluation.statistics import estimate
 from baselines.policies import ScriptedPolicy
 from capsule_gym import __version__
 from capsule_gym.config import find_task
-from capsule_gym.evaluation_sets import EvaluationSet, load_set
+from capsule_gym.evaluation_sets import NOMINAL_PLANT, EvaluationSet, load_set
 from capsule_gym.network import rollout
 from capsule_gym.parameters import NOMINAL
 from capsule_gym.task import CONTROL_DT, START_THETA, TORQUE_LIMIT
@@ -32,6 +32,9 @@ Episode = dict[str, Any]
 # Fields of an episode that are not metrics.
 LABELS = ("M", "mu", "seed", "theta", "goal", "changes", "capsule", "training_seed")
 NOISE_SEED = 1_000_000_007
+# Half width of the noise for the sensitivity, relative to the full action: the rounding error of a network in float32.
+NOISE = 1e-7
+COPIES = 200
 PACKAGES = ("numpy", "gymnasium", "stable-baselines3", "torch")
 
 
@@ -132,6 +135,17 @@ def evaluate(
     return as_episodes(chosen, metrics, training_seed=seed, shared=limited)
 
 
+def disturbed_range(policy: Policy, horizon: float | None = None) -> dict[str, float]:
+    """The sensitivity of a policy to perturbations: the range of its mean speed (cm/s) under noise on its actions.
+
+    If a difference in the tenth digit makes trajectories diverge, the mean speed of a single episode is a sample from a
+    wide distribution.
+    """
+    copies = EvaluationSet("copies", (NOMINAL_PLANT,) * COPIES)
+    speeds = [episode["mean_speed"] for episode in evaluate(policy, copies, horizon=horizon, action_noise=NOISE)]
+    return {"low": min(speeds), "high": max(speeds)}
+
+
 def check_task(candidate: Candidate, evaluation_set: EvaluationSet) -> str:
     """Checks that policies are for the task of a set, and returns it. Scripted policies without a task fit any set.
 
@@ -227,14 +241,19 @@ def summarise(episodes: Sequence[Episode]) -> dict[str, Any]:
     """Summarises a policy's episodes on one set.
 
     Returns:
-        For every metric but `failed` the interquartile mean with its interval, `{"iqm": .., "low": .., "high": ..}`;
-        for shares the mean, `{"mean": .., "low": .., "high": ..}`; `episodes` and `failures` as counts over all
-        training seeds (a trimmed mean would hide a few failures); and `training_seeds`, empty for scripted policies.
+        For every metric but `failed` the interquartile mean with its interval, `iqm`, `low` and `high` (for shares
+        `mean`, `low` and `high`); the mean with its interval, `mean`, `mean_low` and `mean_high`; and the mean of each
+        training seed, `seeds`. Further `episodes` and `failures` as counts over all training seeds (a trimmed mean
+        would hide a few failures), and `training_seeds`, empty for scripted policies.
     """
-    names = [name for name in episodes[0] if name not in LABELS and name != "failed"]
+    found: dict[str, Any] = {}
+    for name in (name for name in episodes[0] if name not in LABELS and name != "failed"):
+        values = scores(episodes, name)
+        value, low, high = estimate(values, mean=True).to_dict().values()
+        mean = {"mean": value, "mean_low": low, "mean_high": high, "seeds": values.mean(axis=1).tolist()}
+        found[name] = {**estimate(values, mean=name in SHARES).to_dict(), **mean}
     seeds = list(dict.fromkeys(e["training_seed"] for e in episodes if "training_seed" in e))
-    metrics = {name: estimate(scores(episodes, name), mean=name in SHARES).to_dict() for name in names}
-    return {**metrics, "episodes": len(episodes), "failures": failures(episodes), "training_seeds": seeds}
+    return {**found, "episodes": len(episodes), "failures": failures(episodes), "training_seeds": seeds}
 
 
 def versions() -> dict[str, str]:

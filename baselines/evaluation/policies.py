@@ -28,6 +28,8 @@ Act = Callable[[np.ndarray], np.ndarray]
 BASELINE = "adaptive"
 CHECKPOINTS = next((folder for folder in FOLDERS if folder.is_dir()), FOLDERS[-1])
 REFERENCE = re.compile(r"([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*):([A-Za-z_]\w*)")
+# The sensors in the observation of a trained policy.
+OBSERVED = "theta, theta_dot, x_dot, stick"
 EXTERNAL = "a policy of another project"
 
 
@@ -125,6 +127,25 @@ class Candidate:
     def trained(self) -> list[capsule_gym.Policy]:
         """The policies that come from training runs; empty for a scripted policy."""
         return [policy for policy in self.policies if isinstance(policy, capsule_gym.Policy)]
+
+    @property
+    def base(self) -> str | None:
+        """The scripted policy that only runs the law of the trained policies; None if there is none."""
+        law = self.policies[0].env_kwargs.get("controller")
+        names = [name for name, each in SCRIPTED.items() if law and each.env_kwargs.get("controller") == law]
+        return names[0] if names and self.trained else None
+
+    @property
+    def inputs(self) -> tuple[str, str]:
+        """What the policies sense, and what they are told about the plant."""
+        if not self.trained:
+            return getattr(self.policies[0], "senses", ""), getattr(self.policies[0], "told", "")
+        policy, base = self.trained[0], SCRIPTED.get(self.base or "")
+        steps, estimates = policy.env_kwargs.get("stack_size", 1), ", estimates of M, mu" if policy.identifies else ""
+        senses = OBSERVED + (f" of {steps} steps" if steps > 1 else "") + (", law" if base else "") + estimates
+        # The estimates follow from a model of the pendulum.
+        known = "nominal pendulum" if policy.identifies else base.told if base else "nothing"
+        return senses, "M, mu" if policy.env_kwargs.get("observe_parameters") else known
 
 
 def _trained(name: str, folder: Path, trust_controller: bool = False) -> Candidate:

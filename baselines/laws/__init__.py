@@ -11,42 +11,72 @@ class Law(NamedTuple):
         module: module of this package that contains the function.
         policy: the name of the scripted policy, the law with a zero residual.
         description: description in one line.
+        senses: the entries of the state that the law reads.
+        told: its knowledge of the plant.
         task: name of the task of the law.
     """
 
     module: str
     policy: str
     description: str
+    senses: str = "theta, theta_dot, x_dot"
+    told: str = "nothing"
     task: str = "speed"
 
 
+_ADAPTIVE = {"senses": "theta, theta_dot, x, x_dot", "told": "nominal plant"}
 # Laws by the names of their functions: the environment's argument `controller` takes "baselines:NAME".
 LAWS = {
     "feedback_linearising": Law(
-        "feedback_linearisation", "feedback-linearising", "the paper's profile (9), feedback linearisation (35)"
+        "feedback_linearisation",
+        "feedback-linearising",
+        "the paper's profile (9), feedback linearisation (35)",
+        told="nominal plant",
     ),
-    "adaptive": Law("adaptive", "adaptive", "the paper's profile (9), adaptive law (39), regularised"),
+    "adaptive": Law("adaptive", "adaptive", "the paper's profile (9), adaptive law (39), regularised", **_ADAPTIVE),
     "adaptive_as_published": Law(
-        "adaptive", "adaptive-as-published", "the paper's profile (9), adaptive law (39), corrected, unregularised"
+        "adaptive",
+        "adaptive-as-published",
+        "the paper's profile (9), adaptive law (39), corrected, unregularised",
+        **_ADAPTIVE,
     ),
     "adaptive_optimal_profile": Law(
-        "adaptive", "adaptive-optimal-profile", "the fastest profile (9) with 1.5 N m, adaptive law (39), regularised"
+        "adaptive",
+        "adaptive-optimal-profile",
+        "the fastest profile (9) with 1.5 N m, adaptive law (39), regularised",
+        **_ADAPTIVE,
     ),
     "feedback_linearising_optimal_profile": Law(
         "feedback_linearisation",
         "feedback-linearising-optimal-profile",
         "the fastest profile (9) with 1.5 N m and without Principle 4, feedback linearisation (35)",
+        told="nominal plant",
     ),
-    "epc": Law("feedback_linearisation", "epc", "the EPC profile, feedback linearisation (35)"),
+    "epc": Law("feedback_linearisation", "epc", "the EPC profile, feedback linearisation (35)", told="nominal plant"),
     "gait": Law(
-        "gait", "gait-guarded", "a gait at 1 kHz that does not observe the plant; a guard of the contact estimates M"
+        "gait",
+        "gait-guarded",
+        "a gait at 1 kHz that does not observe the plant; a guard of the contact estimates M",
+        told="nominal pendulum",
     ),
     "gait_predictive": Law(
-        "predictive", "gait-predictive", "gait-guarded on a state that an observer and a predictor of the latency give"
+        "predictive",
+        "gait-predictive",
+        "gait-guarded on a state that an observer and a predictor of the latency give",
+        told="nominal plant",
     ),
-    "open_loop": Law("periodic", "open-loop", "torque as a function of time alone, tuned without disturbances"),
-    "open_loop_real": Law("periodic", "open-loop-real", "torque as a function of time alone, tuned under disturbances"),
-    "pd": Law("periodic", "pd", "PD control of the pendulum's angle along a periodic reference"),
+    "open_loop": Law(
+        "periodic", "open-loop", "torque as a function of time alone, tuned without disturbances", senses="nothing"
+    ),
+    "open_loop_real": Law(
+        "periodic", "open-loop-real", "torque as a function of time alone, tuned under disturbances", senses="nothing"
+    ),
+    "pd": Law(
+        "periodic",
+        "pd",
+        "PD control of the pendulum's angle along a periodic reference",
+        senses="theta, theta_dot",
+    ),
     "oscillator": Law("periodic", "oscillator", "a Hopf oscillator that the state entrains"),
 }
 # Laws for one of the other tasks only.
@@ -55,10 +85,10 @@ TASK_LAWS = {
         "pulses",
         "goal-pulses",
         "gait-guarded towards the goal, then pulses that adapt; strokes on smooth floors",
-        "goal",
+        task="goal",
     ),
     "velocity_pulses": Law(
-        "pulses", "velocity-pulses", "gait-guarded after the target, and pulses that adapt", "velocity"
+        "pulses", "velocity-pulses", "gait-guarded after the target, and pulses that adapt", task="velocity"
     ),
 }
 

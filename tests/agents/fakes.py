@@ -27,6 +27,8 @@ class Sine:
     name: str = "sine"
     description: str = "A sine of torque."
     env_kwargs: dict = field(default_factory=dict)
+    senses: str = "nothing"
+    told: str = "nothing"
 
     def start(self, seeds):
         step = 0
@@ -49,6 +51,8 @@ class Twitch:
     name: str = "twitch"
     description: str = "Chaos."
     env_kwargs: dict = field(default_factory=dict)
+    senses: str = "nothing"
+    told: str = "nothing"
 
     def start(self, seeds):
         return lambda observations: (self.amplitude * np.sign(np.sin(1e6 * observations[:, 1:2]))).astype(np.float32)

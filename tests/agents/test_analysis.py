@@ -121,12 +121,6 @@ def test_stale_tables_are_found(tmp_path, capsys):
     assert re.search(r"statistics_tables\.md is not up to date: run `python -m", capsys.readouterr().out)
 
 
-def test_an_unknown_name_is_refused(capsys):
-    with pytest.raises(SystemExit) as stop:
-        analysis.main(["nothing"])
-    assert stop.value.code == 2 and "got 'nothing'" in capsys.readouterr().err
-
-
 def test_friction_bounds_what_moves_the_centre_of_mass():
     rng, n = np.random.default_rng(5), 2000
     p = Capsule(static_ratio=1.3).plant()._replace(M=rng.uniform(0.4, 0.6, n), mu=rng.uniform(0.0, 0.5, n))

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from agents import report
-from agents.leaderboard.rows import evaluate_run, load_row
+from agents.leaderboard.rows import evaluate as evaluate_rows
+from agents.leaderboard.rows import load_row
 from agents.training.presets import ROWS
 from baselines.evaluation.episodes import evaluate
 from capsule_gym.evaluation_sets import SET_NAMES, EvaluationSet, PlantSpec, load_set
@@ -27,7 +28,7 @@ PLANT = PlantSpec(0.6, 0.05, seed=3)
 def brief(monkeypatch):
     """Short episodes and small figures."""
     monkeypatch.setattr(report, "DPI", 50)
-    monkeypatch.setattr(report, "evaluate_run", partial(evaluate_run, horizon=0.2))
+    monkeypatch.setattr(report, "evaluate_rows", partial(evaluate_rows, horizon=0.2))
 
 
 def make_run(folder, env="CapsuleStickSlip-v0", columns="mean_speed_cm_s", **options):
@@ -105,7 +106,7 @@ def test_a_finished_run_is_compared_and_drawn(tmp_path, monkeypatch, capsys, env
     ],
 )
 def test_a_run_worse_than_its_row_names_a_likely_reason(tmp_path, changes, theta, speeds, failed, reason):
-    row, name = load_row(report.path_of(ROOT / report.RESULTS, "direct-ppo")), "paper"
+    row, name = load_row(ROOT / report.RESULTS / "direct-ppo.npz"), "paper"
     config = dataclasses.replace(ROWS["direct-ppo"], seed=7, **changes)
     content = {"task": "direct", "algo": "ppo", "hyperparameters": config.to_dict()}
     (tmp_path / "config.json").write_text(json.dumps(content))

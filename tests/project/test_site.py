@@ -36,12 +36,12 @@ def table(*rows: Sequence[str]) -> str:
 
 
 def test_rankings_link_to_the_live_page(hooks, page) -> None:
-    rows = table(["", "policy", "x adaptive"], ["1", "direct-ppo", "2"], ["2", "adaptive", "1"])
+    rows = table(["policy", "senses"], ["<strong>Learned</strong>", ""], ["direct-ppo", "stick"], ["adaptive", "x"])
     assert re.findall(r'href="([^"]*)"', hooks.on_page_content(rows, page)) == [
         "../live/index.html#driver=direct-ppo&amp;rival=adaptive&amp;set=paper&amp;plant=0",
         "../live/index.html#driver=adaptive&amp;set=paper&amp;plant=0",
     ]
-    absent = table(["", "policy", "x adaptive"], ["1", "nobody", "2"])
+    absent = table(["policy", "senses"], ["nobody", "x"])
     assert hooks.on_page_content(absent, page) == absent
     page.file.src_uri = "evidence.md"
     assert hooks.on_page_content(rows, page) == rows

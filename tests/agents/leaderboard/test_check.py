@@ -1,51 +1,64 @@
-import json
 from dataclasses import replace
 
 import pytest
 
 from agents.leaderboard import __main__ as leaderboard
-from agents.leaderboard.page import END, START
+from agents.leaderboard.chart import CHART
+from agents.leaderboard.page import MAIN_SETS, TABLES
 from agents.leaderboard.rows import RESULTS
 from baselines.evaluation import policies
 from capsule_gym import Capsule, evaluation_sets
 from tests.agents.fakes import write_run
-from tests.agents.leaderboard.world import checked, edit_row, make_set, table
+from tests.agents.leaderboard.world import checked, edit_row, evaluated_again, make_set, table
 
 
 def test_written_results_pass_the_check(written):
     assert checked(written) == []
+    assert evaluated_again(written, *policies.all_candidates()) == []
     assert not list(written.glob(".*")) and not list((written / RESULTS).glob(".*"))
-    before, table = (written / "README.md").read_text().split(START)
-    assert before == "# Title\n\nBefore.\n\n" and table.endswith(f"|\n{END}\n\nAfter.\n")
+    readme = (written / "README.md").read_text()
+    assert readme.startswith("# Title\n\n<!--") and readme.count("\n\nBetween.\n\n") == 1 and "Torque as a" in readme
 
 
-def test_check_names_changed_sets_before_any_work(written, monkeypatch):
-    monkeypatch.setattr(leaderboard, "evaluate", lambda *args, **kwargs: pytest.fail("evaluated"))
+def test_check_names_changed_sets(written):
     other = [make_set("paper", (0.5, 0.02)), make_set("new", (0.5, 0.01))]
-    stale = checked(written, other)
-    assert stale[0] == "adaptive: sets differs from its results"
-    assert stale[-1] == "the numbers were not evaluated again"
+    with pytest.raises(ValueError, match="adaptive: the hash of the set paper is"):
+        checked(written, other)
 
 
 def test_check_names_changed_rows(written):
     edit_row(written, "learnt", lambda row: row.header.update(revision="feed"))
     write_run(written / "checkpoints" / "learnt" / "seed-1", 1, clip=9.0)
-    policies.SCRIPTED.pop("bold")
-    (written / "checkpoints" / "README.md").unlink()
-    gone, revision, changed, command, _ = checked(written)
-    assert gone == "bold: has results and does not exist"
+    policies.SCRIPTED.pop("twitch")
+    gone, revision, changed, *pages = checked(written)
+    assert gone == "twitch: has results and does not exist"
     assert (revision, changed) == tuple(f"learnt: {field} differs from its results" for field in ("revision", "files"))
-    assert command == "learnt: the table in agents/checkpoints/README.md has no command that trains it"
+    assert all(line.endswith(" differs from the results") for line in pages)
     write_run(written / "checkpoints" / "fresh" / "seed-0", 0)
-    assert "fresh: no results in fresh.npz; `python -m agents.leaderboard NAME` writes them" in checked(written)
+    with pytest.raises(
+        ValueError, match=r"fresh: no results in fresh\.npz; `python -m agents\.leaderboard NAME` writes"
+    ):
+        checked(written)
 
 
-@pytest.mark.parametrize("name", ["leaderboard.json", "LEADERBOARD.md", "README.md"])
+@pytest.mark.parametrize("name", ["leaderboard.json", "LEADERBOARD.md", "README.md", TABLES, CHART])
 def test_check_names_stale_pages(written, name):
     text = (written / name).read_text()
-    (written / name).write_text(text.replace("wild", "mild", 1))
-    assert checked(written, evaluated=[]) == [f"{name} differs from the results"]
-    assert checked(written)[-1] == "the numbers were not evaluated again"
+    (written / name).write_text("" if name == CHART else text.replace("adaptive", "?", 1))
+    assert checked(written) == [f"{name} differs from the results"]
+    (written / name).write_text(text)
+    assert checked(written) == []
+
+
+def test_the_chart_is_stale_if_a_drawn_number_changes(written):
+    before = (written / CHART).read_text()
+
+    def slow_down(row):
+        row.scores["real"][0] -= 1.0
+
+    edit_row(written, "pd", slow_down)
+    (written / CHART).write_text(before)
+    assert checked(written) == [f"{CHART} differs from the results"]
 
 
 @pytest.mark.parametrize("name", ["learnt", "twitch"])
@@ -54,11 +67,11 @@ def test_check_compares_the_last_bit_of_every_episode(written, name):
         row.scores["paper"][0, -1, 1] *= 1.0 + 2.0**-51
 
     edit_row(written, name, nudge)
-    (stale,) = checked(written, evaluated=[policies.find_candidate(name)])
+    (stale,) = evaluated_again(written, policies.find_candidate(name))
     assert stale.startswith(f"{name} on paper: mean_speed is ")
     seed = "training seed 1, " if name == "learnt" else ""
-    assert stale.endswith(f" now ({seed}episode 1; 1 of {6 if name == 'learnt' else 3} differ)")
-    assert checked(written, evaluated=[policies.find_candidate("bold")]) == []
+    assert f" now ({seed}episode 1; 1 of " in stale
+    assert evaluated_again(written, policies.find_candidate("pd")) == []
 
 
 def test_check_evaluates_the_first_plants_of_every_set_alone(written):
@@ -66,54 +79,70 @@ def test_check_evaluates_the_first_plants_of_every_set_alone(written):
         row.scores["paper"][0, -1, 1] *= 1.0 + 2.0**-51
 
     edit_row(written, "learnt", nudge)
-    chosen = [policies.find_candidate("learnt")]
-    assert checked(written, evaluated=chosen, plants=1) == []
-    (stale,) = checked(written, evaluated=chosen, plants=2)
-    assert stale.endswith("training seed 1, episode 1; 1 of 4 differ)")
+    assert evaluated_again(written, policies.find_candidate("learnt"), plants=1) == []
+    (stale,) = evaluated_again(written, policies.find_candidate("learnt"), plants=2)
+    assert "training seed 1, episode 1; 1 of " in stale
 
 
 def test_check_finds_another_plant(written, monkeypatch):
     monkeypatch.setitem(evaluation_sets.EPISODE_SETTINGS, "capsule", Capsule(l=0.3 * 1.02))
-    stale = checked(written)
-    for name in ("adaptive", "bold", "learnt"):
+    stale = evaluated_again(written, *policies.all_candidates())
+    for name in ("adaptive", "pd", "learnt"):
         assert any(line.startswith(f"{name} on paper: mean_speed is") for line in stale)
 
 
 @pytest.fixture
 def main(world, monkeypatch):
-    """The command on a small set for each of two tasks."""
-    monkeypatch.setattr(leaderboard, "SETS", ("paper", "goal"))
-    of_task = {"paper": "speed", "goal": "goal"}
-    monkeypatch.setattr(leaderboard, "load_set", lambda name: replace(make_set(name, (0.5, 0.2)), task=of_task[name]))
+    """The command on small sets for two tasks."""
+    monkeypatch.setattr(leaderboard, "SETS", ("nominal", *MAIN_SETS, "goal"))
+
+    def load(name):
+        return replace(make_set(name, (0.5, 0.01)), task="goal" if name == "goal" else "speed")
+
+    monkeypatch.setattr(leaderboard, "load_set", load)
     evaluate = leaderboard.evaluate
-    monkeypatch.setattr(leaderboard, "evaluate", lambda *args, **kwargs: evaluate(*args, **{**kwargs, "horizon": 0.1}))
+    monkeypatch.setattr(leaderboard, "evaluate", lambda *args, **kwargs: evaluate(*args, **{**kwargs, "horizon": 0.4}))
     return lambda *words: leaderboard.main([*words, "--jobs", "1"], root=world)
 
 
 def test_command_line(main, world, capsys):
-    assert main("--check") == 1
-    assert "The leaderboard is stale:\n- adaptive: no results" in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        main("--check")
+    assert "adaptive: no results" in capsys.readouterr().err
     assert main() == 0
     assert main("--check") == 0
-    assert "up to date: 6 policies on 2 sets" in capsys.readouterr().out
-    # Every task has a table of its own.
-    page = (world / "LEADERBOARD.md").read_text()
-    (_, _, stay) = table(page, "## Goal")
-    assert stay[:4] == ["stay", "0.0000", "0.10", "0/1"] and "stay" not in [row[1] for row in table(page)]
-    (row,) = json.loads((world / "leaderboard.json").read_text())["tasks"]["goal"]["rows"]
-    assert row["results"]["goal"]["success"]["mean"] == 0.0
+    assert "The leaderboard is up to date." in capsys.readouterr().out
+    # Every task has a table of its own, on another page.
+    (_, _, stay) = table((world / TABLES).read_text(), "start:goal]")
+    assert stay[0] == "stay" and "stay" not in (world / "LEADERBOARD.md").read_text()
     (world / "LEADERBOARD.md").unlink()
     assert main("--check", "--from-results") == 1
+    assert "- LEADERBOARD.md differs from the results" in capsys.readouterr().out
     assert main("--from-results") == 0
-    assert main("--check", "bold") == 0
+    assert main("--check", "pd") == 0
     write_run(world / "checkpoints" / "learnt" / "seed-1", 1, clip=9.0)
     write_run(world / "checkpoints" / "fresh" / "seed-0", 0)
     contents = {path.name: path.read_bytes() for path in (world / RESULTS).iterdir()}
-    assert main("learnt", "fresh", "bold") == 0
+    assert main("learnt", "fresh", "pd") == 0
     # The results of an unchanged row keep their bytes.
     new = {path.name: path.read_bytes() for path in (world / RESULTS).iterdir()}
     assert {name for name in new if contents.get(name) != new[name]} == {"fresh.npz", "learnt.npz"}
     assert "|fresh|" in (world / "LEADERBOARD.md").read_text()
+
+
+def test_uncommitted_training_code_raises_an_error(main, world, capsys):
+    assert main() == 0
+    write_run(world / "checkpoints" / "dirty" / "seed-3", 3, revision="0123456789ab+")
+    for words in ([], ["dirty"]):
+        with pytest.raises(SystemExit) as stop:
+            main(*words)
+        assert stop.value.code == 2
+        assert "dirty: the revision 0123456789ab+ is not committed" in capsys.readouterr().err
+    assert not (world / RESULTS / "dirty.npz").exists()
+    assert leaderboard.uncommitted(policies.all_candidates()) == ["dirty: the revision 0123456789ab+ is not committed"]
+    with pytest.raises(SystemExit):
+        main("--check")
+    assert "dirty: no results" in capsys.readouterr().err
 
 
 def test_finished_rows_survive_an_interruption(main, world, monkeypatch, capsys):
@@ -137,9 +166,9 @@ def test_finished_rows_survive_an_interruption(main, world, monkeypatch, capsys)
         (["--check", "--plants", "0"], "--plants"),
         (["--plants", "5"], "--plants"),
         (["--jobs", "two"], "--jobs"),
-        (["lernt"], "names must be among adaptive, bold, wild, twitch, learnt, stay, got lernt"),
-        (["bold", "--from-results"], "--from-results must be given without names, got bold"),
-        (["bold"], "adaptive: no results in adaptive.npz; `python -m agents.leaderboard NAME` writes them"),
+        (["lernt"], "got lernt; did you mean 'learnt'?"),
+        (["pd", "--from-results"], "--from-results must be given without names, got pd"),
+        (["pd"], "adaptive: no results in adaptive.npz; `python -m agents.leaderboard NAME` writes them"),
     ],
 )
 def test_wrong_options_are_named(main, words, message, world, capsys):

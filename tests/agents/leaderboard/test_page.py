@@ -1,74 +1,123 @@
-import copy
-import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from agents.leaderboard.page import END, HEAD_SETS, START, build, files, head, render, training_commands
-from agents.leaderboard.rows import RESULTS, evaluate, load_rows
-from baselines.evaluation.policies import checkpoint_names, find_candidate
+from agents.leaderboard import page
+from agents.leaderboard.chart import CHART, contents, digest
+from agents.leaderboard.page import _section, build, files, grouped, message
+from agents.leaderboard.rows import RESULTS, load_rows
+from baselines.evaluation.policies import CHECKPOINTS, checkpoint_names
 from capsule_gym.evaluation_sets import FURTHER_SET_NAMES, SET_NAMES, load_set
-from tests.agents.leaderboard.world import SETS, checked, read, row_of, table
+from tests.agents.leaderboard.world import SETS, checked, edit_row, read, table
 
 ROOT = Path(__file__).resolve().parents[3]
 
 
+def row_of(board, name):
+    return next(row for row in board["rows"] if row["policy"] == name)
+
+
 def test_the_committed_pages_are_those_of_the_committed_board():
-    for name, text in files(ROOT, read(ROOT)).items():
+    board = read(ROOT)
+    for name, text in files(ROOT, board).items():
         assert (ROOT / name).read_text(encoding="utf-8") == text
+    assert digest(board) in (ROOT / CHART).read_text(encoding="utf-8")
 
 
 def test_the_committed_board_is_that_of_the_committed_results():
-    names = ("direct-ppo", "adaptive")
+    names = ("efficient", "pd")
     board = build(load_rows(ROOT / RESULTS, names), [load_set(name) for name in SET_NAMES + FURTHER_SET_NAMES])
     recorded = read(ROOT)
     assert board["sets"] == recorded["sets"]
     assert board["rows"] == [row for row in recorded["rows"] if row["policy"] in names]
 
 
-def test_versions_that_differ_between_rows_are_all_named():
-    one, other = evaluate([find_candidate(name) for name in ("adaptive", "pd")], SETS, horizon=0.1)
-    other.header["versions"] = {**one.header["versions"], "numpy": "1.0", "new": "2.0"}
-    found = build([one, other], SETS)["versions"]
-    assert found == {**one.header["versions"], "numpy": f"1.0, {np.__version__}", "new": "2.0"}
+def test_the_committed_board_has_a_place_for_every_row():
+    assert list(grouped(read(ROOT))) == list(page.GROUPS)
 
 
 def test_every_committed_checkpoint_has_its_command():
-    assert set(checkpoint_names()) <= set(training_commands())
+    commands = (CHECKPOINTS / "README.md").read_text(encoding="utf-8")
+    assert set(checkpoint_names()) <= set(re.findall(r"^\| `([\w-]+)` \|[^|]*\| `[^`]+` \|$", commands, re.MULTILINE))
 
 
-def test_pages_of_other_boards(written):
-    text = (written / "leaderboard.json").read_text()
-    board = json.loads(text, parse_constant=lambda name: pytest.fail(name))
-    # Content that does not fit a telephone is folded.
-    page = render(board)
-    assert page.count("<details") == page.count("</details>") == 4
-    # A small share of failures is not rounded to zero.
-    row_of(board, "bold")["results"]["paper"] |= {"failures": 1, "episodes": 1000}
-    lines = {row[0]: row for row in table(render(board), "## On every set")}
-    assert lines["bold"][-1].replace("\N{NO-BREAK SPACE}", " ").endswith(" (< 1 %)")
-    # Without the paper's controller there is no ratio to it.
-    count = HEAD_SETS["paper"]
-    rows = [copy.deepcopy(board["rows"][0]) | {"policy": f"better-{i:02}"} for i in range(count + 1)]
-    assert {row[2] for row in table(head({**board, "rows": rows}))[2:]} == {"-"}
-    names = [row[0] for row in table(head({**board, "rows": [*rows, *board["rows"]]}))[2:]]
-    assert names == [f"better-{i:02}" for i in range(count)] + ["adaptive"]
-    # The table also contains the fastest policies on another set, with their speed on that set.
-    fast = copy.deepcopy(row_of(board, "wild")) | {"policy": "elsewhere"}
-    speed = {"iqm": 99.0, "low": 98.0, "high": 99.5}
-    fast["results"]["sticky"] = fast["results"]["paper"] | {"mean_speed": speed, "failures": 0}
-    for row in (sets := {**board, "sets": {**board["sets"], "sticky": ""}, "rows": [*rows, *board["rows"], fast]})[
-        "rows"
-    ]:
-        row["results"].setdefault("sticky", row["results"]["paper"])
-    header, _, *lines = table(head(sets))
-    assert [line[header.index("sticky (cm/s)")] for line in lines if line[0] == "elsewhere"] == ["99.00"]
+def clearly(board, faster, slower, on):
+    """Whether a mean exceeds another one, possibly of another set, by twice the half widths of both intervals."""
+    first, second = (row_of(board, name)["results"][on]["mean_speed"] for name in (faster, slower))
+    widths = sum(each["mean_high"] - each["mean_low"] for each in (first, second))
+    return first["mean"] - second["mean"] >= widths
+
+
+def test_the_message_is_true_of_the_committed_board():
+    board = read(ROOT)
+    assert clearly(board, "open-loop", "adaptive", "paper") and clearly(board, "pd", "open-loop", "paper")
+    # With perfect sensors; the seeds of direct-ppo differ by more than its distance to the PD.
+    perfect = [name for name in page.PERFECT if name != "direct-ppo"]
+    assert all(clearly(board, name, "pd", "paper") for name in perfect)
+    # With real sensors all of these but LQR fall below the PD.
+    assert [name for name in page.PERFECT if not clearly(board, "pd", name, "real")] == ["lqr"]
+    assert all(clearly(board, name, "pd", "real") for name in page.KEPT)
+    numbers = [float(number) for number in re.findall(r"\d+(?:\.\d)?", message(board))]
+    assert len(numbers) == 9 and np.isfinite(numbers).all()
+
+
+def test_ranking_is_by_the_mean_and_shows_the_worst_seed(written):
+    def fail_once(row):
+        # A single bad seed in 3 episodes changes the mean, but not the interquartile mean of the set.
+        row.scores["paper"][0] = [[9.0, 9.0, 9.0], [9.0, 9.0, -60.0]]
+        row.scores["paper"][row.header["metrics"].index("failed")] = [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+
+    edit_row(written, "learnt", fail_once)
+    board = read(written)
+    speed = row_of(board, "learnt")["results"]["paper"]["mean_speed"]
+    assert speed["iqm"] == 9.0 and speed["mean"] == -2.5 and speed["seeds"] == [9.0, -14.0]
+    means = [row["results"]["paper"]["mean_speed"]["mean"] for row in board["rows"]]
+    assert means == sorted(means, reverse=True) and board["rows"][-1]["policy"] == "learnt"
+    text = (written / "LEADERBOARD.md").read_text()
+    (line,) = (line for line in table(text) if line[0] == "learnt")
+    assert line[1] == "-2.50 (1/6)"
+    header, _, *lines = table(text, "On the set `paper`")
+    (line,) = (line for line in lines if line[0] == "learnt")
+    assert line[header.index("worst seed: mean speed (cm/s)")] == "-14.00"
+    assert line[header.index("failed")] == "1/6"
+
+
+def test_the_difference_to_the_base_names_its_set(written, monkeypatch):
+    monkeypatch.setattr(
+        "baselines.evaluation.policies.Candidate.base", property(lambda self: "pd" if self.trained else None)
+    )
+    edit_row(written, "learnt", lambda row: row.header.update(base="pd"))
+    board = read(written)
+    rows = [row_of(board, name) for name in ("learnt", "pd")]
+    speeds = [row["results"]["real"]["mean_speed"]["mean"] for row in rows]
+    assert rows[0]["minus_base"]["real"]["mean"] == pytest.approx(speeds[0] - speeds[1], abs=1e-4)
+    header, _, *lines = table((written / "LEADERBOARD.md").read_text(), "On the set `real`")
+    column = header.index("difference to base law on `real`")
+    assert [line[0] for line in lines if line[column] != "-"] == ["learnt"]
+
+
+def test_rows_without_a_group_are_shown_as_others(written):
+    board = read(written)
+    assert {row["policy"] for row in grouped(board)["Others"]} == {"wild", "twitch", "learnt"}
+    shown = [label for label, bars in contents(board) if bars]
+    assert shown == [row["policy"] for rows in grouped(board).values() for row in rows]
+    # Rows of other pages are in their tables.
+    tables = (written / page.TABLES).read_text()
+    for name, (names, _) in page.SECTIONS.items():
+        assert {line[0] for line in table(tables, f"start:{name}]")[2:]} == set(names)
 
 
 def test_a_readme_without_a_marker_raises_an_error(written):
-    for text in ("", START, END + START):
+    whole = (written / "README.md").read_text()
+    start, end = _section("message", "").split("\n\n")
+    for text in ("", whole.replace(start, ""), whole.replace(end, ""), end + whole.replace(end, "")):
         (written / "README.md").write_text(text)
-        assert checked(written)[0].startswith("README.md must contain <!-- --8<-- [start:leaderboard] --> and then")
-        with pytest.raises(ValueError, match="README"):
-            files(written, read(written))
+        with pytest.raises(ValueError, match=r"README\.md must contain <!-- --8<-- \[start:message\] --> and then"):
+            checked(written)
+
+
+def test_rows_of_other_sets_raise_an_error(written):
+    with pytest.raises(ValueError, match="the hash of the set nominal is"):
+        build(load_rows(written / RESULTS, ["pd"]), [SETS[1], SETS[0].__class__("nominal", SETS[1].plants)])

@@ -3,9 +3,10 @@
 import dataclasses
 import json
 
-from agents.leaderboard.__main__ import check
-from agents.leaderboard.page import build, files
-from agents.leaderboard.rows import RESULTS, evaluate, load_row, path_of, save_row
+from agents.leaderboard.__main__ import check, check_episodes
+from agents.leaderboard.chart import CHART, draw
+from agents.leaderboard.page import MAIN_SETS, build, files
+from agents.leaderboard.rows import RESULTS, evaluate, load_row, load_rows, save_row
 from baselines.evaluation.policies import all_candidates
 from capsule_gym.evaluation_sets import parse_set
 
@@ -16,26 +17,32 @@ def make_set(name, *plants):
     return parse_set({"name": name, "plants": [{"M": M, "mu": mu, "seed": i} for i, (M, mu) in enumerate(plants)]})
 
 
-SETS = [make_set("nominal", (0.5, 0.01)), make_set("paper", (0.5, 0.01), (0.55, 0.011), (0.45, 0.009))]
+PLANTS = {name: [(0.5, 0.01)] for name in ("nominal", *MAIN_SETS)} | {
+    "paper": [(0.5, 0.01), (0.55, 0.011), (0.45, 0.009)]
+}
+SETS = [make_set(name, *plants) for name, plants in PLANTS.items()]
 
 
 def write_all(root):
     """Writes the files of `python -m agents.leaderboard`."""
-    rows = list(evaluate(all_candidates(), SETS, horizon=HORIZON))
-    for row in rows:
+    for row in evaluate(all_candidates(), SETS, horizon=HORIZON):
         save_row(root / RESULTS, row)
-    write_files(root, rows)
+    write_pages(root)
 
 
-def write_files(root, rows):
-    for name, text in files(root, build(rows, SETS)).items():
+def write_pages(root):
+    board = build(load_rows(root / RESULTS, [each.name for each in all_candidates()]), SETS)
+    for name, text in {**files(root, board), CHART: draw(board)}.items():
         (root / name).write_text(text)
 
 
-def checked(root, sets=SETS, evaluated=None, plants=None):
-    candidates = all_candidates()
-    chosen = candidates if evaluated is None else evaluated
-    return check(root, candidates, sets, evaluated=chosen, plants=plants, horizon=HORIZON)
+def checked(root, sets=SETS):
+    return list(check(root, all_candidates(), sets))
+
+
+def evaluated_again(root, *candidates, plants=None):
+    sets = [dataclasses.replace(each, plants=each.plants[:plants]) for each in SETS]
+    return list(check_episodes(root, evaluate(candidates, sets, horizon=HORIZON, disturbed=False)))
 
 
 def read(root):
@@ -44,15 +51,11 @@ def read(root):
 
 def edit_row(root, name, change):
     """Changes a row's results, and writes the files that depend on them."""
-    row = load_row(path_of(root / RESULTS, name))
+    row = load_row(root / RESULTS / f"{name}.npz")
     row = dataclasses.replace(row, scores={name: values.copy() for name, values in row.scores.items()})
     change(row)
     save_row(root / RESULTS, row)
-    write_files(root, [load_row(path_of(root / RESULTS, each.name)) for each in all_candidates()])
-
-
-def row_of(board, name):
-    return next(row for row in board["rows"] if row["policy"] == name)
+    write_pages(root)
 
 
 def table(page, title=""):
