@@ -33,7 +33,7 @@ ROOT = Path(train.__file__).parent
         (["--row", "direct-ppo", "--task", "residual"], "--task must stay direct with --row direct-ppo, got residual"),
         (["--env", "Pendulum-v1"], "--env"),
         (["--row", "direct-ppo", "--env", "CapsuleGoal-v0"], "--env must stay CapsuleStickSlip-v0 with --row"),
-        (["--row", "direct-sac", "--algo", "ppo"], "--algo must stay sac with --row direct-sac, got ppo"),
+        (["--row", "direct-tqc", "--algo", "ppo"], "--algo must stay tqc with --row direct-tqc, got ppo"),
     ],
 )
 def test_bad_options_are_named(arguments, message, capsys):
