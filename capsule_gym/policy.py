@@ -138,9 +138,10 @@ class Policy:
             raise TypeError(f"env_kwargs['controller'] must be None or an import string, got {written(law)}")
         if not isinstance(options.task, str):
             raise TypeError(f"env_kwargs['task'] must be the name of a task, got {written(options.task)}")
-        flags: dict[str, float] = {"relu": self.activation == "relu", "tanh_squashing": self.squashing == "tanh"}
-        flags |= {"clip": self.clip, "identifies": self.identifies}
-        header = network.make_header(options, layers=len(self.layers), **flags)
+        flags = {"relu": self.activation == "relu", "tanh_squashing": self.squashing == "tanh"}
+        header = network.make_header(
+            options, identifies=self.identifies, layers=len(self.layers), clip=self.clip, **flags
+        )
         inputs = int(header["inputs"])
         for name, array in (("mean", self.mean), ("variance", self.variance)):
             accepted = "one for each input by env_kwargs and identifies"

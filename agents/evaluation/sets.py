@@ -10,6 +10,7 @@
 | `extrapolation` | 400 | outside `wide` in M, in mu or in both |
 | `drift` | 400 | as drawn by `randomization="wide"`, three times |
 | `sticky` | 1000 | as drawn by `randomization="sticky"`; static friction 1.3 times the kinetic |
+| `sticky-2`, `sticky-3` | 1000 | further draws of `sticky`, as the environment draws them; given by path |
 | `real` | 1000 | M and mu as in `paper`, m, l, k and c within 10 %; `disturbances="real"` |
 | `real-wide` | 1000 | the same with M and mu as in `wide` |
 | `goal` | 1000 | of the task `goal`: M and mu as the task draws them, and the goal |
@@ -68,6 +69,7 @@ assert _WIDE.M is not None and _WIDE.mu is not None
 LIGHTER, HEAVIER = (0.25, _WIDE.M[0]), (_WIDE.M[1], 1.2)
 SMOOTHER, ROUGHER = (0.002, _WIDE.mu[0]), (_WIDE.mu[1], 0.6)
 # Seeds of the sets' random streams. Frozen: a different set needs a different name.
+FURTHER_DRAWS = {"sticky-2": 32_000_000, "sticky-3": 33_000_000}
 SEEDS = {"nominal": 20180, "goal": 20190, "velocity": 20191, "goal-paper": 20192}
 CHANGE_WINDOWS = ((HORIZON / 6.0, HORIZON / 3.0), (HORIZON * 2.0 / 3.0, HORIZON * 5.0 / 6.0))
 
@@ -80,6 +82,8 @@ def draw_set(name: str) -> EvaluationSet:
     """Draws a frozen set anew."""
     if name in TASK_SET_NAMES:
         return _draw_task_set(name)
+    if name in FURTHER_DRAWS:
+        return validation_set("sticky", name, FURTHER_DRAWS[name], EPISODES["sticky"], STICKY_GRID.capsule)
     if name != "nominal":
         return _spread_set(name)
     rng = np.random.default_rng(SEEDS[name])
@@ -198,7 +202,7 @@ class Args:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     parse(Args, PROG, arguments)
-    for name in (*SET_NAMES, *FURTHER_SET_NAMES, *TASK_SET_NAMES):
+    for name in (*SET_NAMES, *FURTHER_SET_NAMES, *TASK_SET_NAMES, *FURTHER_DRAWS):
         found = draw_set(name)
         write_atomically(SETS_FOLDER / f"{name}.json", found.to_json())
         print(f"{name}: {len(found.plants)} episodes, {found.hash[:12]}")
