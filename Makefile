@@ -77,11 +77,11 @@ web: $(STAMP)  ## Build the environment for browsers and node into site/live/ al
 
 leaderboard: $(STAMP)  ## Evaluate all policies and write the leaderboard and its analysis
 	$(BIN)/python -m agents.leaderboard
-	$(BIN)/python -m agents.analysis statistics goal
+	$(BIN)/python -m agents.analysis limit_cycle statistics goal
 
 leaderboard-check: $(STAMP)  ## Fail if the leaderboard or its analysis is stale (PLANTS=25 evaluates 25 plants per set)
 	$(BIN)/python -m agents.leaderboard --check $(if $(PLANTS),--plants $(PLANTS))
-	$(BIN)/python -m agents.analysis statistics goal --check
+	$(BIN)/python -m agents.analysis limit_cycle statistics goal --check
 
 reproduce: ROWS ?= direct-ppo direct-ppo-wide residual-ppo efficient
 reproduce: SEED ?= 100
@@ -98,8 +98,14 @@ fuzz: $(STAMP)  ## Call the environments with random and invalid arguments; fail
 bits-check: $(STAMP)  ## Compare whole episodes with the committed hashes, one seed of each trained policy
 	$(BIN)/python -m tests.bits --first-seeds
 
+# At each level of instructions; then without the vectors of NumPy and of the C library, which unknown names do not disturb.
+bits: VECTORS := import numpy; print(*numpy.show_config(mode='dicts')['SIMD Extensions'].get('found', []))
 bits: $(STAMP)  ## The same for all seeds, as other processors compute, and for the live page
-	$(BIN)/python -m tests.bits --variants
+	for level in $$($(BIN)/python -c "from capsule_gym import _core; print(*_core.LEVELS)"); do \
+		CAPSULE_GYM_LEVEL=$$level $(BIN)/python -m tests.bits || exit 1; done
+	NPY_DISABLE_CPU_FEATURES="$$($(BIN)/python -c "$(VECTORS)")" \
+		GLIBC_TUNABLES=glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX512F,-AVX2_Usable,-FMA_Usable,-FMA4_Usable,-AVX512F_Usable \
+		$(BIN)/python -m tests.bits
 	$(BIN)/python -m web.episodes
 
 # In environments of their own, whose core is compiled otherwise. Python does not free everything at its end.

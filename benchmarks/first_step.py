@@ -39,7 +39,7 @@ class Args(OutputArgs):
     """Seconds to the first step of an installed wheel.
 
     Examples:
-      python -m benchmarks.first_step --markdown docs/speed_first_step.md
+      python -m benchmarks.first_step --markdown first_step.md
     """
 
     turns: Count = 15

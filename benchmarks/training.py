@@ -58,12 +58,17 @@ class Clock:
 
     def learn(self, model: Any, total_steps: int) -> None:
         """Trains an agent of Stable-Baselines3 or SBX."""
-        from agents.training.export import recurrent_policy
+        from stable_baselines3 import PPO
 
-        env = model.get_vec_normalize_env()
+        from agents.training.export import export, recurrent_policy
+
+        def policy() -> Any:
+            if isinstance(model, PPO):
+                return export("agent", model, CONFIG, "none")
+            return recurrent_policy("agent", model, model.get_vec_normalize_env(), ENV_KWARGS)
 
         def on_step(*_: Any) -> bool:
-            self.check(model.num_timesteps, lambda: recurrent_policy("agent", model, env, ENV_KWARGS))
+            self.check(model.num_timesteps, policy)
             return not self.over
 
         model.learn(total_steps, callback=on_step)

@@ -48,7 +48,7 @@ class Args(OutputArgs):
     """Speed of one capsule in node, compared with the native environment.
 
     Examples:
-        python -m benchmarks.web --markdown docs/live_speed.md
+        python -m benchmarks.web --markdown web.md
     """
 
     turns: Count = 30

@@ -20,7 +20,7 @@ from capsule_gym.checks import (
     nearest,
     written,
 )
-from capsule_gym.parameters import LONGEST_STEP, SHORTEST_STEP, SMALLEST, Capsule, Disturbances, Randomization
+from capsule_gym.parameters import LONGEST_STEP, SHORTEST_STEP, Capsule, Disturbances, Randomization
 from capsule_gym.task import Task
 
 if TYPE_CHECKING:
@@ -33,9 +33,6 @@ LAW_DT = LAW_PHYSICS_DT = 1e-3
 MOST_SUBSTEPS = 1_000_000
 # N m, and cm: within these limits no sum of an episode overflows.
 LARGEST_TORQUE, LARGEST_COST = 1e6, 1e12
-# Energy weights that a policy can observe, cm/J: their logarithms are finite.
-ENERGY_WEIGHTS = SMALLEST, LARGEST_COST
-ENERGY_WEIGHT_TEXT = f"a number of cm/J from {SMALLEST:g} to {LARGEST_COST:g}"
 RENDER_MODES = ("human", "rgb_array")
 LARGEST_STACK = 100
 

@@ -108,7 +108,6 @@ class Exported:
         law_inputs += [f"reading->{name}" for name in ("theta", "theta_dot", "x", "x_dot")]
         law_inputs += [f"row[{n}]" for n in range(law.reference.shape[1] if law else 0)]
         fused = re.sub(r"\b(fused|moderate)\b", r"NAME_\1", _core.FUSED.replace("__builtin_", ""))
-        column = int(self.header.get("law_torque", -1))
         names = list(observation_entries(replace(self.options, stack_size=1)))
         return self._render(
             "policy.h.jinja",
@@ -122,7 +121,6 @@ class Exported:
             observed=observed,
             law_inputs=law_inputs + (task_inputs if law and law.task else []),
             law_outputs=["torque", *(f"memory->{cell}" for cell in law_cells)],
-            law_torque="0" if column < 0 else f"(REAL)observation[{column}]",
             pendulum=[*(getattr(self.plant, name) for name in PENDULUM[:3]), self.options.control_dt],
             header_pendulum=[self.header.get(name) for name in PENDULUM],
             widest=max([len(self.policy.mean), *(len(bias) for _, bias in self.policy.layers)]) if self.policy else 0,
@@ -235,9 +233,6 @@ class Exported:
             nodes.append(helper.make_node("Concat", found[: _core.CELLS], ["next_memory"], axis=1))
             estimates = add("Concat", *found[1:3], *found[_core.CELLS :], axis=1)
             x = add("Concat", x, add("Cast", add("Cast", estimates, to=TensorProto.FLOAT), to=kind), axis=1)
-        if policy.observes_energy_weight:
-            weight = add("Add", add("Mul", column(x, 0), 0.0), np.float32(header["log_energy_weight"]))
-            x = add("Concat", x, weight, axis=1)
         x = add("Mul", add("Sub", x, policy.mean), self.scale)
         x = add("Clip", x, -policy.clip, policy.clip)
         for n, (weights, bias) in enumerate(policy.layers):
@@ -245,10 +240,7 @@ class Exported:
             if n < len(policy.layers) - 1 or policy.squashing == "tanh":
                 last = n == len(policy.layers) - 1
                 x = add("Relu" if policy.activation == "relu" and not last else "Tanh", x)
-        law_torque: Any = 0.0
-        if header["law_torque"] >= 0.0:
-            law_torque = add("Cast", column("observation", int(header["law_torque"])), to=kind)
-        (action,) = to_onnx(record("action", header.values()), [x, law_torque], add)
+        action = add("Clip", x, -1.0, 1.0)
         nodes.append(helper.make_node("Cast", [action], ["action"], to=TensorProto.FLOAT))
         graph = helper.make_graph(nodes, policy.name, inputs, outputs, initializers, doc_string=policy.description)
         model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)

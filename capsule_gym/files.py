@@ -14,7 +14,7 @@ from typing import Any
 
 
 @contextmanager
-def naming(path: Path) -> Iterator[None]:
+def add_name_to_errors(path: Path) -> Iterator[None]:
     """Adds the name of a file or folder to a system error without one, as on a full disk."""
     try:
         yield
@@ -33,7 +33,7 @@ def replacing(path: Path) -> Iterator[Path]:
     # Random, since processes on two machines, and threads, may write the same file. Names have at most 255 bytes.
     temporary = path.with_name(f".{path.stem[:20]}.{secrets.token_hex(8)}.tmp{path.suffix[:20]}")
     try:
-        with naming(path):
+        with add_name_to_errors(path):
             yield temporary
             synchronise(temporary)
             os.replace(temporary, path)

@@ -45,7 +45,7 @@ class Fit:
         disturbances: latency, lag, biases, noise and drift of the rig, as estimated.
         chi2: chi-square per degree of freedom of the residuals' dependence on torques and motion: about 1 where the
             model explains the log; above 1.2 a warning is issued.
-        ends: sums of squares at which the fits from the best starts have ended, the best first; one if they agree.
+        minima: sums of squares at the ends of the fits from the best starts, the best first; one if they agree.
         widths: standard deviation of each quantity over that of its range.
     """
 
@@ -55,7 +55,7 @@ class Fit:
     capsule: Capsule
     disturbances: Disturbances
     chi2: float
-    ends: tuple[float, ...]
+    minima: tuple[float, ...]
     widths: dict[str, float]
     _problem: Problem = field(repr=False)
     _found: tuple[np.ndarray, list[tuple[int, int]]] = field(repr=False)
@@ -116,7 +116,7 @@ class Fit:
             note = "  not determined: the prior's" if self.widths[name] > OPEN else ""
             limits = f"{low:.5g} to {high:.5g}"
             rows.append(f"{name:16}{self.estimates[name]:12.5g}{limits:>26}{self.widths[name]:8.2f}{note}")
-        return "\n".join([*rows, f"chi2 {self.chi2:.2f}; the ends of the fits: {self.ends}"])
+        return "\n".join([*rows, f"chi2 {self.chi2:.2f}; minima of the fits: {self.minima}"])
 
     def report(self, path: str | os.PathLike[str]) -> None:
         """Draws measured and predicted readings, the residuals, and the correlations of the estimates."""
@@ -232,7 +232,7 @@ def identify(
             **sizes, **{name: values[name] for name in OTHERS}, drift_time=time, unmeasured=unmeasured
         ),
         chi2=problem.statistic(found, long),
-        ends=tuple(round(float(cost), 1) for _, cost in fits),
+        minima=tuple(round(float(cost), 1) for _, cost in fits),
         widths=dict(zip(problem.names, (math.sqrt(12.0) * shares.std(axis=0)).tolist(), strict=True)),
         _problem=problem,
         _found=(found, long),

@@ -14,7 +14,6 @@ from capsule_gym import _core, native
 from capsule_gym._core import ESTIMATES
 from capsule_gym.checks import check_count
 from capsule_gym.config import EnvConfig
-from capsule_gym.elementary import log
 from capsule_gym.observation import observation_entries
 from capsule_gym.parameters import Capsule
 
@@ -27,34 +26,14 @@ Layer = tuple[np.ndarray, np.ndarray]
 Header = dict[str, float]
 
 
-def input_names(observation: Sequence[str], identifies: bool, observes_energy_weight: bool) -> tuple[str, ...]:
-    """The inputs of a network in order: the environment's observation and what the policy adds to it."""
-    weight = ("log_energy_weight",) if observes_energy_weight else ()
-    return (*observation, *(ESTIMATES if identifies else ()), *weight)
-
-
-def make_header(options: EnvConfig, *, identifies: bool, observes_energy_weight: bool, **network: Any) -> Header:
+def make_header(options: EnvConfig, *, identifies: bool, **network: Any) -> Header:
     """The header of a network that acts in an environment with these options.
 
-    `network` are the header's `layers`, `relu`, `tanh_squashing`, `clip` and `outputs_torque`.
+    `network` are the header's `layers`, `relu`, `tanh_squashing` and `clip`.
     """
-    capsule = options.capsule or Capsule()
-    entries = list(observation_entries(options))
-    header = {
-        **network,
-        "inputs": len(input_names(entries, identifies, observes_energy_weight)),
-        "observed": len(entries),
-        "identifies": identifies,
-        "observes_energy_weight": observes_energy_weight,
-        "log_energy_weight": log(options.energy_weight) if observes_energy_weight else 0.0,
-        "law_torque": entries.index("law_torque") if network["outputs_torque"] and "law_torque" in entries else -1,
-        "torque_limit": options.torque_limit,
-        "residual_limit": options.torque_limit if options.residual_limit is None else options.residual_limit,
-        "m": capsule.m,
-        "l": capsule.l,
-        "g": capsule.g,
-        "dt": options.control_dt,
-    }
+    capsule, observed = options.capsule or Capsule(), len(observation_entries(options))
+    header = {**network, "inputs": observed + len(ESTIMATES) * identifies, "observed": observed}
+    header |= {"identifies": identifies, "m": capsule.m, "l": capsule.l, "g": capsule.g, "dt": options.control_dt}
     return {name: float(value) for name, value in header.items()}
 
 

@@ -9,7 +9,7 @@ A file is in the safetensors format:
 | `inputs.mean`, `inputs.variance` | float64 | (inputs,) |
 
 The metadata are `format`, "capsule_gym policy", `format_version`, "2", and the fields of `Policy` by name, as text or
-JSON; `told_energy_weight` is the field `observes_energy_weight`.
+JSON.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import json
 import os
 import pkgutil
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields
 from functools import lru_cache
 from pathlib import Path
 from types import NoneType
@@ -31,7 +31,7 @@ from safetensors.numpy import save
 from capsule_gym import network
 from capsule_gym._core import CELLS
 from capsule_gym.checks import check_integer, check_number, from_fields, nearest, shortened, written
-from capsule_gym.config import ENERGY_WEIGHT_TEXT, ENERGY_WEIGHTS, EnvConfig
+from capsule_gym.config import EnvConfig
 from capsule_gym.controller import is_own
 from capsule_gym.files import write_atomically
 from capsule_gym.network import Layer
@@ -42,13 +42,12 @@ POLICY = "policy.safetensors"
 FOLDERS = (Path(__file__).with_name("checkpoints"), Path(__file__).parents[1] / "agents" / "checkpoints")
 FORMAT, FORMAT_VERSION = "capsule_gym policy", "2"
 # The entries of a file's metadata that are plain text, and those that are JSON; `Policy` checks the values.
-TEXTS = ("algorithm", "activation", "squashing", "output", "revision")
-VALUES = ("identifies", "told_energy_weight", "clip", "epsilon", "env_kwargs", "training_seed")
+TEXTS = ("algorithm", "activation", "squashing", "revision")
+VALUES = ("identifies", "clip", "epsilon", "env_kwargs", "training_seed")
 # The algorithm of policies that imitate others, without a reward.
 IMITATION = "dagger"
 CHOICES: dict[str, tuple[Any, ...]] = {
-    **{"activation": ("tanh", "relu"), "squashing": ("clip", "tanh"), "output": ("action", "torque")},
-    **dict.fromkeys(("identifies", "observes_energy_weight"), (False, True)),
+    **{"activation": ("tanh", "relu"), "squashing": ("clip", "tanh"), "identifies": (False, True)},
 }
 # Within these limits no float32 weights give a sum beyond float64, and no finite observation gives a NaN.
 MOST_LAYERS, MOST_UNITS, LARGEST_CLIP = 6, 1024, 1e6
@@ -96,9 +95,7 @@ class Policy:
         env_kwargs: arguments of the training environment, for `gym.make("CapsuleStickSlip-v0", **policy.env_kwargs)`.
         training_seed: seed of the training run.
         revision: git revision of the training code.
-        output: the "action", or the total "torque" in torque limits, from which the law's torque is subtracted.
         identifies: online estimates of M and log(mu) and their standard deviations are inputs after the observation.
-        observes_energy_weight: the `energy_weight` of `env_kwargs` is an input after these.
         entries: number of entries of an observation.
 
     Raises:
@@ -118,9 +115,7 @@ class Policy:
     env_kwargs: dict[str, Any]
     training_seed: int
     revision: str
-    output: str = "action"
     identifies: bool = False
-    observes_energy_weight: bool = False
     entries: int = field(init=False)
     _network: np.ndarray = field(init=False, repr=False)
 
@@ -143,20 +138,13 @@ class Policy:
             raise TypeError(f"env_kwargs['controller'] must be None or an import string, got {written(law)}")
         if not isinstance(options.task, str):
             raise TypeError(f"env_kwargs['task'] must be the name of a task, got {written(options.task)}")
-        if self.observes_energy_weight:
-            accepted_weights = f"{ENERGY_WEIGHT_TEXT} where it is observed"
-            check_number("env_kwargs['energy_weight']", options.energy_weight, accepted_weights, *ENERGY_WEIGHTS)
-        flags = {name: getattr(self, name) for name in ("clip", "identifies", "observes_energy_weight")}
-        flags |= {"relu": self.activation == "relu", "tanh_squashing": self.squashing == "tanh"}
-        torque = self.output == "torque"
-        header = network.make_header(options, layers=len(self.layers), outputs_torque=torque, **flags)
-        if torque and options.total_torque:
-            raise ValueError("output must be 'action' with env_kwargs['total_torque']=True, got 'torque'")
-        if torque and not header["residual_limit"] > 0.0:
-            raise ValueError("output must be 'action' where env_kwargs give no residual_limit > 0, got 'torque'")
+        flags = {"relu": self.activation == "relu", "tanh_squashing": self.squashing == "tanh"}
+        header = network.make_header(
+            options, identifies=self.identifies, layers=len(self.layers), clip=self.clip, **flags
+        )
         inputs = int(header["inputs"])
         for name, array in (("mean", self.mean), ("variance", self.variance)):
-            accepted = "one for each input by env_kwargs, identifies and observes_energy_weight"
+            accepted = "one for each input by env_kwargs and identifies"
             _check_array(f"inputs.{name}", array, np.float64, (inputs,), accepted)
         width, last = inputs, len(self.layers) - 1
         if not 0 <= last < MOST_LAYERS:
@@ -227,25 +215,12 @@ class Policy:
         memory = np.zeros(len(seeds) * CELLS)
         return lambda observations: self._act(observations, memory, len(seeds))
 
-    def with_energy_weight(self, energy_weight: float) -> Policy:
-        """The same policy with another energy weight, in cm/J.
-
-        Raises:
-            ValueError: if the policy does not observe an energy weight, or the weight is out of range.
-        """
-        if not self.observes_energy_weight:
-            raise ValueError(
-                f"{self.name!r} does not observe the energy weight; another one would not change its actions"
-            )
-        return replace(self, env_kwargs={**self.env_kwargs, "energy_weight": energy_weight})
-
     def save(self, path: str | Path) -> None:
         """Writes the policy file atomically. The same policy gives the same bytes."""
         tensors = {"inputs.mean": self.mean, "inputs.variance": self.variance}
         for n, (weights, bias) in enumerate(self.layers):
             tensors |= {f"layers.{n}.weight": weights, f"layers.{n}.bias": bias}
-        values = {**vars(self), "told_energy_weight": self.observes_energy_weight}
-        values |= {"clip": float(self.clip), "epsilon": float(self.epsilon)}
+        values = {**vars(self), "clip": float(self.clip), "epsilon": float(self.epsilon)}
         metadata = {"format": FORMAT, "format_version": FORMAT_VERSION, **{name: getattr(self, name) for name in TEXTS}}
         for key in VALUES:
             metadata[key] = json.dumps(values[key], default=asdict, sort_keys=True, allow_nan=False)
@@ -332,6 +307,10 @@ def _read(name: str, path: Path) -> Policy:
             raise ValueError(
                 f"its format and format_version must be {FORMAT!r} and {FORMAT_VERSION!r}, got {written(found)}"
             )
+        # Inputs and outputs that no policy has any more.
+        for key, only in (("output", "action"), ("told_energy_weight", "false")):
+            if metadata.get(key, only) != only:
+                raise ValueError(f"{key} must be {only!r} in its metadata, got {written(metadata[key])}")
         names = set(file.keys())
         count = sum(tensor.endswith(".weight") for tensor in names)
         layers = [(f"layers.{n}.weight", f"layers.{n}.bias") for n in range(min(count, MOST_LAYERS + 1))]
@@ -354,7 +333,6 @@ def _read(name: str, path: Path) -> Policy:
                 env_kwargs[key] = from_fields(kind, f"env_kwargs[{key!r}]", env_kwargs[key])
         if isinstance(env_kwargs.get("initial_range"), list):
             env_kwargs["initial_range"] = tuple(env_kwargs["initial_range"])
-    values["observes_energy_weight"] = values.pop("told_energy_weight")
     return Policy(
         name=name,
         layers=tuple((arrays[weights], arrays[bias]) for weights, bias in layers),

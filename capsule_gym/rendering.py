@@ -105,6 +105,7 @@ class Renderer:
 
     Raises:
         gymnasium.error.DependencyNotInstalled: if pygame is not installed.
+        RuntimeError: in mode "human" without a display.
 
     Attributes:
         closed: whether draws do nothing, after `close` or after the user has closed the window.
@@ -135,6 +136,10 @@ class Renderer:
         self._window: Any = None
         if mode == "human":
             pygame.display.init()
+            # Without a display SDL draws into memory, and no window appears.
+            if pygame.display.get_driver() == "offscreen" and not os.environ.get("SDL_VIDEODRIVER"):
+                pygame.display.quit()
+                raise RuntimeError("a window needs a display, and there is none; frames and GIFs need no display")
             pygame.display.set_caption(title)
             self._window = pygame.display.set_mode((WIDTH, HEIGHT))
             self._clock = pygame.time.Clock()

@@ -1,21 +1,17 @@
 """The bits of whole episodes: `python -m tests.bits` compares them with committed hashes, `--write` writes new ones.
 
 `bits.json` holds a sha256 for the plant under random torques, for every law of `baselines` under random residuals, for
-every scripted policy without a law, for every committed policy, and for two made ones that use the options of policies.
+every scripted policy without a law, for every committed policy, and for a made one that identifies M and mu.
 A hash covers all observations, rewards and states of a batch over a whole episode, and the metrics at its end. Some
-environments also run alone: the bits must be equal. `--variants` also changes the level of instructions and the
-libraries of elementary functions, which Python's tables use, each in a process of its own.
+environments also run alone: the bits must be equal.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import os
 import re
-import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,7 +23,7 @@ from gymnasium.vector import AutoresetMode
 import baselines
 import capsule_gym
 from baselines.policies import SCRIPTED
-from capsule_gym import Capsule, Disturbances, _core, policy_names
+from capsule_gym import Capsule, Disturbances, policy_names
 from capsule_gym.command_line import parse
 from capsule_gym.files import write_atomically
 from capsule_gym.task import CONTROL_DT, HORIZON
@@ -54,13 +50,11 @@ class Subject(NamedTuple):
         name: the key in the file.
         env_kwargs: arguments of the environment.
         start: takes the seeds of environments and returns a function from observations to actions.
-        policy: the trained policy, if the subject is one.
     """
 
     name: str
     env_kwargs: dict[str, Any]
     start: Callable[[Sequence[int]], Act]
-    policy: Policy | None = None
 
     @property
     def steps(self) -> int:
@@ -86,33 +80,16 @@ def random_actions(scale: float) -> Callable[[Sequence[int]], Act]:
     return start
 
 
-def make_policy(inputs: int, env_kwargs: dict[str, Any], **changes: Any) -> Policy:
-    """A policy that identifies M and mu, and pumps energy into the pendulum with all of its inputs.
-
-    Args:
-        inputs: number of inputs.
-        env_kwargs: arguments of the policy's environment.
-        **changes: fields of the policy.
-    """
+def make_policy() -> Policy:
+    """A policy that identifies M and mu, and pumps energy into the pendulum with all of its inputs."""
     # Uniform numbers are exact; others come from a library's logarithms.
-    rng = np.random.default_rng(0)
-    first, last = rng.uniform(-0.1, 0.1, (8, inputs)), np.full((1, 8), 0.25)
+    first, last = np.random.default_rng(0).uniform(-0.1, 0.1, (8, 9)), np.full((1, 8), 0.25)
     first[:, :2] += -0.5, 0.035
-    fields: dict[str, Any] = {
-        "name": "made",
-        "algorithm": "ppo",
-        "layers": tuple((weights.astype(np.float32), np.zeros(len(weights), np.float32)) for weights in (first, last)),
-        "activation": "tanh",
-        "squashing": "clip",
-        "mean": np.zeros(inputs),
-        "variance": np.ones(inputs),
-        "clip": 10.0,
-        "epsilon": 1e-8,
-        "training_seed": 0,
-        "revision": "none",
-        "identifies": True,
-    }
-    return capsule_gym.Policy(env_kwargs=env_kwargs, **{**fields, **changes})
+    layers = tuple((weights.astype(np.float32), np.zeros(len(weights), np.float32)) for weights in (first, last))
+    kinds: dict[str, Any] = {"algorithm": "ppo", "activation": "tanh", "squashing": "clip", "identifies": True}
+    inputs: dict[str, Any] = {"mean": np.zeros(9), "variance": np.ones(9), "clip": 10.0, "epsilon": 1e-8}
+    origin: dict[str, Any] = {"env_kwargs": {"randomization": "wide"}, "training_seed": 0, "revision": "none"}
+    return capsule_gym.Policy(name="made", layers=layers, **kinds, **inputs, **origin)
 
 
 def subjects() -> Iterator[Subject]:
@@ -146,13 +123,9 @@ def subjects() -> Iterator[Subject]:
             yield Subject(f"scripted {policy.name}", {**wide, **policy.env_kwargs}, policy.start)
     for name in policy_names(seeds=True):
         trained = capsule_gym.load_policy(name)
-        yield Subject(f"policy {name}", trained.env_kwargs, trained.start, trained)
-    law = {"controller": "baselines:adaptive", "residual_limit": 3.0}
-    for name, made in (
-        ("policy that identifies", make_policy(10, {**wide, "energy_weight": 2.0}, observes_energy_weight=True)),
-        ("policy that wants a torque", make_policy(14, {**wide, **law}, output="torque", squashing="tanh")),
-    ):
-        yield Subject(name, made.env_kwargs, made.start, made)
+        yield Subject(f"policy {name}", trained.env_kwargs, trained.start)
+    made = make_policy()
+    yield Subject("policy that identifies", made.env_kwargs, made.start)
 
 
 def batched(subject: Subject) -> tuple[list[np.ndarray], dict[str, np.ndarray]]:
@@ -208,87 +181,40 @@ def compute(subject: Subject) -> tuple[str, list[str]]:
     return digest.hexdigest(), wrong
 
 
-def levels() -> dict[str, dict[str, str]]:
-    """Environment variables that choose the levels of instructions that this processor runs."""
-    return {f"level {name}": {"CAPSULE_GYM_LEVEL": name} for name in _core.LEVELS}
-
-
-def libraries() -> dict[str, dict[str, str]]:
-    """Environment variables that make numpy and the C library compute elementary functions differently."""
-    found = np.show_config(mode="dicts")["SIMD Extensions"].get("found", [])
-    # The C library's names, and those before version 2.33; the library ignores unknown names.
-    absent = [f"-{name}{ending}" for name in ("AVX2", "FMA", "FMA4", "AVX512F") for ending in ("", "_Usable")]
-    return {
-        "numpy without vectors": {"NPY_DISABLE_CPU_FEATURES": " ".join(found)},
-        "C library without FMA": {"GLIBC_TUNABLES": f"glibc.cpu.hwcaps={','.join(absent)}"},
-    }
-
-
-def run(variables: dict[str, str], *names: str) -> subprocess.CompletedProcess[str]:
-    """Compares in a separate process.
-
-    Args:
-        variables: environment variables.
-        names: of the subjects; all subjects if none is given.
-    """
-    command = [sys.executable, "-m", "tests.bits", *(("--only", *names) if names else ())]
-    environment = {**os.environ, **variables}
-    return subprocess.run(command, cwd=FILE.parents[1], env=environment, capture_output=True, text=True)
-
-
 @dataclass(frozen=True)
 class Args:
     """Computes the bits of whole episodes; the exit status is 1 if they differ from the committed ones.
 
     Examples:
       python -m tests.bits
-      python -m tests.bits --variants
+      CAPSULE_GYM_LEVEL=portable python -m tests.bits
     """
 
     write: bool = False
     """Write them to tests/bits.json."""
 
-    variants: bool = False
-    """Also compare with each level of instructions that this processor runs, and as other libraries compute."""
-
-    only: tuple[str, ...] = ()
-    """Subjects that are compared; all where none is given."""
-
     first_seeds: bool = False
     """Compare one training seed of each trained policy: `agents.leaderboard --check` evaluates all of them."""
-
-
-def compare(names: Sequence[str]) -> list[str]:
-    """Differences from the committed bits, one line each."""
-    committed: dict[str, str] = json.loads(FILE.read_text(encoding="utf-8"))
-    wanted = {subject.name: subject for subject in subjects() if not names or subject.name in names}
-    wrong = [f"{name}: unknown subject" for name in names or committed if name not in wanted]
-    for name, subject in wanted.items():
-        found, lines = compute(subject)
-        wrong += lines
-        if found != committed.get(name):
-            wrong.append(f"{name}: {found} here, {committed.get(name)} committed")
-    print(*wrong, f"{len(wanted)} subjects in {NUM_ENVS} environments: {len(wrong)} differences", sep="\n")
-    return wrong
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = parse(Args, "python -m tests.bits", arguments)
     if args.write:
-        found = {subject.name: compute(subject)[0] for subject in subjects()}
-        write_atomically(FILE, json.dumps(found, indent=1) + "\n")
-    first = [s.name for s in subjects() if not (s.policy and re.search(r"/seed-[1-9]", s.name))]
-    failed = bool(compare(first if args.first_seeds and not args.only else args.only))
-    for name, variables in ({**levels(), **libraries()} if args.variants else {}).items():
-        begun = time.perf_counter()
-        done = run(variables, *args.only)
-        print(
-            f"{name}, {time.perf_counter() - begun:.0f} s: {done.stdout}{done.stderr if done.returncode else ''}",
-            end="",
-        )
-        failed |= done.returncode != 0
-    return int(failed)
+        hashes = {subject.name: compute(subject)[0] for subject in subjects()}
+        write_atomically(FILE, json.dumps(hashes, indent=1) + "\n")
+    committed: dict[str, str] = json.loads(FILE.read_text(encoding="utf-8"))
+    wanted = {subject.name: subject for subject in subjects()}
+    wrong = [f"{name}: unknown subject" for name in committed if name not in wanted]
+    if args.first_seeds:
+        wanted = {name: subject for name, subject in wanted.items() if not re.search(r"/seed-[1-9]", name)}
+    for name, subject in wanted.items():
+        found, lines = compute(subject)
+        wrong += lines
+        if found != committed.get(name):
+            wrong.append(f"{name}: {found} here, {committed.get(name)} committed")
+    print(*wrong, f"{len(wanted)} subjects in {NUM_ENVS} environments: {len(wrong)} differences", sep="\n")
+    return int(bool(wrong))
 
 
 if __name__ == "__main__":

@@ -53,8 +53,7 @@ def collect(
     count, none = student.num_envs, AutoresetMode.DISABLED
     env = CapsuleVectorEnv(num_envs=count, autoreset_mode=none, **{**student.env_kwargs, "observe_parameters": True})
     expert = Oracle(count, student.grid)
-    shape: dict[str, Any] = {"layers": 1, "relu": False, "tanh_squashing": True, "clip": 1.0}
-    shape |= {"identifies": True, "observes_energy_weight": False, "outputs_torque": False}
+    shape: dict[str, Any] = {"layers": 1, "relu": False, "tanh_squashing": True, "clip": 1.0, "identifies": True}
     header = make_header(EnvConfig(**student.env_kwargs), **shape)
     observed, memory = int(header["observed"]), np.zeros(count * CELLS)
     given = np.zeros((count, int(header["inputs"])), np.float32)

@@ -23,7 +23,7 @@ from agents.training.config import BEST, CONFIG, LOGS, MODEL, Config, RunError, 
 from agents.training.export import save
 from agents.training.signals import Stop
 from baselines.evaluation.episodes import versions
-from capsule_gym.files import canonical_hash, naming, to_json, write_atomically
+from capsule_gym.files import add_name_to_errors, canonical_hash, to_json, write_atomically
 
 
 def begin(run: Path, config: Config) -> None:
@@ -89,7 +89,7 @@ def train(run: Path, total_steps: int | None = None, *, wandb: bool = False) -> 
         RunError: if another process trains the run, a file of the folder is broken, or Weights & Biases is not usable.
         OSError: if the folder cannot be written to; its files are unchanged.
     """
-    with naming(run), locked(run):
+    with add_name_to_errors(run), locked(run):
         config, revision = _read(run, total_steps)
         torch.set_num_threads(1)
         # Left by a process that was killed while writing; only the holder of the lock writes files of these names.

@@ -13,11 +13,8 @@
      [-1, 1], else it is clipped; largest size of a normalised input. */                                               \
   FIELD(layers) FIELD(relu) FIELD(tanh_squashing) FIELD(clip)                                                          \
   /* Number of inputs, and of those that are the environment's observation; whether the estimates of M and mu follow   \
-     the observation, and then the logarithm of the energy weight in cm/J. */                                          \
-  FIELD(inputs) FIELD(observed) FIELD(identifies) FIELD(observes_energy_weight) FIELD(log_energy_weight)               \
-  /* Whether the output is the total torque in torque limits, from which a law's torque is subtracted; the entry of    \
-     the observation with that torque, or -1.0 without a law. */                                                       \
-  FIELD(outputs_torque) FIELD(law_torque) FIELD(torque_limit) FIELD(residual_limit)                                    \
+     the observation. */                                                                                               \
+  FIELD(inputs) FIELD(observed) FIELD(identifies)                                                                      \
   /* Ball, pendulum and gravitational acceleration that the filter of M and mu assumes; time between two actions. */   \
   FIELD(m) FIELD(l) FIELD(g) FIELD(dt)
 
@@ -26,9 +23,6 @@ struct Header { CAPSULE_NETWORK(CAPSULE_DOUBLE) };
 
 constexpr int PADDING = 8;  // units and environments are padded to multiples of it: the numbers of the widest register
 constexpr int padded(int width) { return (width + PADDING - 1) / PADDING * PADDING; }
-// Total torque, in torque limits, above which the action is the whole residual: the law's torque may change before the
-// next action, and the torque limit then keeps the sum at the limit.
-constexpr double SATURATION = 0.9;
 
 // A packed network, aligned to 64 bytes. Its parts follow each other, each padded with zeros to a multiple of PADDING:
 // header, widths (inputs and the units of each layer), mean and scale of the inputs, and for each layer the biases and
@@ -145,17 +139,7 @@ inline void write_inputs(const Header& header, const float* observations, long l
       identify<double>(memory[i], observed[0], observed[1], observed[2], header);
       inputs = write_estimates(memory[i], inputs);
     }
-    if (header.observes_energy_weight != 0.0) *inputs++ = (float)header.log_energy_weight;
   }
-}
-
-// The action in [-1, 1] for the output of the network and the law's torque, 0.0 without a law.
-template <class T> INLINE T action_of(const Header& header, T output, T law_torque) {
-  T action = clip(output, T(1.0));
-  if (header.outputs_torque == 0.0) return action;
-  // It is the total torque in torque limits.
-  T residual = clip((header.torque_limit * action - law_torque) / header.residual_limit, T(1.0));
-  return select(abs(action) > SATURATION, copysign(T(1.0), action), residual);
 }
 
 // Bytes of the working memory of `act` for n environments.
@@ -178,10 +162,7 @@ inline void act(const Network& network, const float* observations, long long ent
   int together = n < PADDING ? 1 : n;
   for (int j = 0; j < n; j += together) {
     const double* outputs = forward<T>(network, inputs + j * (int)header.inputs, together, values, sums);
-    for (int i = j; i < j + together; i++) {
-      double law_torque = header.law_torque < 0.0 ? 0.0 : observations[(first + i) * entries + (int)header.law_torque];
-      actions[i] = action_of(header, outputs[i - j], law_torque);
-    }
+    for (int i = j; i < j + together; i++) actions[i] = clip(outputs[i - j], 1.0);
   }
 }
 

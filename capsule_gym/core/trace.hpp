@@ -88,22 +88,17 @@ template <class S> void give(const S& outputs) {
   for (int i = 0; i < WIDTH<S>; i++) record(Operation::output, ((const Trace*)&outputs)[i].place);
 }
 
-// Records a function of a law or task with its number and of the constants, settings or the header of a network.
+// Records a function of a law or task with its number and of the constants, settings or the filter's pendulum.
 // Returns the number of rows.
 inline int trace(const char* function, long long number, const double* constants, TraceRow* rows) {
   recording = {rows, 0, -1.0};
   auto is = [&](const char* name) { return !__builtin_strcmp(function, name); };
   const auto& settings = *(const Settings*)constants;
-  const auto& header = *(const Header*)constants;
   const struct Pendulum { double m, l, g, dt; }& nominal = *(const Pendulum*)constants;
   struct Estimates { Trace values[4]; };
   if (is("sincos")) give(sincos<Trace>(given<Trace>()));
   if (is("exp")) give(exp<Trace>(given<Trace>()));
   if (is("tanh")) give(tanh<Trace>(given<Trace>()));
-  if (is("action")) {
-    Trace output = given<Trace>(), law_torque = given<Trace>();
-    give(action_of(header, output, law_torque));
-  }
   if (is("torque")) {
     Trace law_torque = given<Trace>(), action = given<Trace>();
     give(total_torque(settings, law_torque, action));

@@ -154,21 +154,3 @@ def test_failures_and_ctrl_c_have_their_exit_status(tmp_path, monkeypatch, capsy
     monkeypatch.setattr("agents.study.__main__.train_all", train)
     assert main(["direct-ppo", "--seeds", "0", "1", "--jobs", "3", "--runs", str(tmp_path), "--publish"]) == status
     assert message in "".join(capsys.readouterr())
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ([], "NAME"),
-        (["fastest"], "got 'fastest'"),
-        (["direct-ppo", "--seeds", "4294967296"], "seed must be an integer >= 0 and <= 4294967295, got 4294967296"),
-        (["direct-ppo", "--jobs", "0"], "--jobs must be an integer >= 1, got 0"),
-        (["direct-ppo", "--backend", "cloud"], "--backend"),
-    ],
-)
-def test_bad_options_are_named(words, message, capsys):
-    with pytest.raises(SystemExit) as stop:
-        main(words)
-    assert stop.value.code == 2
-    error = capsys.readouterr().err
-    assert message in error and "Traceback" not in error

@@ -283,10 +283,6 @@ def reset(**options: object) -> None:
         (lambda: reset(disturbances={"latency": 0.1}), r"\['latency'\] must be a number from 0 to 0\.016, got 0\.1"),
         (lambda: reset(disturbances={"speed": 0.1}), r"options\['disturbances'\] must be a dict with keys out of"),
         (lambda: reset(capsule={"m": -1.0}), r"Capsule\.m must be a finite number .* got -1\.0"),
-        (
-            lambda: CapsuleEnv().reset(options={"capsule": {"m": 0.1}}),
-            r"options\['capsule'\] needs an environment with",
-        ),
     ],
 )
 def test_what_cannot_be_is_refused_by_name(make, message):

@@ -21,7 +21,7 @@ from capsule_gym.config import find_task
 from capsule_gym.export import Exported, main
 from capsule_gym.layout import Row
 
-POLICIES = ("direct-ppo", "goal", "residual-real", "direct-real", "dp-distilled-wide")
+POLICIES = ("direct-ppo", "goal", "residual-real", "direct-real", "velocity")
 C99 = ("-std=c99", "-Wall", "-Wextra", "-Werror")
 M4 = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "--specs=rdimon.specs")
 START, VECTORS = Path(__file__).with_name("mps2.c"), "-Wl,--section-start=.vectors=0"
@@ -102,18 +102,8 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Any]:
         source = HARNESS.replace("NAME", exported.name).replace("TASK", task)
         (folder / "harness.c").write_text((f"#define POLICY {memory}\n" if exported.policy else "") + source)
         # With the processor's fused instruction; `test_program` has none.
-        run(
-            "gcc",
-            *C99,
-            "-O2",
-            "-march=native",
-            "-fPIC",
-            "-shared",
-            folder / "harness.c",
-            "-o",
-            folder / "library.so",
-            "-lm",
-        )
+        words = ("-O2", "-march=native", "-fPIC", "-shared", folder / "harness.c", "-o", folder / "library.so", "-lm")
+        run("gcc", *C99, *words)
         return ctypes.CDLL(str(folder / "library.so"))
 
     return compile_library
@@ -199,9 +189,8 @@ def test_c_law(library: Any, name: str):
     """On 3,000 states, some of them at rest, and with changes that no plant makes."""
     exported, rng, n = Exported(f"baselines:{name}"), np.random.default_rng(21), 3000
     t = np.arange(n) * 1e-3
-    states = np.array(
-        [0.6 * np.sin(9.0 * t), 5.4 * np.cos(9.0 * t), 0.05 * t, 0.15 * np.sin(9.0 * t + 1.0), 0.3 + 0 * t]
-    )
+    swing = (0.6 * np.sin(9.0 * t), 5.4 * np.cos(9.0 * t), 0.05 * t, 0.15 * np.sin(9.0 * t + 1.0))
+    states = np.array([*swing, np.full(n, 0.3)])
     states[:4] += rng.normal(size=(4, n)) * [[0.05], [0.5], [0.01], [0.05]]
     states[3, rng.random(n) < 0.3] = 0.0
     states[2, 1000:2000] = 0.3 + 0.02 * rng.normal(size=1000)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capsule_gym.files import naming, replacing, to_json, write_atomically
+from capsule_gym.files import add_name_to_errors, replacing, to_json, write_atomically
 
 
 def lowest_free_descriptor() -> int:
@@ -47,7 +47,7 @@ def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path: Path):
     ids=["on a full disk", "named", "without a number"],
 )
 def test_an_error_of_the_system_names_a_file(error, filename):
-    with pytest.raises(OSError, match="failed") as caught, naming(Path("run")):
+    with pytest.raises(OSError, match="failed") as caught, add_name_to_errors(Path("run")):
         raise OSError(*error)
     assert caught.value.filename == filename
 

@@ -1,4 +1,4 @@
-"""The network in C++: its outputs, their equality in any batch, and the action for a total torque."""
+"""The network in C++: its outputs, and their equality in any batch."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ from capsule_gym.network import Header, Layer, act, pack
 
 # Environments that the core computes at once, and the fewest that share a register.
 TOGETHER, FEWEST = 64, 8
-# Total torque, in torque limits, above which the action is the whole residual.
-SATURATION = 0.9
 
 
 def make_layers(widths: tuple[int, ...], seed: int = 0) -> list[Layer]:
@@ -27,9 +25,8 @@ def make_header(layers: list[Layer], clip: float = 10.0, **changes: float) -> He
     """The header of a network that takes the observation unchanged."""
     inputs = layers[0][0].shape[1]
     counts = {"layers": len(layers), "clip": clip, "inputs": inputs, "observed": inputs}
-    kinds = dict.fromkeys(("relu", "tanh_squashing", "identifies", "observes_energy_weight", "outputs_torque"), 0.0)
-    law = {"log_energy_weight": 0.0, "law_torque": -1.0, "torque_limit": 1.5, "residual_limit": 3.0}
-    return {**counts, **kinds, **law, "m": 0.138, "l": 0.3, "g": 9.81, "dt": 0.02, **changes}
+    kinds = dict.fromkeys(("relu", "tanh_squashing", "identifies"), 0.0)
+    return {**counts, **kinds, "m": 0.138, "l": 0.3, "g": 9.81, "dt": 0.02, **changes}
 
 
 def make_network(layers: list[Layer], mean=None, scale=None, clip: float = 10.0, **changes: float) -> np.ndarray:
@@ -82,32 +79,3 @@ def test_a_row_is_the_same_alone_and_in_any_batch(relu):
     observations[7, 2] = np.nan
     broken = run(packed, observations)
     assert np.isnan(broken[7]) and np.delete(broken, 7).tobytes() == np.delete(whole, 7).tobytes()
-
-
-def actions_for(wanted: np.ndarray, law_torques: np.ndarray, **changes: float) -> np.ndarray:
-    """The actions of a network whose output is the observation's first entry, with the law's torque as the second."""
-    layers = [(np.array([[1.0, 0.0]], np.float32), np.zeros(1, np.float32))]
-    packed = make_network(layers, clip=1e6, law_torque=1.0, **changes)
-    return run(packed, np.column_stack([wanted, law_torques]).astype(np.float32))[:, 0].astype(np.float64)
-
-
-def test_a_wanted_torque_is_reached_within_the_residual_limit():
-    wanted, law_torques = np.meshgrid(np.linspace(-0.899, 0.899, 31), np.linspace(-1.5, 1.5, 25))
-    wanted, law_torques = wanted.ravel(), law_torques.ravel()
-    actions = actions_for(wanted, law_torques, outputs_torque=1.0)
-    # The environment computes the torque from the action in this way.
-    torques = np.clip(law_torques + 3.0 * actions, -1.5, 1.5)
-    assert (np.abs(actions) <= 1.0).all()
-    np.testing.assert_allclose(torques, 1.5 * wanted, rtol=0.0, atol=1e-6)
-    # The law's torque may change before the next action; only a full action keeps the sum at the limit.
-    full = np.tile([SATURATION + 1e-6, 1.0, 7.0], 25)
-    law_torques = np.repeat(np.linspace(-1.5, 1.5, 25), 3)
-    for sign in (1.0, -1.0):
-        np.testing.assert_array_equal(actions_for(sign * full, law_torques, outputs_torque=1.0), sign)
-    weak = actions_for(np.array([0.8, -0.8, 0.5]), np.array([-1.5, 1.5, 0.7]), outputs_torque=1.0, residual_limit=0.5)
-    np.testing.assert_allclose(weak, [1.0, -1.0, 0.1], rtol=1e-6)
-
-
-def test_an_output_that_is_an_action_is_clipped():
-    outputs = np.array([0.3, 0.95, 1.7, -1e5])
-    np.testing.assert_allclose(actions_for(outputs, np.full(4, 0.7)), [0.3, 0.95, 1.0, -1.0], rtol=1e-7)

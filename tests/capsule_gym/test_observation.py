@@ -10,9 +10,9 @@ import pytest
 
 from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv
 from capsule_gym._core import CELLS
-from capsule_gym.network import act, write_inputs
+from capsule_gym.network import write_inputs
 from capsule_gym.task import CONTROL_DT
-from tests.capsule_gym.test_network import make_header, make_layers, make_network
+from tests.capsule_gym.test_network import make_header, make_layers
 
 CAPSULE = Capsule()
 # Prior of M (kg) and log(mu) with their standard deviations, and the range of the estimates.
@@ -103,26 +103,6 @@ def test_whatever_is_observed_the_estimates_stay_within_their_range(scale):
     P = memories[:, [3, 4, 4, 5]].reshape(-1, 2, 2)
     assert (P[:, [0, 1], [0, 1]] <= np.square(PRIOR[2:]) * (1.0 + 1e-12)).all()
     assert np.linalg.eigvalsh(P).min() >= -1e-12
-
-
-@pytest.mark.parametrize("n", [1, 70])
-def test_a_policy_acts_on_the_estimates_of_its_own_environment(n):
-    rng = np.random.default_rng(n)
-    layers = make_layers((9, 1))
-    network = make_network(layers, observed=5, identifies=1.0)
-    plain, header = make_network(layers), make_header(layers, observed=5, identifies=1.0)
-    memory, one_by_one = np.zeros(n * CELLS), np.zeros((n, CELLS))
-    inputs = np.empty((n, 9), np.float32)
-    for row in states(0.5, 0.05, 1.5):
-        observations = np.zeros((n, 5), np.float32)
-        observations[:, :3] = row * rng.uniform(0.9, 1.1, (n, 1))
-        actions = act(network, observations, memory)
-        for i in range(n):
-            write_inputs(header, observations[i : i + 1], one_by_one[i], inputs[i : i + 1])
-        assert memory.tobytes() == one_by_one.tobytes()
-        np.testing.assert_array_equal(inputs[:, :5], observations)
-        assert actions.tobytes() == act(plain, inputs, np.zeros(0)).tobytes()
-    assert np.ptp(inputs[:, 5]) > 0.0 or n == 1
 
 
 @pytest.mark.parametrize(

@@ -41,28 +41,15 @@ def make_policy(**changes: object) -> Policy:
 
 
 def make_remembering(**changes: object) -> Policy:
-    """A policy that identifies M and mu, observes the energy weight, and pumps with all of its inputs."""
-    weights = np.array([[-1.0, 0.07, 0.02, 0.0, 0.01, 0.4, 0.05, 0.3, -0.02, 0.03]], np.float32)
-    values: dict[str, object] = {
-        "layers": ((weights, np.full(1, 0.1, np.float32)),),
-        "mean": np.zeros(10),
-        "variance": np.ones(10),
-        "identifies": True,
-        "observes_energy_weight": True,
-        "env_kwargs": {"randomization": "wide", "energy_weight": 2.0},
-    }
+    """A policy that identifies M and mu, and pumps with all of its inputs."""
+    weights = np.array([[-1.0, 0.07, 0.02, 0.0, 0.01, 0.4, 0.05, 0.3, -0.02]], np.float32)
+    values: dict[str, object] = {"layers": ((weights, np.full(1, 0.1, np.float32)),), "identifies": True}
+    values |= {"mean": np.zeros(9), "variance": np.ones(9), "env_kwargs": {"randomization": "wide"}}
     return make_policy(**{**values, **changes})
 
 
 # Fields of a policy on top of a control law.
 TEN_ENTRIES = {"layers": tuple(make_layers((10, 1))), "mean": np.zeros(10), "variance": np.ones(10)}
-# Fields of a policy that observes the energy weight and identifies nothing.
-ENTRIES_AND_WEIGHT = {
-    "layers": ((np.array([[-0.1, 0.07, 0.02, 0.0, 0.01, 0.1]], np.float32), np.full(1, 0.1, np.float32)),),
-    "mean": np.zeros(6),
-    "variance": np.ones(6),
-    "epsilon": 0.0,
-}
 OBSERVATIONS = np.random.default_rng(6).normal(size=(20, 5)).astype(np.float32)
 
 
@@ -71,7 +58,7 @@ def test_a_file_gives_back_what_was_saved(remembers, tmp_path):
     ranges = Randomization(M=(0.4, 0.6), mu=(0.01, 0.1), log_mu=True)
     policy = make_policy(env_kwargs={"capsule": Capsule(m=0.2), "randomization": ranges})
     if remembers:
-        policy = make_remembering(output="torque")
+        policy = make_remembering()
     policy.save(tmp_path / POLICY)
     loaded = load_policy(tmp_path)
     for field in fields(Policy):
@@ -112,22 +99,6 @@ def test_one_observation_or_many():
 def test_what_is_no_observation_is_refused(observation):
     with pytest.raises(ValueError, match="observation must be"):
         make_policy()(observation)
-
-
-def test_another_energy_weight_is_told_and_nothing_else_changes():
-    policy = make_remembering(identifies=False, **ENTRIES_AND_WEIGHT)
-    heavier = policy.with_energy_weight(4.0)
-    assert heavier.env_kwargs == {**policy.env_kwargs, "energy_weight": 4.0}
-    found, wanted = heavier(OBSERVATIONS) - policy(OBSERVATIONS), 0.1 * np.log(4.0 / 2.0)
-    inside = (np.abs(heavier(OBSERVATIONS)) < 1.0) & (np.abs(policy(OBSERVATIONS)) < 1.0)
-    assert inside.sum() > 5
-    np.testing.assert_allclose(found[inside], wanted, rtol=1e-5)
-    assert heavier.with_energy_weight(2.0)(OBSERVATIONS).tobytes() == policy(OBSERVATIONS).tobytes()
-    with pytest.raises(ValueError, match=r"'made' does not observe the energy weight"):
-        make_policy().with_energy_weight(1.0)
-    for weight in (0.0, -1.0, 1e-300, np.inf):
-        with pytest.raises(ValueError, match=r"energy_weight.* must be a "):
-            policy.with_energy_weight(weight)
 
 
 # Pretrained policies.
@@ -284,18 +255,15 @@ HOSTILE_TENSORS: list[tuple[dict[str, np.ndarray | None], str]] = [
     ({**layers_of(0)}, "1 to 1024 units"),
     ({**layers_of(2000)}, "1 to 1024 units"),
 ]
-NO_WEIGHT = {"told_energy_weight": "true", "env_kwargs": '{"energy_weight": 0.0}'}
 HOSTILE_METADATA: list[tuple[dict[str, str | None], str]] = [
     ({"format": "pt"}, "must be 'capsule_gym policy' and '2', got ('pt', '2')"),
     ({"format_version": "1"}, "must be 'capsule_gym policy' and '2', got ('capsule_gym policy', '1')"),
-    ({"output": "velocity"}, "output must be one of ('action', 'torque'), got 'velocity'"),
-    ({"output": None}, "output must be text in its metadata, got None"),
+    ({"output": "torque"}, "output must be 'action' in its metadata, got 'torque'"),
+    ({"told_energy_weight": "true"}, "told_energy_weight must be 'false' in its metadata, got 'true'"),
+    ({"squashing": None}, "squashing must be text in its metadata, got None"),
     ({"identifies": "true"}, "of shape (9,), one for each input"),
-    ({"told_energy_weight": "True"}, "told_energy_weight must be JSON in its metadata, got 'True'"),
-    ({"told_energy_weight": "2"}, "observes_energy_weight must be one of (False, True), got 2"),
-    ({"told_energy_weight": "true"}, "of shape (6,), one for each input"),
-    ({"output": "torque", "env_kwargs": '{"residual_limit": 0.0}'}, "where env_kwargs give no residual_limit > 0"),
-    (NO_WEIGHT, "env_kwargs['energy_weight'] must be a number of cm/J from 1e-12"),
+    ({"identifies": "True"}, "identifies must be JSON in its metadata, got 'True'"),
+    ({"identifies": "2"}, "identifies must be one of (False, True), got 2"),
     ({"activation": "gelu"}, "activation must be one of"),
     ({"clip": "1e300"}, "clip must be a number in (0, 1e+06]"),
     ({"clip": "ten"}, "clip must be JSON in its metadata, got 'ten'"),
@@ -310,7 +278,7 @@ HOSTILE_METADATA: list[tuple[dict[str, str | None], str]] = [
     ({"env_kwargs": '{"controller": "baselines:adaptive"}'}, "of shape (10,), one for each input"),
     ({"env_kwargs": '{"capsule": {"M": -1.0}}'}, "Capsule.M must be"),
     ({"env_kwargs": '{"capsule": {"wheels": 4}}'}, "env_kwargs['capsule'] must have fields out of"),
-    *(({name: "x" * 100_000}, "xxx") for name in ("format", "output", "activation", "clip")),
+    *(({name: "x" * 100_000}, "xxx") for name in ("format", "activation", "clip")),
 ]
 HOSTILE = [*((each, {}, message) for each, message in HOSTILE_TENSORS)]
 HOSTILE += [({}, each, message) for each, message in HOSTILE_METADATA]

@@ -51,20 +51,19 @@ def jumps(n: int) -> list[list[dict[str, float]]]:
 
 
 def on_a_law() -> Policy:
-    """A policy that identifies M and mu, observes a law's torque, and outputs torques."""
+    """A policy that identifies M and mu on a law."""
     policy = make_remembering()
     (weights, bias), *_ = policy.layers
-    wider = np.insert(weights, [5] * 5, 0.0, axis=1)
     env_kwargs = {**policy.env_kwargs, "controller": "baselines:adaptive", "residual_limit": 3.0}
-    zeros, ones = np.zeros(15), np.ones(15)
-    return replace(policy, layers=((wider, bias),), mean=zeros, variance=ones, output="torque", env_kwargs=env_kwargs)
+    wider, zeros, ones = np.insert(weights, [5] * 5, 0.0, axis=1), np.zeros(14), np.ones(14)
+    return replace(policy, layers=((wider, bias),), mean=zeros, variance=ones, env_kwargs=env_kwargs)
 
 
 PRETRAINED = [partial(load_policy, name) for name in ("direct-ppo", "direct-sac", "residual-ppo")]
 
 
 @pytest.mark.parametrize("n", [1, 2 * LANES + 3])
-@pytest.mark.parametrize("make", [*PRETRAINED, make_remembering, partial(make_remembering, output="torque"), on_a_law])
+@pytest.mark.parametrize("make", [*PRETRAINED, make_remembering, on_a_law])
 def test_a_rollout_gives_the_bits_of_a_loop_in_python_and_of_environments_alone(make, n):
     policy, steps = make(), 130
     policy = replace(policy, env_kwargs={**policy.env_kwargs, "randomization": "wide"})

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from capsule_gym import CapsuleEnv, CapsuleVectorEnv, Controller
-from capsule_gym.config import EnvConfig, find_task
+from capsule_gym.config import find_task
 from capsule_gym.resets import Stream, random_stream
 from capsule_gym.task import TASKS, Task
 from capsule_gym.tasks.velocity import with_commands
@@ -41,13 +41,6 @@ def test_what_an_episode_draws_are_numpys_numbers_and_a_reset_may_set_it(name):
     # The plant and the first angle are the same draws as those of the speed task.
     masses = [CapsuleEnv(task=each, randomization="paper").reset(seed=3)[1]["M"] for each in (name, "speed")]
     assert masses[0] == masses[1]
-
-
-def test_the_defaults_are_the_tasks_and_what_is_given_goes_before():
-    config = EnvConfig(task="velocity")
-    assert (config.termination_penalty, config.energy_weight) == (3.0, 0.0) and config.capsule.static_ratio == 1.3
-    config = EnvConfig(task="velocity", randomization="paper", capsule=None, termination_penalty=10.0)
-    assert (config.randomization, config.capsule, config.termination_penalty) == ("paper", None, 10.0)
 
 
 def test_a_law_belongs_to_its_task():

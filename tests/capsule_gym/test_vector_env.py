@@ -294,13 +294,3 @@ def test_a_forked_process_steps_on():
     child.kill()
     assert child.exitcode == 0 and ours.recv() == digest(env)
     env.close()
-
-
-def test_seeds_as_a_sequence():
-    env, other = CapsuleVectorEnv(3), CapsuleVectorEnv(3)
-    masses = env.reset(seed=[5, 9, 2])[1]["M"]
-    assert masses[0] == other.reset(seed=5)[1]["M"][0]
-    assert masses[1] == other.reset(seed=9)[1]["M"][0]
-    # None continues the existing stream.
-    again = env.reset(seed=[5, None, 2])[1]["M"]
-    assert again[0] == masses[0] and again[1] != masses[1] and again[2] == masses[2]

@@ -58,19 +58,3 @@ def test_help_shows_examples_and_needs_nothing_heavy() -> None:
         assert status == 0 and "Examples:" in text, name
         assert text.count(example) >= 2 or f"{example} " in text, name
         assert not set(loaded) & HEAVY, name
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["train", "--task", "nope"],
-        ["agents.evaluate", "nobody"],
-        ["web.build", "--output", f"{__file__}/site"],
-        ["baselines.paper", "--figures", f"{__file__}/figures"],
-    ],
-    ids=lambda words: words[0],
-)
-def test_invalid_arguments_are_named_in_one_line(words: list[str]) -> None:
-    done = subprocess.run([sys.executable, "-m", *words], cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 2 and "Traceback" not in done.stderr
-    assert words[-1] in done.stderr or words[-2] in done.stderr

@@ -11,8 +11,6 @@ import io
 import re
 import runpy
 import shlex
-import shutil
-import subprocess
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -25,7 +23,7 @@ MODULES = sorted(path for package in ("capsule_gym", "baselines", "agents") for 
 FENCE = re.compile(r"^( *)```(\w+)\b[^\n]*\n(.*?)^\1```\s*$", re.DOTALL | re.MULTILINE)
 SHELL = ("bash", "sh", "shell", "console")
 # The JavaScript of docs/live.md runs in tests/web, the C of docs/export.md in tests/capsule_gym/test_export.py.
-KNOWN = {"python", "c", "cpp", "text", "js", *SHELL}
+KNOWN = {"python", "c", "text", "js", *SHELL}
 # Programs of other projects.
 ELSEWHERE = {"gcc", "git", "bash", "cd", "tensorboard", "pre-commit", "pip", "venv", "uvx"}
 MODULES_ELSEWHERE = {"pytest", "venv", "pip", "rl_zoo3.train"}
@@ -81,24 +79,6 @@ def test_block_runs(name: str, line: int, language: str, code: str, tmp_path: Pa
     script = tmp_path / f"{Path(name).stem}.py"
     script.write_text("\n" * line + code, encoding="utf-8")
     runpy.run_path(str(script), run_name="__main__")
-
-
-def test_the_task_of_the_contributing_page_compiles(tmp_path: Path) -> None:
-    compiler = shutil.which("c++") or shutil.which("clang++")
-    if compiler is None:
-        pytest.skip("needs a C++ compiler")
-    (task,) = (code for *_, language, code in BLOCKS if language == "cpp")
-    uses = "\n".join(
-        f"template {number} LEVEL::Record::reward({number}, {number}, {number}, double, Memory<{number}>&);\n"
-        f"template void LEVEL::Record::begin({number}, Memory<{number}>&);\n"
-        for number in ("double", "LEVEL::Pack")
-    ).replace("Memory<", "LEVEL::Record::Memory<")
-    source = tmp_path / "record.cpp"
-    source.write_text(f'#include "elementary.hpp"\nnamespace LEVEL {{\n{task}}}\n{uses}', encoding="utf-8")
-    flags = "-std=c++20 -ffp-contract=off -DCAPSULE_FP_CONTRACT_OFF -Wall -Wextra -Wno-psabi -Werror -fsyntax-only"
-    command = [compiler, *flags.split(), "-I", str(ROOT / "capsule_gym" / "core"), str(source)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("path", WITH_EXAMPLES, ids=lambda path: path.relative_to(ROOT).as_posix())

@@ -162,46 +162,6 @@ def test_every_driver_drives_and_is_the_rival(open_page: Open) -> None:
             assert link(page).get(control, "") == value
 
 
-def test_plants_of_a_set_and_masses_stay_within_their_range(open_page: Open) -> None:
-    page = open_page(PAUSED)
-    page.select_option("#set", "paper")
-    first = page.input_value("#M-number")
-    page.fill("#plant", "7")
-    page.press("#plant", "Tab")
-    page.wait_for_function("first => document.getElementById('M-number').value !== first", arg=first)
-    assert (link(page)["set"], link(page)["plant"]) == ("paper", "7")
-    assert page.locator("#trouble").is_hidden()
-    page.fill("#plant", "1000")
-    page.press("#plant", "Tab")
-    page.wait_for_function("document.getElementById('plant').value === '99'")
-    shows(page, "trouble", "Plant must be a whole number from 0 to 99: 99 is taken")
-    page.select_option("#set", "")
-    page.wait_for_function("document.getElementById('plant').disabled")
-    page.fill("#M-number", "9")
-    page.press("#M-number", "Enter")
-    shows(page, "trouble", "M must be a number from 0.25 to 1.2: 1.2 is taken")
-    assert page.input_value("#M-number") == "1.2"
-    page.wait_for_function("location.hash.includes('M=1.2')")
-    for key in ("Home", "End"):
-        page.press("#mu", key)
-        shows(page, "trouble", "")
-        assert page.locator("#trouble").is_hidden()
-
-
-def test_a_hand_that_failed_stands_still_until_space_begins_again(open_page: Open) -> None:
-    page = open_page("#driver=yourself&rival=adaptive&M=0.5&mu=0.01")
-    page.uncheck("#help")
-    page.focus("#stage")
-    page.keyboard.down("ArrowRight")
-    shows(page, "banner-text", "Space begins again.")
-    page.keyboard.up("ArrowRight")
-    page.wait_for_function("document.getElementById('play').getAttribute('aria-label') === 'Play'")
-    assert 0.1 < figure(page, "time") < 1.0
-    page.keyboard.press(" ")
-    page.wait_for_function("document.getElementById('banner').hidden")
-    assert playing(page)
-
-
 def test_disturbances_act_on_who_drives(open_page: Open) -> None:
     page = open_page("#driver=gait-guarded&M=0.5&mu=0.01&t=2")
     shows(page, "figure-time", "2.00")

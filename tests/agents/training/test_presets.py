@@ -7,19 +7,14 @@ import json
 import math
 import re
 
-import gymnasium as gym
-import numpy as np
 import pytest
 
 import train
 from agents.distillation.config import STUDENTS
 from agents.distillation.dagger import HIDDEN
-from agents.training.algorithms import make_noise
 from agents.training.config import CONFIG, RANGES, read_config
 from agents.training.presets import PRESETS, ROWS
 from baselines.evaluation.policies import CHECKPOINTS, checkpoint_names, find_candidate
-from capsule_gym.task import CONTROL_DT, ENV_ID
-from examples import rl_zoo_sac
 
 
 @pytest.mark.parametrize("algo", ["ppo", "sac"])
@@ -92,24 +87,3 @@ def test_the_table_of_commands_names_every_row_and_its_seeds():
         program, *words = command.replace(" N", " 7").split()
         assert program == "train.py"
         assert train.read_args(words).hyperparameters == dataclasses.replace(ROWS[name], seed=7)
-
-
-def test_the_zoo_trains_sac_with_the_presets_settings():
-    (found,) = rl_zoo_sac.hyperparams.values()
-    config = PRESETS["direct", "sac"]
-    env = dict(found["env_kwargs"])
-    assert env.pop("max_episode_steps") == round(config.episode_seconds / config.control_dt)
-    assert env.pop("initial_range") == list(config.initial_range)
-    assert env == {"termination_penalty": config.termination_penalty}
-    assert config.control_dt == CONTROL_DT
-    assert float(found["learning_rate"].removeprefix("lin_")) == config.learning_rate
-    assert (found["n_envs"], found["n_timesteps"]) == (config.num_envs, config.total_steps)
-    names = ("batch_size", "buffer_size", "learning_starts", "gradient_steps", "n_steps", "gamma", "tau")
-    names += ("target_entropy",)
-    assert {name: found[name] for name in names} == {name: getattr(config, name) for name in names}
-    assert vars(found["action_noise"]) == vars(make_noise(config))
-    ((_, bounds),) = found["env_wrapper"][0].items()
-    observations = gym.make(ENV_ID).observation_space
-    scale = (*config.observation_scale, 1.0, 1.0)
-    np.testing.assert_allclose(bounds["min_obs"], observations.low * scale)
-    np.testing.assert_allclose(bounds["max_obs"], observations.high * scale)

@@ -1,0 +1,27 @@
+"""Runs the Python blocks of the README, Getting started and the FAQ with the installed package, as a reader does."""
+
+import os
+import re
+import runpy
+import sys
+import tempfile
+from pathlib import Path
+
+# Nothing is imported from the folder of this file.
+sys.path.remove(str(Path(__file__).resolve().parent))
+
+import capsule_gym
+
+ROOT = Path(__file__).resolve().parents[1]
+assert not Path(capsule_gym.__file__).is_relative_to(ROOT), capsule_gym.__file__
+for name in ("README.md", "docs/getting_started.md", "docs/faq.md"):
+    text = (ROOT / name).read_text(encoding="utf-8")
+    for block in re.finditer(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
+        line = text.count("\n", 0, block.start()) + 1
+        print(f"{name}:{line}", flush=True)
+        with tempfile.TemporaryDirectory() as folder:
+            os.chdir(folder)
+            # A real file; padding gives it the line numbers of the page.
+            Path("block.py").write_text("\n" * line + block[1], encoding="utf-8")
+            runpy.run_path("block.py", run_name="__main__")
+            os.chdir(ROOT)

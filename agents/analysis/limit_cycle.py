@@ -1,0 +1,106 @@
+"""One steady cycle of some policies on the paper's plant: a table and a figure."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+
+from agents.analysis.data import Document
+from agents.analysis.figures import write_with
+from baselines.drawing import BLUE, INK, MUTED, add_note, new_figure
+from baselines.evaluation.policies import find_candidate
+from baselines.tables import markdown_table
+from capsule_gym import CapsuleEnv
+from capsule_gym.parameters import NOMINAL
+from capsule_gym.task import CONTROL_DT, HORIZON, TORQUE_LIMIT
+
+POLICIES = ("adaptive", "pd", "gait-guarded", "direct-ppo", "dp-nominal")
+# The last part of an episode, in which a cycle is searched, s: two of the paper's cycles fit.
+WINDOW = 20.0
+# Time between samples, s.
+DT = 0.002
+# Phases of the contact by the sign of the displacement, in the colours of the rendered robot, pale.
+PHASES = {1: ("slips forward", "#fde3cc"), 0: ("sticks", "#c8d9f0"), -1: ("slips backward", "#fbf2e9")}
+LABELS = ("θ (deg)", "x' (cm/s)", "N / ((M + m) g)", "u (N m)", "θ' (rad/s)")
+
+
+def record(policy: Any) -> np.ndarray:
+    """An episode on the paper's plant: rows of theta, theta_dot, x, x_dot, normal force and torque, `DT` apart.
+
+    The policy acts every `CONTROL_DT`; its action is held in between.
+    """
+    env = CapsuleEnv(**{**policy.env_kwargs, "randomization": "none", "control_dt": DT})
+    act = policy.start([0])
+    observation, info = env.reset(seed=0)
+    samples = []
+    for step in range(round(HORIZON / DT)):
+        if step % round(CONTROL_DT / DT) == 0:
+            action = act(observation[None])[0]
+        observation, _, terminated, _, info = env.step(action)
+        assert not terminated
+        samples.append([*info["state"], info["normal_force"], info["torque"]])
+    return np.array(samples)
+
+
+def find_cycle(samples: np.ndarray) -> np.ndarray:
+    """The cycle in the last `WINDOW` that is closest to periodic, from its smallest theta on."""
+    samples = samples[-round(WINDOW / DT) :]
+    theta = samples[:, 0]
+    middle = 0.5 * (theta.min() + theta.max())
+    rises = 1 + np.flatnonzero((theta[:-1] < middle) & (theta[1:] >= middle))
+    periods = np.diff(rises)
+    # The cycle from the smallest theta on reaches up to a period further.
+    fits = rises[1:] + periods < len(theta)
+    rates = samples[:, [1, 3]]
+    changes = (np.abs(np.diff(rates[rises], axis=0)) / rates.std(axis=0)).max(axis=1)
+    chosen = int(np.where(fits, changes, np.inf).argmin())
+    begin = rises[chosen] + int(theta[rises[chosen] : rises[chosen + 1]].argmin())
+    return samples[begin : begin + periods[chosen] + 1]
+
+
+def document() -> Document:
+    """The table and the figure."""
+    cycles = {name: find_cycle(record(find_candidate(name).policies[0])) for name in POLICIES}
+    lines = [["policy", "period (s)", "distance (cm)", "speed (cm/s)", "time in stick", "time at 1.5 N m"]]
+    for name, cycle in cycles.items():
+        period, distance = DT * (len(cycle) - 1), 100.0 * (cycle[-1, 2] - cycle[0, 2])
+        shares = (cycle[1:, 3] == 0.0).mean(), (np.abs(cycle[1:, 5]) >= TORQUE_LIMIT).mean()
+        numbers = [f"{each:.2f}" for each in (period, distance, distance / period)]
+        lines.append([name, *numbers, *(f"{100.0 * share:.0f} %" for share in shares)])
+    return Document({"cycles": markdown_table(lines)}, {"limit_cycle": write_with(draw, cycles)})
+
+
+def draw(cycles: dict[str, np.ndarray]) -> Any:
+    """Draws angle, velocity, normal force and torque over time, and the phase portrait, one column per cycle."""
+    from matplotlib.patches import Patch
+
+    figure = new_figure(8.2)
+    grid = figure.subplots(5, len(cycles), sharey="row", height_ratios=(1.0, 1.0, 1.0, 1.0, 1.35))
+    for column, (name, cycle) in zip(grid.T, cycles.items(), strict=True):
+        t, degrees, begin = DT * np.arange(len(cycle)), np.degrees(cycle[:, 0]), 0
+        for phase, group in itertools.groupby(np.sign(np.diff(cycle[:, 2])).tolist()):
+            end = begin + len(list(group))
+            for axes in column[:-1]:
+                axes.axvspan(t[begin], t[end], color=PHASES[phase][1], linewidth=0.0)
+            begin = end
+        weight = (NOMINAL.M + NOMINAL.m) * NOMINAL.g
+        series = degrees, 100.0 * cycle[:, 3], cycle[:, 4] / weight, cycle[:, 5]
+        for axes, values, level in zip(column[:-1], series, (0.0, 0.0, 1.0, 0.0), strict=True):
+            axes.axhline(level, color=MUTED, linewidth=0.6)
+            axes.plot(t, values, color=INK)
+            axes.set_xlim(0.0, t[-1])
+            axes.grid(visible=False)
+            axes.tick_params(labelbottom=axes is column[3])
+        column[3].set_xlabel("time (s)")
+        column[4].plot(degrees, cycle[:, 1], color=BLUE)
+        column[4].set_xlabel("θ (deg)")
+        column[0].set_title(name)
+    for axes, label in zip(grid[:, 0], LABELS, strict=True):
+        axes.set_ylabel(label)
+    figure.align_ylabels(grid[:, 0])
+    patches = [Patch(color=shade, label=phase) for phase, shade in PHASES.values()]
+    figure.legend(handles=patches, loc="outside upper left", ncols=len(patches))
+    add_note(figure, "The time axes differ. A growing θ pushes the platform forward.")
+    return figure
