@@ -28,8 +28,8 @@ Act = Callable[[np.ndarray], np.ndarray]
 BASELINE = "adaptive"
 CHECKPOINTS = next((folder for folder in FOLDERS if folder.is_dir()), FOLDERS[-1])
 REFERENCE = re.compile(r"([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*):([A-Za-z_]\w*)")
-# The sensors in the observation of a trained policy.
-OBSERVED = "theta, theta_dot, x_dot, stick"
+# The measurements in the observation of a trained policy.
+OBSERVED = "state, stick"
 EXTERNAL = "a policy of another project"
 
 
