@@ -1,4 +1,4 @@
-"""Compares the main table of the leaderboard with plants drawn anew: `python -m benchmarks.fresh_draws pd lqr`."""
+"""Compares the main table of the leaderboard with plants drawn anew: `python -m benchmarks.fresh_draws`."""
 
 from __future__ import annotations
 
@@ -26,6 +26,9 @@ class Args:
     """Evaluates rows of the leaderboard's main table on new plants; fails if a mean speed differs from the table.
 
     They agree if the published interval covers the new mean, or within two standard errors of both sets of plants.
+
+    Examples:
+      python -m benchmarks.fresh_draws pd lqr
     """
 
     rows: Annotated[Positional[tuple[str, ...]], arg(metavar="ROW")] = tuple(chain(*GROUPS.values()))

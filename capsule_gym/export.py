@@ -31,8 +31,6 @@ from capsule_gym.trace import c_number, c_table, record, to_c, to_onnx
 from capsule_gym.vector_env import CapsuleVectorEnv
 
 PROG = "python -m capsule_gym.export"
-# What the filter of M and mu assumes.
-PENDULUM = ("m", "l", "g", "dt")
 # The set whose first episode gives the test vectors, by the task, or "real" for disturbances.
 SETS = {"speed": "paper", "goal": "goal", "velocity": "velocity", "real": "real"}
 INTERVALS = 100  # control intervals of the test vectors; a law alone has a quarter
@@ -71,9 +69,9 @@ class Exported:
         self.reading += ["theta_d", "theta_d_dot", "phase", "law_torque"] if self.controller else []
         self.reading += ["M", "mu"] if self.options.observe_parameters else []
         self.reading += {"goal": ["goal"], "velocity": ["command"]}.get(self.task.name, [])
-        self.header: dict[str, float] = {}
+        # What the filter of M and mu assumes.
+        self.pendulum = [self.plant.m, self.plant.l, self.plant.g, self.options.control_dt]
         if self.policy:
-            self.header = dict(zip(_core.NETWORK, self.policy._network.tolist(), strict=False))
             self.scale = 1.0 / np.sqrt(self.policy.variance + self.policy.epsilon)
 
     def c(self, *, single: bool = False) -> str:
@@ -121,8 +119,6 @@ class Exported:
             observed=observed,
             law_inputs=law_inputs + (task_inputs if law and law.task else []),
             law_outputs=["torque", *(f"memory->{cell}" for cell in law_cells)],
-            pendulum=[*(getattr(self.plant, name) for name in PENDULUM[:3]), self.options.control_dt],
-            header_pendulum=[self.header.get(name) for name in PENDULUM],
             widest=max([len(self.policy.mean), *(len(bias) for _, bias in self.policy.layers)]) if self.policy else 0,
             fused=re.sub(r"(?<=[;{}]) (?!\})", "\n  ", fused),
             description=self.policy.description if self.policy else f"control law {self.options.controller}",
@@ -199,7 +195,7 @@ class Exported:
             from onnx import TensorProto, checker, helper, numpy_helper
         except ImportError as error:
             raise ImportError('--onnx needs onnx: pip install "capsule-gym[export]"') from error
-        policy, header = self.policy, self.header
+        policy = self.policy
         kind, real = (TensorProto.FLOAT, np.float32) if single else (TensorProto.DOUBLE, np.float64)
         nodes, initializers = list[Any](), list[Any]()
 
@@ -228,8 +224,7 @@ class Exported:
             )
             observed = add("Cast", "observation", to=TensorProto.DOUBLE)
             given = [column("memory", n) for n in range(_core.CELLS)] + [column(observed, n) for n in range(3)]
-            rows = record("identify", [header[name] for name in PENDULUM])
-            found = to_onnx(rows, given, partial(add, dtype=np.float64))
+            found = to_onnx(record("identify", self.pendulum), given, partial(add, dtype=np.float64))
             nodes.append(helper.make_node("Concat", found[: _core.CELLS], ["next_memory"], axis=1))
             estimates = add("Concat", *found[1:3], *found[_core.CELLS :], axis=1)
             x = add("Concat", x, add("Cast", add("Cast", estimates, to=TensorProto.FLOAT), to=kind), axis=1)

@@ -44,13 +44,7 @@ Act = Callable[[np.ndarray], np.ndarray]
 
 
 class Subject(NamedTuple):
-    """A case with a hash.
-
-    Attributes:
-        name: the key in the file.
-        env_kwargs: arguments of the environment.
-        start: takes the seeds of environments and returns a function from observations to actions.
-    """
+    """A case with a hash: its key in the file, the environment, and the start of a batch of episodes by their seeds."""
 
     name: str
     env_kwargs: dict[str, Any]

@@ -57,7 +57,7 @@ class Args:
 
 def uncommitted(candidates: Sequence[Candidate]) -> list[str]:
     """The policies that cannot be trained again, since their training code was not committed."""
-    policies = [(each.name, policy.revision) for each in candidates for policy in each.trained]
+    policies = [(f"{each.name}/seed-{p.training_seed}", p.revision) for each in candidates for p in each.trained]
     return [f"{name}: the revision {revision} is not committed" for name, revision in policies if "+" in revision]
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -18,7 +16,6 @@ pygame = pytest.importorskip("pygame")
 
 PAPER = load_set("paper")
 PLANT = PAPER.plants[0]
-PUSHER = SimpleNamespace(name="pusher", env_kwargs={}, start=lambda seeds: lambda observations: np.ones((1, 1)))
 KEYS = pygame.K_LEFT, pygame.K_a, pygame.K_RIGHT, pygame.K_d
 
 

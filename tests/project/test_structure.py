@@ -8,8 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from capsule_gym import evaluation_sets, policy
-
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -26,22 +24,6 @@ def test_another_package_baselines_is_named(tmp_path: Path) -> None:
     command = [sys.executable, "-c", code, str(tmp_path / "baselines" / "__init__.py")]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert str(tmp_path) in done.stderr and "uninstall that one" in done.stderr
-
-
-def test_packages_policies_and_sets_are_installed() -> None:
-    tomllib = pytest.importorskip("tomllib", reason="from Python 3.11 on", exc_type=ImportError)
-    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["scikit-build"]
-    packages = settings["wheel"]["packages"]
-    data = {
-        "checkpoints": (policy.FOLDERS, "*/seed-*/policy.safetensors"),
-        "frozen": (evaluation_sets.FOLDERS, "*.json"),
-    }
-    assert set(packages) == {"baselines", "capsule_gym", *(f"capsule_gym/{name}" for name in data)}
-    assert packages["baselines"] == "baselines" and packages["capsule_gym"] == "capsule_gym"
-    for name, ((installed, checkout), pattern) in data.items():
-        assert installed == ROOT / "capsule_gym" / name and checkout == ROOT / packages[f"capsule_gym/{name}"]
-        files = {path for path in checkout.rglob("*") if path.is_file() and path.suffix not in (".csv", ".md")}
-        assert files == set(checkout.glob(pattern)) != set()
 
 
 def test_no_tracked_file_is_large_or_names_a_path_of_a_machine() -> None:

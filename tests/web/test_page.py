@@ -162,24 +162,6 @@ def test_every_driver_drives_and_is_the_rival(open_page: Open) -> None:
             assert link(page).get(control, "") == value
 
 
-def test_disturbances_act_on_who_drives(open_page: Open) -> None:
-    page = open_page("#driver=gait-guarded&M=0.5&mu=0.01&t=2")
-    shows(page, "figure-time", "2.00")
-    ideal = measures(page)
-    page.select_option("#disturbances", "real")
-    page.wait_for_function("location.hash.includes('disturbances=real')")
-    page.fill("#scrub", "2")
-    shows(page, "figure-time", "2.00")
-    assert measures(page) != ideal
-    page.press("#latency", "ArrowRight")
-    page.wait_for_function("location.hash.includes('latency=0.001&noise=0')")
-    page.press("#slope", "End")
-    page.wait_for_function("location.hash.includes('slope=3')")
-    page.select_option("#driver", "dp-nominal")
-    page.wait_for_function("document.getElementById('slope').disabled && document.getElementById('set').value")
-    assert "slope" not in link(page) and page.locator("#trouble").is_hidden()
-
-
 def test_every_task_has_drivers_measures_and_sets_of_its_own(open_page: Open) -> None:
     page = open_page(PAUSED)
     tasks = ("goal", "15.00", "Goal reached"), ("velocity", "20.00", "Velocity error"), ("speed", "33.00", "")

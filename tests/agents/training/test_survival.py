@@ -13,7 +13,6 @@ import resource
 import signal
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -276,20 +275,6 @@ def test_the_second_signal_does_what_signals_did_before(capfd):
     finally:
         signal.signal(signal.SIGTERM, before)
     assert capfd.readouterr().err.count("once more") == 1
-
-
-def test_only_the_main_thread_handles_signals():
-    handler = signal.getsignal(signal.SIGINT)
-    seen = []
-
-    def inside() -> None:
-        with Stop():
-            seen.append(signal.getsignal(signal.SIGINT))
-
-    thread = threading.Thread(target=inside)
-    thread.start()
-    thread.join()
-    assert seen == [handler]
 
 
 # --- signals and full disks, in processes of their own ----------------------------------------------------------------
