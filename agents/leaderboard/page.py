@@ -165,7 +165,7 @@ def _cells(row: Mapping[str, Any], set_name: str, criteria: Criteria) -> dict[st
         each = result[name]
         worst = max(each["seeds"]) if weight < 0.0 else min(each["seeds"])
         cells[metric.label] = _interval(metric, (each["mean"], each["mean_low"], each["mean_high"]))
-        cells[f"worst seed: {metric.label}"] = metric.format(worst if seeds else None)
+        cells[f"worst seed ({metric.label.partition(' (')[2] or 'share)'}"] = metric.format(worst if seeds else None)
         if not metric.share:
             cells["interquartile mean"] = _interval(metric, (each["iqm"], each["low"], each["high"]))
     base = row.get("minus_base", {}).get(set_name)
