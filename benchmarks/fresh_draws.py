@@ -28,7 +28,11 @@ PLANTS, ERRORS = 400, 2.0
 
 @dataclass(frozen=True)
 class Args:
-    """Evaluates rows of the leaderboard's main table on new plants; fails if a mean speed differs from the table."""
+    """Evaluates rows of the leaderboard's main table on new plants; fails if a mean speed differs from the table.
+
+    Examples:
+      python -m benchmarks.fresh_draws pd lqr
+    """
 
     rows: Annotated[Positional[tuple[str, ...]], arg(metavar="ROW")] = tuple(chain(*GROUPS.values()))
     """Rows; all of the main table by default."""

@@ -15,7 +15,7 @@ OFF_POLICY: dict[str, Any] = {
 # With only the default start, training converges to a one-sided gait; without correlated noise or without
 # `observation_scale`, it mostly converges to a narrow gait (docs/algorithms.md).
 DIRECT_OFF_POLICY: dict[str, Any] = {
-    **{"total_steps": 400_000, "evaluate_every": 40_000},
+    **{"total_steps": 500_000, "evaluate_every": 50_000},
     **{"initial_range": (1.047, 8.0), "episode_seconds": 4.0, "termination_penalty": 10.0},
     **{"learning_rate": 1e-3, "num_envs": 32, "batch_size": 256, "learning_starts": 2000, "n_steps": 3, "tau": 0.005},
     **{"action_noise": 0.25, "noise_time": 0.25, "observation_scale": (2.0, 0.25, 6.0)},

@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if args.report:
         if lacking := len(missing) + len(plants):
             refuse(PROG, f"--report needs all problems and plants on file, and {args.folder} lacks {lacking}")
-        from baselines.dynamic_programming.figure import report
+        from baselines.dynamic_programming.tables import report
 
         print(report(archive))
         return 0

@@ -355,9 +355,6 @@ FIGURES: dict[str, Callable[[], Any]] = {
 
 def draw_all(directory: Path) -> list[Path]:
     """Draws every figure as SVG and PNG into a folder, which is created; repeated runs give identical files."""
-    from baselines.dynamic_programming.figure import draw_optimum
-
     directory.mkdir(parents=True, exist_ok=True)
-    figures = {**FIGURES, "optimum": draw_optimum}
     with style():
-        return [path for name, draw in figures.items() for path in save(draw(), directory / name)]
+        return [path for name, draw in FIGURES.items() for path in save(draw(), directory / name)]

@@ -1,4 +1,7 @@
-"""The output of `python -m baselines.paper`: tables and remarks as text, and all numbers as plain data."""
+"""The output of `python -m baselines.paper`: every result as a table, and all numbers as plain data.
+
+The page *The paper* explains the tables.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +17,8 @@ from baselines.laws.gains import REGULARISED, UNREGULARISED
 from baselines.paper import adaptive, principles, proofs, published, selection, tracking
 from baselines.paper.adaptive import ERRORS
 from baselines.paper.optimal_profiles import Solution, load
-from baselines.paper.verdicts import AGREEMENT, compare_numbers, judge_claims
+from baselines.paper.verdicts import compare_numbers, judge_claims
 from baselines.tables import printed_above, printed_below, text_table
-from capsule_gym.task import TORQUE_LIMIT
 
 Results = dict[str, Any]
 Row = Mapping[str, Any]
@@ -27,24 +29,15 @@ BINDING = 0.98
 
 
 def compute() -> Results:
-    """Computes all results.
-
-    Returns:
-        `numbers` and `claims`: published and found. `runs`: both profiles, tracked exactly and under (35). `adaptive`:
-        the law (39). `proof_1`, `proof_2`. `profile_as_printed`: the phases of (9). `table_1`: the result of each
-        equation of Sect. 3.2. `boundary_condition`: the requirements of theta(t3) = +theta_0. `demands`: Principles and
-        Lemmas on both profiles. `lemmas`: implications of the Lemmas. `optimal_profiles`: the archived searches.
-    """
-    peaks, rates = proofs.check_proof_1(), proofs.check_proof_2()
-    runs = tracking.reproduce()
-    study = adaptive.study_adaptive()
+    """Computes all results, each by the function that describes it."""
+    runs, study = tracking.reproduce(), adaptive.study_adaptive()
     return {
         "numbers": compare_numbers(runs, study),
         "claims": judge_claims(runs, study),
         "runs": runs,
         "adaptive": study,
-        "proof_1": peaks,
-        "proof_2": rates,
+        "proof_1": proofs.check_proof_1(),
+        "proof_2": proofs.check_proof_2(),
         "profile_as_printed": selection.printed_profile(),
         "table_1": selection.evaluate_selection(),
         "boundary_condition": selection.boundary_condition(),
@@ -71,122 +64,88 @@ def _cell(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _table(rows: Sequence[Row]) -> str:
-    """Mappings with the same keys as a table; the header has the keys."""
-    head = [name.replace("_", " ") for name in rows[0]]
-    return text_table([head, *([_cell(value) for value in row.values()] for row in rows)])
-
-
 def text(results: Results) -> str:
-    """All tables and remarks, for a terminal."""
-    runs, study, profiles = results["runs"], results["adaptive"], results["optimal_profiles"]
-    laws, nominal, ratio = study["laws"], len(study["laws"][0].runs) // 2, tracking.speed_ratio(*runs["maps"])
-    failing = ("beta", "eta(0)", "n", "Hz", "fail", f"fail at {TORQUE_LIMIT:g} N m")
-    ranges = f"M in {[*published.M_RANGE]} kg, mu in {[*published.MU_RANGE]}"
+    """All tables, for a terminal; quantities without a unit are in rad, rad/s, N m, J and cm a cycle, and cm/s."""
+    runs, study = results["runs"], results["adaptive"]
+    laws, ratio = study["laws"], tracking.speed_ratio(*runs["maps"])
     turned = math.degrees(sum(phase["printed"][2] for phase in results["profile_as_printed"]))
-    sections: dict[str, list[str | list[Row]]] = {
-        "Section 5 of the paper: published and found": [
-            [_number(row) for row in results["numbers"]],
-            *dict.fromkeys(f"{row['number'].quantity}: {row['remark']}" for row in results["numbers"] if row["remark"]),
-            "'calibrated': a free parameter of the profile (V1, P2) was set to meet it; 'predicted': nothing was set; "
-            f"'constant': restates the plant. Reproduced means within {100.0 * AGREEMENT:.0f} %. Five cycles from "
-            "rest, mu = 0.01, Newton's normal force, feedback linearisation (35) at 1 kHz.",
-        ],
+    sensitivity = {"proposed over EPC, least": float(np.nanmin(ratio)), "most": float(np.nanmax(ratio))}
+    sections: dict[str, Sequence[Any]] = {
+        "Section 5 of the paper: published and found": [_number(row) for row in results["numbers"]],
+        "Remarks": [f"{row['number'].quantity}: {row['remark']}" for row in results["numbers"] if row["remark"]],
         "What the paper claims": [
-            "- {} ({}): {}. Found: {}.".format(
-                *published.CLAIMS[row["claim"]],
-                "reproduced" if row["reproduced"] else "NOT reproduced",
-                row["found"],
-            )
+            "{} ({}): {}. Found: {}.".format(*published.CLAIMS[row["claim"]], _verdict(row), row["found"])
             for row in results["claims"]
         ],
         "Both profiles under feedback linearisation (35)": [
-            [
-                {"profile": p, "N by": force, **run}
-                for p, forces in runs["tracking"].items()
-                for force, run in forces.items()
-            ],
-            "rad/s, degrees, cm/s, N m, J a cycle, cm a cycle; error: rms of theta - theta_d, rad.",
+            {"profile": name, "N by": force, **run}
+            for name, forces in runs["tracking"].items()
+            for force, run in forces.items()
         ],
-        "Why the published torques are impossible: two proofs": [
-            "Proof 1: where theta' peaks, the motor gives at least 'bound' N m for every angle of the published swing.",
-            [_rounded(row, "bound", "sticking") for row in results["proof_1"]],
-            "Proof 2: with |u| <= 'torque' theta' stays below 'bound' rad/s from rest anywhere in the swing. 'torque "
-            "needed', 'torque enough' (by simulation): for the published rate from -60 degrees.",
-            [_rounded(row, "torque_needed") for row in results["proof_2"]],
-            "Lower bounds are rounded down, upper bounds up. The mean speeds are not affected.",
+        "Proof 1: torque where theta' peaks": [_rounded(row, "bound", "sticking") for row in results["proof_1"]],
+        "Proof 2: rate within a torque": [_rounded(row, "torque_needed") for row in results["proof_2"]],
+        f"Speeds over M in {tracking.M_RANGE} kg, mu in {tracking.MU_RANGE}": [
+            {**sensitivity, "EPC loses contact below (kg)": runs["maps"][1].least_mass_in_contact}
         ],
-        "Sensitivity": [
-            f"Over M in {tracking.M_RANGE} kg, mu in {tracking.MU_RANGE}: proposed / EPC {np.nanmin(ratio):.3f} to "
-            f"{np.nanmax(ratio):.3f}. EPC loses contact below M = {runs['maps'][1].least_mass_in_contact:.3f} kg.",
-            [
-                {"profile": name, "step of law and physics (s)": step, "cm/s": float(speed), "N m": float(torque)}
-                for name, found in runs["steps"].items()
-                for step, speed, torque in zip(tracking.STEPS, *found, strict=True)
-            ],
+        "Steps of law and physics": [
+            {"profile": name, "step (s)": step, "cm/s": float(speed), "N m": float(torque)}
+            for name, found in runs["steps"].items()
+            for step, speed, torque in zip(tracking.STEPS, *found, strict=True)
         ],
-        "The profile (9) as printed, and as built": [
-            results["profile_as_printed"],
-            "Rates at start and end, rad/s, and angle, rad; omega = pi / (2 t1). As printed it turns the pendulum by "
-            f"{turned:.0f} degrees a cycle.",
+        f"The profile (9) as printed, {turned:.0f} degrees a cycle, and as built": results["profile_as_printed"],
+        "What Table 1 follows from (Sect. 3.2)": results["table_1"],
+        "The condition theta(t3) = +theta_0": [results["boundary_condition"]],
+        "Principles 1 to 4 and Lemmas 1 and 2: largest load over limit": results["demands"],
+        "Random states that meet a lemma": results["lemmas"],
+        "The fastest profiles (9) under Principles 1 to 4": [
+            _optimum(each) for each in sorted(results["optimal_profiles"], key=lambda each: each.problem.torque_limit)
         ],
-        "What Table 1 follows from (Sect. 3.2)": [
-            results["table_1"],
-            "Follows: the two agree within the digits of Table 1, all its times varied by half a last digit. The "
-            "condition theta(t3) = +theta_0, on which (23), (30) and (31) rest, has another solution (rad/s, rad); "
-            "at the published rate, the angle reached at t3 and the drift of every cycle with the P3 of (23):",
-            [results["boundary_condition"]],
+        f"Adaptive law (39), {len(laws[0].runs)} plants, M in {published.M_RANGE} kg, mu in {published.MU_RANGE}": [
+            {"law": law.law, "torque_limit": law.torque_limit, "failures": law.failures, "of": name, **run}
+            for law in laws
+            for name, run in (
+                ("the nominal plant", law.runs[len(law.runs) // 2]),
+                *((f"the largest {each}", law.worst(each)) for each in ("error_rms", "peak_torque", "mean_speed")),
+                ("the smallest mean_speed", law.worst("mean_speed", smallest=True)),
+            )
         ],
-        "Principles 1 to 4 and Lemmas 1 and 2: largest load over limit (above 1: violated)": [
-            results["demands"],
-            "Nominal plant; before the restoring stage, and in each of its phases. Principle 4 and Lemma 2 apply to "
-            "the restoring stage only. Random states that meet a lemma, and violations of its principle among them:",
-            results["lemmas"],
+        "Its constants": [
+            f"{law.law}: {choices._asdict()}"
+            for law, choices in zip(laws[:2], (REGULARISED, UNREGULARISED), strict=True)
         ],
-        "The optimum of the paper's own family of profiles, exact tracking, Principles 1 to 4": [
-            [_optimum(each) for each in sorted(profiles, key=lambda each: each.problem.torque_limit)],
-            "Of the worst plant. The speeds are lower bounds of the optimum, rounded down.",
-        ],
-        f"Adaptive law (39), {len(laws[0].runs)} plants: {ranges}": [
-            [
-                {"law": law.law, "torque_limit": law.torque_limit, "failures": law.failures, "of": name, **run}
-                for law in laws
-                for name, run in (
-                    ("the nominal plant", law.runs[nominal]),
-                    *((f"the largest {each}", law.worst(each)) for each in ("error_rms", "peak_torque", "mean_speed")),
-                    ("the smallest mean_speed", law.worst("mean_speed", smallest=True)),
-                )
-            ],
-            f"Corrected, unregularised: {UNREGULARISED._asdict()}. Regularised: {REGULARISED._asdict()}.",
-        ],
-        f"What the paper leaves open: plants of {len(laws[1].runs)} that fail, law corrected, unregularised": [
-            [dict(zip(failing, row, strict=True)) for row in study["variants"]]
+        f"Plants of {len(laws[1].runs)} that fail, without and with the torque limit, unregularised": [
+            dict(zip(("beta", "eta(0)", "n", "Hz", "fail", "fail, limited"), row, strict=True))
+            for row in study["variants"]
         ],
         "Long runs of the regularised law: the largest errors of a cycle": [
-            [
-                {"Hz": rate, "M": M, "mu": mu, "cycle": cycle, **dict(zip(ERRORS, errors, strict=True))}
-                for rate, by_plant in study["long_runs"].items()
-                for (M, mu), cycles in zip((adaptive.NOMINAL_PLANT, *adaptive.CORNERS), by_plant, strict=True)
-                for cycle, errors in cycles.items()
-            ]
+            {"Hz": rate, "M": M, "mu": mu, "cycle": cycle, **dict(zip(ERRORS, errors, strict=True))}
+            for rate, by_plant in study["long_runs"].items()
+            for (M, mu), cycles in zip((adaptive.NOMINAL_PLANT, *adaptive.CORNERS), by_plant, strict=True)
+            for cycle, errors in cycles.items()
         ],
-        "The Lyapunov function V of (40) along the run, with the true plant's parameters": [
-            [{"law": law.law, **values} for law in laws[:2] for values in law.lyapunov]
-        ],
+        "The Lyapunov function V of (40)": [{"law": law.law, **values} for law in laws[:2] for values in law.lyapunov],
     }
-    return "\n\n".join(
-        f"{title}\n{'=' * len(title)}\n"
-        + "\n\n".join(textwrap.fill(part, WIDTH) if isinstance(part, str) else _table(part) for part in parts)
-        for title, parts in sections.items()
-    )
+    return "\n\n".join(f"{title}\n{'=' * len(title)}\n{_section(parts)}" for title, parts in sections.items())
+
+
+def _section(parts: Sequence[Any]) -> str:
+    """Mappings with the same keys as a table, or sentences, each once."""
+    if isinstance(parts[0], str):
+        return "\n".join(textwrap.fill(f"- {part}", WIDTH) for part in dict.fromkeys(parts))
+    head = [name.replace("_", " ") for name in parts[0]]
+    return text_table([head, *([_cell(value) for value in row.values()] for row in parts)])
+
+
+def _verdict(row: Row) -> str:
+    return "reproduced" if row["reproduced"] else "NOT reproduced"
 
 
 def _number(row: Row) -> Row:
     """A published number and ours, with one more digit than printed, so that rounding hides no difference."""
-    n, verdict = row["number"], "reproduced" if row["reproduced"] else "NOT reproduced"
+    n = row["number"]
     values = {"published": f"{n.value:.{n.digits}f}", "found": f"{row['found']:.{n.digits + 1}f}"}
     values["difference"] = f"{100.0 * row['difference']:+.1f} %"
-    return {"run": row["run"], "quantity": n.quantity, "unit": n.unit, **values, "kind": row["kind"], "": verdict}
+    return {"run": row["run"], "quantity": n.quantity, "unit": n.unit, **values, "kind": row["kind"], "": _verdict(row)}
 
 
 def _optimum(found: Solution) -> Row:

@@ -32,11 +32,9 @@ Times = tuple[float, ...]
 def printed_profile() -> list[dict[str, Any]]:
     """Every phase of (9) as printed, with the times of Table 1 and the built profile's V1, P2 and P3.
 
-    omega is pi / (2 t1), with which phase I ends at P1 omega. Phase VI is printed for "[0, t5, t6)"; t5 to t6 is taken.
-
-    Returns:
-        By phase: its `name` and `formula`; velocity at its start and end (rad/s) and angle (rad), `printed` and
-        `built`; and whether the velocities differ by more than a thousandth of the peak (`deviates`).
+    `printed` and `built` are the velocity at its start and end (rad/s) and its angle (rad); it `deviates` if velocities
+    differ by more than a thousandth of the peak. omega is pi / (2 t1), with which phase I ends at P1 omega. Phase VI is
+    printed for "[0, t5, t6)"; t5 to t6 is taken.
     """
     t1, t2, t3, t4, t5, t6, _ = TABLE_1
     omega, P3 = math.pi / (2.0 * t1), PROPOSED.restoring_speed
@@ -49,14 +47,14 @@ def printed_profile() -> list[dict[str, Any]]:
         "-P3": lambda t: np.full_like(t, -P3),
         "(t6 - t) / (t5 - t6) P3": lambda t: (t6 - t) / (t5 - t6) * P3,
     }
-    phases, edges = [], (0.0, *TABLE_1)
-    for n, (text, formula) in enumerate(formulas.items()):
-        t, segment = np.linspace(edges[n], edges[n + 1], 10_001), PROPOSED.segments[n]
-        velocity, (begin, end) = formula(t), segment.velocity(np.array([0.0, segment.duration])).tolist()
+    phases, edges = [], itertools.pairwise((0.0, *TABLE_1))
+    for name, text, edge, segment in zip(ROMAN, formulas, edges, PROPOSED.segments, strict=True):
+        t = np.linspace(*edge, 10_001)
+        velocity, (begin, end) = formulas[text](t), segment.velocity(np.array([0.0, segment.duration])).tolist()
         printed = (float(velocity[0]), float(velocity[-1]), _integral(velocity, t))
         built = (begin, end, float(segment.turned(np.float64(segment.duration))))
         deviates = max(abs(printed[0] - begin), abs(printed[1] - end)) > 1e-3 * V1
-        phases.append({"name": ROMAN[n], "formula": text, "printed": printed, "built": built, "deviates": deviates})
+        phases.append({"name": name, "formula": text, "printed": printed, "built": built, "deviates": deviates})
     return phases
 
 
@@ -127,32 +125,27 @@ def _equations(t: Times) -> list[tuple[str, str, str, float, float, str]]:
 
 
 def evaluate_selection() -> list[dict[str, Any]]:
-    """The result of each equation, the value that Table 1 implies, and whether they agree.
+    """The value that each equation `gives` and the one that Table 1 states or implies (`implied`).
 
-    Returns:
-        By row: the `equation`, the `quantity` that it determines and its `unit`; the value that it `gives` and the one
-        that Table 1 states or implies (`implied`); a `remark`; the most by which the rounding of Table 1 can change
-        their difference (`rounding`); and whether they agree within the digits of Table 1 (`follows`).
+    `rounding` is the most by which the digits of Table 1 can change their difference; if it is larger, the value
+    `follows`.
     """
     # At the corners of the times within the digits of Table 1.
     corners = itertools.product(*((t - half, t + half) for t, half in zip(TABLE_1, ROUNDING, strict=True)))
     differences = np.array([[row[3] - row[4] for row in _equations(t)] for t in (TABLE_1, *corners)])
-    names, selected = ("equation", "quantity", "unit", "gives", "implied", "remark"), []
-    for row, own, rounding in zip(
-        _equations(TABLE_1), differences[0], np.abs(differences - differences[0]).max(axis=0).tolist(), strict=True
-    ):
-        follows = bool(abs(own) <= rounding)
-        selected.append({**dict(zip(names, row, strict=True)), "rounding": rounding, "follows": follows})
-    return selected
+    roundings = np.abs(differences - differences[0]).max(axis=0).tolist()
+    names = ("equation", "quantity", "unit", "gives", "implied", "remark")
+    return [
+        {**dict(zip(names, row, strict=True)), "rounding": rounding, "follows": abs(row[3] - row[4]) <= rounding}
+        for row, rounding in zip(_equations(TABLE_1), roundings, strict=True)
+    ]
 
 
 def boundary_condition() -> dict[str, float]:
-    """The condition theta(t3) = +theta_0, on which (23) rests, with the times of Table 1.
+    """The condition theta(t3) = +theta_0, on which (23) rests, with the times of Table 1; rad and rad/s.
 
-    Returns:
-        The peak velocity that reaches +theta_0 at t3 (`V1`, rad/s) and the `largest_angle` of its cycle (rad);
-        theta(t3) at the published peak velocity (`reached`, rad), and the angle by which a cycle with the P3 of (23)
-        fails to close there (`drift`, rad).
+    `V1` reaches it, with the `largest_angle`. At the published V1 theta(t3) is `reached`, and a cycle with the P3 of
+    (23) fails to close by `drift`.
     """
 
     def reached(velocity: float) -> float:

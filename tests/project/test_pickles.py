@@ -86,7 +86,6 @@ READERS = {
         ["adaptive", "--set", "set.json"],
         ["adaptive", "--against", "run"],
     ],
-    "agents.report": [[path, "-o", "page.html"] for path in PATHS],
     "agents.study": [["direct-ppo", "--runs", "study", "--seeds", "0"]],
     "baselines.dynamic_programming": [["--folder", name, "--report"] for name in ("archive", "empty")],
     "capsule_gym.demo": [
@@ -99,7 +98,6 @@ READERS = {
 }
 # The commands with an option that trusts the path.
 TRUSTING = (
-    ["agents.report", "lstm", "-o", "page.html", "--trust-pickle"],
     ["agents.study", "direct-ppo", "--runs", "study", "--seeds", "0", "--resume"],
     ["train", "--resume", "run"],
 )

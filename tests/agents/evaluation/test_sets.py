@@ -13,6 +13,10 @@ HASHES = {
     "extrapolation": "d16be15d7b3e",
     "drift": "f5da17a7f7a4",
     "sticky": "424bf16c03a5",
+    "sticky-2": "b790fab4e287",
+    "sticky-3": "d1c2c4de4dcc",
+    "real": "0a0741ffbe6c",
+    "real-wide": "9d6480404fd7",
     "goal": "fc320f20332b",
     "goal-paper": "5e10e2b674c7",
     "velocity": "a8ff944552c4",
@@ -21,7 +25,7 @@ HASHES = {
 
 @pytest.mark.parametrize("name", HASHES)
 def test_committed_sets_are_frozen(name):
-    frozen, episodes = load_set(name), sets.EPISODES[name]
+    frozen, episodes = load_set(sets.SETS_FOLDER / f"{name}.json"), sets.EPISODES.get(name, 1000)
     assert (frozen.name, frozen.hash[:12], len(frozen.plants)) == (name, HASHES[name], episodes)
     assert frozen.task == (name.partition("-")[0] if name in TASK_SET_NAMES else "speed")
 

@@ -99,7 +99,6 @@ def test_every_figure_is_written_twice_and_identically_at_every_run(tmp_path, mo
     # Coarse pictures save time; the resolution does not change their content.
     monkeypatch.setattr(drawing, "DPI", 60)
     monkeypatch.setattr(figures, "FIGURES", {"fig4_displacement": figures.draw_displacement})
-    monkeypatch.setattr("baselines.dynamic_programming.figure.draw_optimum", lambda: drawing.new_figure(1.0))
     written = figures.draw_all(tmp_path / "made")
     assert sorted(written) == sorted((tmp_path / "made").iterdir())
     for path in written:
