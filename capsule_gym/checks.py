@@ -24,7 +24,7 @@ NO_NUMBERS = (bool, np.timedelta64)
 LONGEST = 1000
 
 
-def written(value: Any) -> str:
+def short_repr(value: Any) -> str:
     """The text of a value in a message; a long text is shortened in the middle."""
     try:
         text = repr(value)
@@ -72,13 +72,13 @@ def check_number(
         ValueError: if it is not finite or outside the range.
     """
     if isinstance(value, NO_NUMBERS) or not isinstance(value, (int, float, np.integer, np.floating)):
-        raise TypeError(f"{name} must be {accepted}, got {written(value)} of type {type(value).__name__}")
+        raise TypeError(f"{name} must be {accepted}, got {short_repr(value)} of type {type(value).__name__}")
     try:
         number = float(value)
     except OverflowError:  # an integer beyond the largest float
         number = math.inf
     if not math.isfinite(number) or number < low or number > high or (open_low and number == low):
-        raise ValueError(f"{name} must be {accepted}, got {written(value)}")
+        raise ValueError(f"{name} must be {accepted}, got {short_repr(value)}")
     return number
 
 
@@ -86,7 +86,7 @@ def check_integer(name: str, value: Any, accepted: str, low: int, high: int) -> 
     """Returns `value` as an int; a TypeError or ValueError names the argument, its value and the accepted values."""
     number = isinstance(value, (int, np.integer)) and not isinstance(value, NO_NUMBERS)
     if not number or not low <= value <= high:
-        raise (ValueError if number else TypeError)(f"{name} must be {accepted}, got {written(value)}")
+        raise (ValueError if number else TypeError)(f"{name} must be {accepted}, got {short_repr(value)}")
     return int(value)
 
 
@@ -100,7 +100,7 @@ def check_name(argument: str, name: Any, kind: type, known: Iterable[str]) -> st
     """Returns a known name, or raises an error; an instance of `kind` would also be accepted for the argument."""
     if not isinstance(name, str) or name not in known:
         error = ValueError if isinstance(name, str) else TypeError
-        raise error(f"{argument} must be a {kind.__name__} or one of {sorted(known)}, got {written(name)}")
+        raise error(f"{argument} must be a {kind.__name__} or one of {sorted(known)}, got {short_repr(name)}")
     return name
 
 
@@ -108,14 +108,14 @@ def check_choice(name: str, value: Any, choices: Sequence[str], accepted: str) -
     """Returns one of the choices, or raises a ValueError."""
     # `in` raises an error for an array.
     if not isinstance(value, str) or value not in choices:
-        raise ValueError(f"{name} must be {accepted}, got {written(value)}")
+        raise ValueError(f"{name} must be {accepted}, got {short_repr(value)}")
     return value
 
 
 def check_flag(name: str, value: Any) -> bool:
     """Returns a bool, or raises a TypeError."""
     if not isinstance(value, (bool, np.bool_)):
-        raise TypeError(f"{name} must be True or False, got {written(value)}")
+        raise TypeError(f"{name} must be True or False, got {short_repr(value)}")
     return bool(value)
 
 
@@ -126,14 +126,14 @@ def check_timed(name: str, value: Any, accepted: str, keys: tuple[str, ...]) -> 
         The name of a dict in messages, its time, and the dict.
     """
     if not isinstance(value, (list, tuple)):
-        raise TypeError(f"{name} must be {accepted}, got {written(value)}")
+        raise TypeError(f"{name} must be {accepted}, got {short_repr(value)}")
     last, these = -math.inf, f"{', '.join(map(repr, keys[:-1]))} and {keys[-1]!r}"
     for n, entry in enumerate(value):
         own = f"{name}[{n}]"
         if not isinstance(entry, dict):
-            raise TypeError(f"{own} must be a dict with the keys {these}, got {written(entry)}")
+            raise TypeError(f"{own} must be a dict with the keys {these}, got {short_repr(entry)}")
         if set(entry) != set(keys):
-            raise ValueError(f"{own} must have the keys {these} and no others, got {written(entry)}")
+            raise ValueError(f"{own} must have the keys {these} and no others, got {short_repr(entry)}")
         t = check_number(f"{own}['t']", entry["t"], "a finite number >= 0 (s)", 0.0)
         if t <= last:
             raise ValueError(f"{own}['t'] must be later than the one before, {last:g} s, got {t:g} s")
@@ -146,10 +146,10 @@ def check_pair(name: str, value: Any, accepted: str, **limits: Any) -> tuple[flo
     try:
         low, high = value
     except (TypeError, ValueError):
-        raise TypeError(f"{name} must be {accepted}, got {written(value)}") from None
+        raise TypeError(f"{name} must be {accepted}, got {short_repr(value)}") from None
     low, high = (check_number(f"{name}[{n}]", end, accepted, **limits) for n, end in enumerate((low, high)))
     if low > high:
-        raise ValueError(f"{name} must be {accepted}, got {written(value)}")
+        raise ValueError(f"{name} must be {accepted}, got {short_repr(value)}")
     return low, high
 
 
@@ -159,7 +159,7 @@ def from_fields(kind: type[Kind], argument: str, values: dict[str, Any]) -> Kind
     for name in values:
         if name not in names:
             similar = nearest(str(name), names)
-            raise ValueError(f"{argument} must have fields out of {names}, got {written(name)}{similar}")
+            raise ValueError(f"{argument} must have fields out of {names}, got {short_repr(name)}{similar}")
     try:
         return kind(**values)
     except (TypeError, ValueError) as error:

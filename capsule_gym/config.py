@@ -18,7 +18,7 @@ from capsule_gym.checks import (
     check_number,
     from_fields,
     nearest,
-    written,
+    short_repr,
 )
 from capsule_gym.parameters import LONGEST_STEP, SHORTEST_STEP, Capsule, Disturbances, Randomization
 from capsule_gym.task import Task
@@ -57,7 +57,7 @@ def find_task(value: Any) -> Task:
     if isinstance(value, Task):
         if value.name not in _core.TASKS:
             accepted = f"one of {sorted(_core.TASKS)}; a wrapper of the environment makes other tasks"
-            raise ValueError(f"task.name must be {accepted}, got {written(value.name)}")
+            raise ValueError(f"task.name must be {accepted}, got {short_repr(value.name)}")
         return value
     # Only the module of this task is imported.
     found: Task = importlib.import_module(f"capsule_gym.tasks.{check_name('task', value, Task, task.TASKS)}").TASK
@@ -76,7 +76,7 @@ def _check_object(name: str, value: Any, kind: Any) -> Any:
     if kind is not Capsule:
         kind.named(value)
     elif not isinstance(value, Capsule):
-        raise TypeError(f"{name} must be a Capsule or None, got {written(value)}")
+        raise TypeError(f"{name} must be a Capsule or None, got {short_repr(value)}")
     return value
 
 
@@ -85,7 +85,7 @@ def _check_range(name: str, value: Any) -> tuple[float, float]:
     largest, fastest = math.nextafter(task.THETA_LIMIT, 0.0), task.LARGEST_STATE[1]
     accepted = f"None or (theta < pi/2 in rad, theta_dot <= {fastest:g} in rad/s), both >= 0"
     if not isinstance(value, (tuple, list)) or len(value) != 2:
-        raise TypeError(f"{name} must be {accepted}, got {written(value)}")
+        raise TypeError(f"{name} must be {accepted}, got {short_repr(value)}")
     theta, theta_dot = value
     return check_number(name, theta, accepted, 0.0, largest), check_number(name, theta_dot, accepted, 0.0, fastest)
 
@@ -149,7 +149,9 @@ class EnvConfig:
         defaults = {each.name: each.default for each in fields(self)}
         checks = {each.name: each.metadata.get("check") for each in fields(self)}
         if unknown := sorted(set(options) - set(defaults)):
-            raise TypeError(f"got an unexpected keyword argument {written(unknown[0])}{_advice(unknown[0], defaults)}")
+            raise TypeError(
+                f"got an unexpected keyword argument {short_repr(unknown[0])}{_advice(unknown[0], defaults)}"
+            )
         given = {**defaults, **find_task(options.get("task", "speed")).defaults, **options}
         for name, value in given.items():
             if (check := checks[name]) and not (value is None and defaults[name] is None):

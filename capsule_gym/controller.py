@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from capsule_gym import _core, native
-from capsule_gym.checks import check_number, first_cause, written
+from capsule_gym.checks import check_number, first_cause, short_repr
 from capsule_gym.config import LAW_DT, find_task
 from capsule_gym.task import Task
 from capsule_gym.user_law import bind_user_law
@@ -47,7 +47,7 @@ class CoreLaw:
             ValueError: if there is no such law, or a constant has a wrong number of values or is NaN.
         """
         if name not in _core.LAWS:
-            raise ValueError(f"name must be one of {', '.join(_core.LAWS)}, got {written(name)}")
+            raise ValueError(f"name must be one of {', '.join(_core.LAWS)}, got {short_repr(name)}")
         items = [item.partition(":") for item in _core.LAWS[name][0].split()]
         counts, numbers = {key: int(count or 1) for key, _, count in items}, []
         if counts.keys() != constants.keys():
@@ -55,7 +55,7 @@ class CoreLaw:
         for key, count in counts.items():
             numbers += (given := np.ravel(np.asarray(constants[key], np.float64))).tolist()
             if given.size != count or np.isnan(given).any():
-                raise ValueError(f"{key} must be {count} numbers, got {written(constants[key])}")
+                raise ValueError(f"{key} must be {count} numbers, got {short_repr(constants[key])}")
         object.__setattr__(self, "name", name)
         object.__setattr__(self, "constants", tuple(numbers))
 
@@ -155,7 +155,7 @@ class Controller:
 
     def __post_init__(self) -> None:
         if not callable(self.law):
-            raise TypeError(f"Controller.law must be a function, got {written(self.law)}")
+            raise TypeError(f"Controller.law must be a function, got {short_repr(self.law)}")
         object.__setattr__(self, "reference", _check_reference(self.reference))
         object.__setattr__(self, "memory", _check_memory(self.memory))
         check_number("Controller.dt", self.dt, "a finite number > 0 (s)", 0.0, open_low=True)
@@ -210,7 +210,7 @@ def _check_memory(memory: Any) -> tuple[float, ...]:
     """A law's memory as a tuple of floats."""
     accepted = f"a tuple of 1 to {MOST_COLUMNS} finite numbers; a law without memory carries (0.0,)"
     if not isinstance(memory, (tuple, list)):
-        raise TypeError(f"Controller.memory must be {accepted}, got {written(memory)}")
+        raise TypeError(f"Controller.memory must be {accepted}, got {short_repr(memory)}")
     if not 1 <= len(memory) <= MOST_COLUMNS:
         raise ValueError(f"Controller.memory must be {accepted}, got {len(memory)}")
     return tuple(check_number("Controller.memory", cell, accepted) for cell in memory)
@@ -250,16 +250,16 @@ def find_controller(controller: str | Controller | Callable[[], Controller] | No
                 found = pkgutil.resolve_name(controller)
         except (ValueError, AttributeError, ModuleNotFoundError) as error:
             reason = _hidden_baselines(controller) or error
-            raise ValueError(f"controller must be {accepted}, got {written(controller)}: {reason}") from error
+            raise ValueError(f"controller must be {accepted}, got {short_repr(controller)}: {reason}") from error
     if callable(found):
         try:
             found = found()
         except (TypeError, ValueError) as error:
             kind = TypeError if isinstance(error, TypeError) else ValueError
             raise kind(
-                f"controller must be {accepted}, got {written(controller)}, whose call fails: {error}"
+                f"controller must be {accepted}, got {short_repr(controller)}, whose call fails: {error}"
             ) from error
     if found is not None and not isinstance(found, Controller):
-        given = "" if found is controller else f", which gives {written(found)}"
-        raise TypeError(f"controller must be {accepted}, got {written(controller)}{given}")
+        given = "" if found is controller else f", which gives {short_repr(found)}"
+        raise TypeError(f"controller must be {accepted}, got {short_repr(controller)}{given}")
     return found

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 from gymnasium.error import DependencyNotInstalled
 
-from capsule_gym.checks import check_number, nearest, written
+from capsule_gym.checks import check_number, nearest, short_repr
 from capsule_gym.command_line import Count, Positional, arg, check_output, parse, refuse
 from capsule_gym.env import CapsuleEnv, shown_state
 from capsule_gym.evaluation_sets import FURTHER_SET_NAMES, SET_NAMES, EvaluationSet, PlantSpec, load_set
@@ -64,7 +64,7 @@ def find_policy(name_or_path: str) -> Any:
         return load_policy(name_or_path)
     raise ValueError(
         f"a policy must be one of {', '.join(NAMES)}, or the path of a policy file or of a run's folder, got "
-        f"{written(name_or_path)}{nearest(name_or_path, NAMES)}"
+        f"{short_repr(name_or_path)}{nearest(name_or_path, NAMES)}"
     )
 
 

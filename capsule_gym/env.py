@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium import spaces
 
 from capsule_gym import task
-from capsule_gym.checks import check_count, written
+from capsule_gym.checks import check_count, short_repr
 from capsule_gym.config import RENDER_MODES, EnvConfig
 from capsule_gym.layout import Row
 from capsule_gym.parameters import CONSTANTS, DISTURBANCES
@@ -292,7 +292,7 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
         array = action if plain else as_actions(action)
         if array is None or array.shape != (1,) or not math.isfinite(value := array.item()):
             raise ValueError(
-                f"action must be one finite number, clipped to [-1, 1], of shape (1,), got {written(action)}"
+                f"action must be one finite number, clipped to [-1, 1], of shape (1,), got {short_repr(action)}"
             )
         self._step(value)
         values = self._rows.tolist()
@@ -426,7 +426,7 @@ def check_options(options: dict[str, Any] | None, accepted: tuple[str, ...]) -> 
     if options is None:
         return {}
     if not isinstance(options, dict):
-        raise TypeError(f"options must be a dict with keys out of {accepted}, got {written(options)}")
+        raise TypeError(f"options must be a dict with keys out of {accepted}, got {short_repr(options)}")
     unknown = set(options) - set(accepted)
     if unknown:
         raise ValueError(f"options must have keys out of {accepted}, got {sorted(map(str, unknown))}")

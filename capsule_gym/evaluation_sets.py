@@ -14,7 +14,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from capsule_gym.checks import check_integer, check_number, check_timed, nearest, written
+from capsule_gym.checks import check_integer, check_number, check_timed, nearest, short_repr
 from capsule_gym.config import find_task
 from capsule_gym.files import canonical_hash
 from capsule_gym.parameters import CONSTANTS, NOMINAL, Capsule, Disturbances
@@ -131,7 +131,7 @@ def _fields(where: str, value: Any, required: Sequence[str], optional: Sequence[
     """The JSON object, after a check that it has these fields and no others, and of M and mu where it has them."""
     if not isinstance(value, dict) or not set(required) <= set(value) <= {*required, *optional}:
         accepted = ", ".join(required) + (f" and optionally {', '.join(optional)}" if optional else "")
-        raise ValueError(f"{where} must be an object with the fields {accepted}, got {written(value)}")
+        raise ValueError(f"{where} must be an object with the fields {accepted}, got {short_repr(value)}")
     if "M" not in required:
         return value
     try:
@@ -180,10 +180,10 @@ def parse_set(content: Any) -> EvaluationSet:
     entry = _fields("set", content, ("name", "plants"), ("task", "capsule", "disturbances"))
     task = entry.get("task", "speed")
     if not isinstance(task, str) or task not in TASKS:
-        raise ValueError(f"set.task must be one of {sorted(TASKS)}, got {written(task)}")
+        raise ValueError(f"set.task must be one of {sorted(TASKS)}, got {short_repr(task)}")
     name = entry["name"]
     if not isinstance(name, str) or not name.strip():
-        raise ValueError(f"set.name must be a string that is not empty, got {written(name)}")
+        raise ValueError(f"set.name must be a string that is not empty, got {short_repr(name)}")
     capsule = entry.get("capsule")
     if capsule is not None:
         capsule = Capsule(**_fields("set.capsule", capsule, (), [each.name for each in fields(Capsule)]))
@@ -194,7 +194,7 @@ def parse_set(content: Any) -> EvaluationSet:
     Disturbances.named(disturbances)
     plants = entry["plants"]
     if not isinstance(plants, list) or not plants:
-        raise ValueError(f"set.plants must be a list of at least one plant, got {written(plants)}")
+        raise ValueError(f"set.plants must be a list of at least one plant, got {short_repr(plants)}")
     parsed = tuple(_parse_plant(f"set.plants[{i}]", plant, task) for i, plant in enumerate(plants))
     if len({plant.goal is None for plant in parsed}) > 1:
         raise ValueError("set.plants must have a goal each, or none must have one")
@@ -218,7 +218,7 @@ def load_set(name_or_path: str | Path) -> EvaluationSet:
     # Unlike the methods of Path, this function accepts names that no file can have.
     if not os.path.isfile(path):
         raise ValueError(
-            f"set must be one of {', '.join(names)}, or the path of a JSON file, got {written(str(name_or_path))}"
+            f"set must be one of {', '.join(names)}, or the path of a JSON file, got {short_repr(str(name_or_path))}"
             f"{nearest(str(name_or_path), names)}"
         )
     try:

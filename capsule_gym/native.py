@@ -13,11 +13,11 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from capsule_gym import _core
-from capsule_gym.checks import written
+from capsule_gym.checks import short_repr
 
 LEVEL = os.environ.get("CAPSULE_GYM_LEVEL", _core.LEVELS[0])
 if LEVEL not in _core.LEVELS:
-    raise ImportError(f"CAPSULE_GYM_LEVEL must be one of {_core.LEVELS} on this processor, got {written(LEVEL)}")
+    raise ImportError(f"CAPSULE_GYM_LEVEL must be one of {_core.LEVELS} on this processor, got {short_repr(LEVEL)}")
 _core.select_level(LEVEL)
 
 # Float64 in a cache line.

@@ -8,7 +8,7 @@ from itertools import product
 from typing import Any, Literal, NamedTuple
 
 from capsule_gym import _core
-from capsule_gym.checks import check_choice, check_flag, check_name, check_number, check_pair, written
+from capsule_gym.checks import check_choice, check_flag, check_name, check_number, check_pair, short_repr
 
 NormalForce = Literal["newton", "paper"]
 
@@ -395,7 +395,9 @@ class Disturbances:
             object.__setattr__(self, name, checked)
         names = self.unmeasured
         if not isinstance(names, (tuple, list)) or not all(isinstance(name, str) and name in SENSORS for name in names):
-            raise ValueError(f"Disturbances.unmeasured must be a tuple of names out of {SENSORS}, got {written(names)}")
+            raise ValueError(
+                f"Disturbances.unmeasured must be a tuple of names out of {SENSORS}, got {short_repr(names)}"
+            )
         object.__setattr__(self, "unmeasured", tuple(names))
         check_choice("Disturbances.controls", self.controls, ("both", "law", "agent"), "'both', 'law' or 'agent'")
         accepted = f"a number of m/s from 0 to {LARGEST_DISTURBANCE:g}"

@@ -30,7 +30,7 @@ from safetensors.numpy import save
 
 from capsule_gym import network
 from capsule_gym._core import CELLS
-from capsule_gym.checks import check_integer, check_number, from_fields, nearest, shortened, written
+from capsule_gym.checks import check_integer, check_number, from_fields, nearest, short_repr, shortened
 from capsule_gym.config import EnvConfig
 from capsule_gym.controller import is_own
 from capsule_gym.files import write_atomically
@@ -122,22 +122,22 @@ class Policy:
     def __post_init__(self) -> None:
         for name, choices in CHOICES.items():
             if (value := getattr(self, name)) not in choices:
-                raise ValueError(f"{name} must be one of {choices}, got {written(value)}")
+                raise ValueError(f"{name} must be one of {choices}, got {short_repr(value)}")
         for name in ("algorithm", "revision"):
             if not isinstance(value := getattr(self, name), str) or not value:
-                raise TypeError(f"{name} must be a string that is not empty, got {written(value)}")
+                raise TypeError(f"{name} must be a string that is not empty, got {short_repr(value)}")
         check_integer("training_seed", self.training_seed, "an integer from 0 to 2**63 - 1", 0, 2**63 - 1)
         check_number("clip", self.clip, f"a number in (0, {LARGEST_CLIP:g}]", 0.0, LARGEST_CLIP, open_low=True)
         check_number("epsilon", self.epsilon, "a finite number >= 0", 0.0)
         if not isinstance(self.env_kwargs, dict):
-            raise TypeError(f"env_kwargs must be a dict, got {written(self.env_kwargs)}")
+            raise TypeError(f"env_kwargs must be a dict, got {short_repr(self.env_kwargs)}")
         if unknown := sorted(set(self.env_kwargs) - set(ENV_ARGUMENTS)):
-            raise ValueError(f"env_kwargs must have keys out of {ENV_ARGUMENTS}, got {written(unknown)}")
+            raise ValueError(f"env_kwargs must have keys out of {ENV_ARGUMENTS}, got {short_repr(unknown)}")
         options = EnvConfig(**self.env_kwargs)
         if not isinstance(law := options.controller, (str, NoneType)):
-            raise TypeError(f"env_kwargs['controller'] must be None or an import string, got {written(law)}")
+            raise TypeError(f"env_kwargs['controller'] must be None or an import string, got {short_repr(law)}")
         if not isinstance(options.task, str):
-            raise TypeError(f"env_kwargs['task'] must be the name of a task, got {written(options.task)}")
+            raise TypeError(f"env_kwargs['task'] must be the name of a task, got {short_repr(options.task)}")
         flags = {"relu": self.activation == "relu", "tanh_squashing": self.squashing == "tanh"}
         header = network.make_header(
             options, identifies=self.identifies, layers=len(self.layers), clip=self.clip, **flags
@@ -192,12 +192,12 @@ class Policy:
             array = np.require(observation, np.float32, ["C", "A"])
         except (TypeError, ValueError, OverflowError) as error:
             raise ValueError(
-                f"observation must be an array of finite numbers, got {written(observation)}: {error}"
+                f"observation must be an array of finite numbers, got {short_repr(observation)}: {error}"
             ) from None
         if array.ndim not in (1, 2) or array.shape[-1] != self.entries or not np.isfinite(array).all():
             raise ValueError(
                 f"observation must be finite and of shape ({self.entries},) or (n, {self.entries}), "
-                f"got {written(observation)}"
+                f"got {short_repr(observation)}"
             )
         rows = array.reshape(-1, self.entries)
         if count not in (None, len(rows)):
@@ -258,7 +258,7 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
         ValueError: if there is no such policy, the file is corrupt, or it names a law that is not trusted.
     """
     if not isinstance(name_or_path, (str, os.PathLike)):
-        raise TypeError(f"name_or_path must be a policy's name or a path, got {written(name_or_path)}")
+        raise TypeError(f"name_or_path must be a policy's name or a path, got {short_repr(name_or_path)}")
     name = str(name_or_path)
     path = pretrained().get(name) if isinstance(name_or_path, str) else None
     if path is None:
@@ -270,7 +270,7 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
             raise ValueError(
                 f"name_or_path must be one of {', '.join(policy_names())}, one run of it as NAME/seed-0, or the path "
                 f"of a policy file or of a run's folder, which holds best/{POLICY} or {POLICY}, got "
-                f"{written(name)}{_law_named(name) or nearest(name, pretrained())}"
+                f"{short_repr(name)}{_law_named(name) or nearest(name, pretrained())}"
             )
         folder = path.absolute().parent
         name = folder.parent.name if folder.name == "best" else folder.name
@@ -283,7 +283,7 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
     controller = policy.env_kwargs.get("controller")
     if not (trust_controller or is_own(controller)):
         raise ValueError(
-            f"{path} names the control law {written(controller)}, which does not come with this package; an "
+            f"{path} names the control law {short_repr(controller)}, which does not come with this package; an "
             "environment made with it runs that code: load_policy(.., trust_controller=True) if you trust it"
         )
     return policy
@@ -305,18 +305,18 @@ def _read(name: str, path: Path) -> Policy:
         found = metadata.get("format"), metadata.get("format_version")
         if found != (FORMAT, FORMAT_VERSION):
             raise ValueError(
-                f"its format and format_version must be {FORMAT!r} and {FORMAT_VERSION!r}, got {written(found)}"
+                f"its format and format_version must be {FORMAT!r} and {FORMAT_VERSION!r}, got {short_repr(found)}"
             )
         # Inputs and outputs that no policy has any more.
         for key, only in (("output", "action"), ("told_energy_weight", "false")):
             if metadata.get(key, only) != only:
-                raise ValueError(f"{key} must be {only!r} in its metadata, got {written(metadata[key])}")
+                raise ValueError(f"{key} must be {only!r} in its metadata, got {short_repr(metadata[key])}")
         names = set(file.keys())
         count = sum(tensor.endswith(".weight") for tensor in names)
         layers = [(f"layers.{n}.weight", f"layers.{n}.bias") for n in range(min(count, MOST_LAYERS + 1))]
         expected = {"inputs.mean", "inputs.variance"}.union(*layers)
         if names != expected:
-            raise ValueError(f"it must contain the tensors {sorted(expected)}, got {written(sorted(names))}")
+            raise ValueError(f"it must contain the tensors {sorted(expected)}, got {short_repr(sorted(names))}")
         arrays = {tensor: file.get_tensor(tensor) for tensor in names}
     values: dict[str, Any] = {}
     for key in (*TEXTS, *VALUES):

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from capsule_gym import _core
-from capsule_gym.checks import check_count, nearest, written
+from capsule_gym.checks import check_count, nearest, short_repr
 from capsule_gym.env import CapsuleEnv
 from capsule_gym.files import write_atomically
 from capsule_gym.parameters import Disturbances
@@ -35,7 +35,7 @@ def read_log(log: Any) -> dict[str, np.ndarray]:
         rows = list(csv.DictReader(io.StringIO(text)))
         log = {name: [row[name] or "nan" for row in rows] for name in (rows[0] if rows else {})}
     if not isinstance(log, Mapping):
-        raise TypeError(f"log must be the path of a CSV file or a mapping of columns, got {written(log)}")
+        raise TypeError(f"log must be the path of a CSV file or a mapping of columns, got {short_repr(log)}")
     columns = {}
     for name, values in log.items():
         if name not in UNITS:
@@ -52,7 +52,7 @@ def read_log(log: Any) -> dict[str, np.ndarray]:
             accepted = (
                 "finite numbers" if name in ("t", "torque") else "finite numbers, or NaN for a lost reading, not all"
             )
-            raise ValueError(f"column {name!r} must contain {accepted}, got {written(column)}")
+            raise ValueError(f"column {name!r} must contain {accepted}, got {short_repr(column)}")
         if name in LARGEST and (largest := np.nanmax(np.abs(column), initial=0.0)) > LARGEST[name]:
             raise ValueError(f"column {name!r} must be in {UNITS[name]}, within +-{LARGEST[name]:g}, got {largest:g}")
     for name in ("t", "torque"):
@@ -62,7 +62,7 @@ def read_log(log: Any) -> dict[str, np.ndarray]:
         raise ValueError(f"log must have a column 'theta' or 'theta_dot', got {tuple(columns)}")
     t, dt = columns["t"], np.diff(columns["t"])
     if len(t) < 2 or (dt <= 0.0).any() or (np.abs(dt - (period := (t[-1] - t[0]) / len(dt))) > 0.05 * period).any():
-        raise ValueError(f"column 't' must increase in equal steps (s), got {written(t)}")
+        raise ValueError(f"column 't' must increase in equal steps (s), got {short_repr(t)}")
     if t[-1] - t[0] < SHORTEST or not 1e-4 <= period <= 0.05:
         raise ValueError(
             f"column 't' must span at least {SHORTEST:g} s in steps of 0.0001 to 0.05 s, got {t[-1] - t[0]:g} s in "

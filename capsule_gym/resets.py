@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from capsule_gym.checks import check_number, written
+from capsule_gym.checks import check_number, short_repr
 from capsule_gym.elementary import log
 from capsule_gym.native import evaluate
 from capsule_gym.parameters import (
@@ -102,7 +102,7 @@ def write_options(drawn: np.ndarray, options: dict[str, Sequence[Any]], own: Tas
             accepted = f"a dict with keys out of {names}"
             if not isinstance(values, dict) or set(values) - set(names):
                 error = ValueError if isinstance(values, dict) else TypeError
-                raise error(f"options[{name!r}] must be {accepted}, got {written(values)}")
+                raise error(f"options[{name!r}] must be {accepted}, got {short_repr(values)}")
             for key, value in values.items():
                 low, high = Disturbances.limits(key) if name == "disturbances" else (-LARGEST, LARGEST)
                 if key == "latency":
@@ -119,7 +119,7 @@ def check_state(state: Any, count: int) -> np.ndarray:
     """The states of `count` episodes as float64, shape (count, 4), from one for each or one for all."""
     _, *rest = LARGEST_STATE
     accepted = "|theta| < pi/2, |theta_dot| <= {:g} rad/s, |x| <= {:g} m and |x_dot| <= {:g} m/s".format(*rest)
-    message = f"options['state'] must be [theta, theta_dot, x, x_dot] with {accepted}, got {written(state)}"
+    message = f"options['state'] must be [theta, theta_dot, x, x_dot] with {accepted}, got {short_repr(state)}"
     try:
         array = np.asarray(state, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:

@@ -12,7 +12,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from capsule_gym.checks import check_flag, written
+from capsule_gym.checks import check_flag, short_repr
 from capsule_gym.parameters import DISTURBANCES, Disturbances
 from capsule_gym.vector_env import CapsuleVectorEnv
 
@@ -93,7 +93,7 @@ class CapsuleSB3VecEnv(VecEnv):
         # SB3's options are one dict per environment; under each key the batch takes a value per environment.
         names = self._options[0].keys()
         if any(options.keys() != names for options in self._options):
-            raise ValueError(f"options must have the same keys for every environment, got {written(self._options)}")
+            raise ValueError(f"options must have the same keys for every environment, got {short_repr(self._options)}")
         gathered = {name: [options[name] for options in self._options] for name in names}
         observations, info = self.batch.reset(seed=self._seeds, options=gathered or None)
         self._reset_seeds()

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from capsule_gym import _core, layout, native, resets, task
-from capsule_gym.checks import check_count, check_integer, check_number, check_timed, written
+from capsule_gym.checks import check_count, check_integer, check_number, check_timed, short_repr
 from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.controller import CoreLaw, bind_law, find_controller
 from capsule_gym.layout import LANES, Row
@@ -262,7 +262,7 @@ class Simulation:
             self._rows[:count] = rows
         if not fits or _core.call("draw_episodes", self._batch, count) >= 0:
             accepted = f"rows must be indices of environments, from 0 to {self.num_envs - 1}, each at most once"
-            raise IndexError(f"{accepted}, got {written(rows.tolist())}")
+            raise IndexError(f"{accepted}, got {short_repr(rows.tolist())}")
         starts = self._starts[:, :count]
         drawn = self._drawn[:, :count]
         resets.write_options(drawn, options, self.task, self.settings)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from capsule_gym import _core
-from capsule_gym.checks import nearest, written
+from capsule_gym.checks import nearest, short_repr
 from capsule_gym.config import DIRECT_PHYSICS_DT, LARGEST_TORQUE, EnvConfig
 from capsule_gym.native import address, ordered
 from capsule_gym.parameters import NOMINAL, Capsule
@@ -100,14 +100,14 @@ def sensitivity(
         ((6, 4), (6, 4))
     """
     if not isinstance(capsule, Capsule):
-        raise TypeError(f"capsule must be a Capsule, got {written(capsule)}")
+        raise TypeError(f"capsule must be a Capsule, got {short_repr(capsule)}")
     settings = make_settings(EnvConfig(capsule=capsule, control_dt=control_dt, physics_dt=physics_dt), None)
     check_step(capsule, capsule.M, capsule.mu, settings)
     start = _array("state", state, f"[theta, theta_dot, x, x_dot] within +-{LARGEST_STATE}", LARGEST_STATE)
     commands = _array("torques", torques, f"a sequence of numbers within +-{LARGEST_TORQUE:g} N m", LARGEST_TORQUE)
     known = (*_CONSTANTS, "torque", "torques", "state")
     if isinstance(wrt, str) or not all(isinstance(name, str) for name in wrt):
-        raise TypeError(f"wrt must be a sequence of names out of {known}, got {written(wrt)}")
+        raise TypeError(f"wrt must be a sequence of names out of {known}, got {short_repr(wrt)}")
     for name in wrt:
         if name not in known:
             raise ValueError(f"wrt must contain names out of {known}, got {name!r}{nearest(name, known)}")
@@ -145,8 +145,8 @@ def _array(name: str, value: Any, accepted: str, limit: Any) -> np.ndarray:
     try:
         array = np.asarray(value, np.float64)
     except (TypeError, ValueError) as error:
-        raise TypeError(f"{name} must be {accepted}, got {written(value)}") from error
+        raise TypeError(f"{name} must be {accepted}, got {short_repr(value)}") from error
     fits = array.ndim == 1 and (np.ndim(limit) == 0 or len(array) == len(limit))
     if not fits or not (np.abs(array) <= limit).all():
-        raise ValueError(f"{name} must be {accepted}, got {written(value)}")
+        raise ValueError(f"{name} must be {accepted}, got {short_repr(value)}")
     return array

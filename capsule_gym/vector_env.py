@@ -14,7 +14,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from capsule_gym.checks import check_integer, written
+from capsule_gym.checks import check_integer, short_repr
 from capsule_gym.config import EnvConfig
 from capsule_gym.env import (
     RESET_OPTIONS,
@@ -85,7 +85,7 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         self.closed = True
         config = EnvConfig(render_mode=render_mode, **options)
         if render_mode == "human":
-            raise ValueError(f"render_mode of a batch must be None or 'rgb_array', got {written(render_mode)}")
+            raise ValueError(f"render_mode of a batch must be None or 'rgb_array', got {short_repr(render_mode)}")
         self.autoreset_mode = _find_mode(autoreset_mode)
         self.simulation = make_simulation(num_envs, config)
         steps = self.simulation.task.episode_steps if max_episode_steps is None else max_episode_steps
@@ -185,7 +185,7 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         if array is None or array.shape != (self.num_envs, 1) or np.count_nonzero(np.isfinite(array)) < self.num_envs:
             raise ValueError(
                 f"actions must be finite numbers, clipped to [-1, 1], of shape ({self.num_envs}, 1), got "
-                f"{written(actions)}"
+                f"{short_repr(actions)}"
             )
         simulation = self.simulation
         active = ~self._ended if np.count_nonzero(self._ended) else None
@@ -297,7 +297,7 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         given: list[int | None] = [None] * n
         if seed is not None and isinstance(seed, (Sequence, np.ndarray)):
             if (isinstance(seed, np.ndarray) and seed.ndim != 1) or len(seed) != n:
-                raise ValueError(f"seed must be {accepted}, got {written(seed)}")
+                raise ValueError(f"seed must be {accepted}, got {short_repr(seed)}")
             given = [None if own is None else check_seed(own, accepted) for own in seed]
         elif seed is not None:
             super().reset(seed=check_seed(seed, accepted, n))
@@ -318,9 +318,9 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
             return np.ones(self.num_envs, np.bool_)
         accepted = f"options['reset_mask'] must be a bool array of shape ({self.num_envs},) with at least one True"
         if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
-            raise TypeError(f"{accepted}, got {written(mask)}")
+            raise TypeError(f"{accepted}, got {short_repr(mask)}")
         if mask.shape != (self.num_envs,) or not mask.any():
-            raise ValueError(f"{accepted}, got {written(mask)}")
+            raise ValueError(f"{accepted}, got {short_repr(mask)}")
         return mask
 
     def _per_row(self, name: str, values: Any, rows: np.ndarray) -> Any:
@@ -334,7 +334,7 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         accepted = f"options[{name!r}] must have one entry per environment ({self.num_envs})"
         if not isinstance(values, (Sequence, np.ndarray)) or (isinstance(values, np.ndarray) and values.ndim == 0):
             if name == "changes":
-                raise TypeError(f"{accepted}, got {written(values)}")
+                raise TypeError(f"{accepted}, got {short_repr(values)}")
             return [values] * len(rows)
         if len(values) != self.num_envs:
             raise ValueError(f"{accepted}, got {len(values)}")
@@ -346,7 +346,7 @@ def _find_mode(mode: AutoresetMode | str) -> AutoresetMode:
     modes = {name: each for each in AutoresetMode for name in (each.name, each.value)}
     if not isinstance(mode, AutoresetMode) and not (isinstance(mode, str) and mode in modes):
         names = list(AutoresetMode.__members__)
-        raise ValueError(f"autoreset_mode must be an AutoresetMode or one of {names}, got {written(mode)}")
+        raise ValueError(f"autoreset_mode must be an AutoresetMode or one of {names}, got {short_repr(mode)}")
     return mode if isinstance(mode, AutoresetMode) else modes[mode]
 
 

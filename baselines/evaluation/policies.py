@@ -18,7 +18,7 @@ import numpy as np
 
 import capsule_gym
 from baselines.policies import SCRIPTED, TASK_SCRIPTED, ScriptedPolicy
-from capsule_gym.checks import nearest, written
+from capsule_gym.checks import nearest, short_repr
 from capsule_gym.config import EnvConfig
 from capsule_gym.policy import FOLDERS
 from capsule_gym.task import TORQUE_LIMIT
@@ -213,7 +213,7 @@ def find_candidate(name_or_path: str, *, trust: bool = False, trust_controller: 
     similar = nearest(name_or_path, [*known_scripted, *checkpoint_names()])
     raise ValueError(
         f"policy must be a scripted policy ({scripted}), a checkpoint ({checkpoints}), or the path of a run's folder "
-        f"or of a policy file, got {written(name_or_path)}{similar}"
+        f"or of a policy file, got {short_repr(name_or_path)}{similar}"
     )
 
 

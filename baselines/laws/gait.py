@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from capsule_gym import _core
-from capsule_gym.checks import check_number, written
+from capsule_gym.checks import check_number, short_repr
 from capsule_gym.config import LAW_DT
 from capsule_gym.controller import Controller, CoreLaw
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
@@ -69,7 +69,7 @@ def _checked(parameters: Sequence[float] | None) -> tuple[float, ...]:
         return known_parameters()
     if len(parameters) != len(PARAMETERS):
         raise ValueError(
-            f"parameters must be {len(PARAMETERS)} numbers, {', '.join(PARAMETERS)}, got {written(parameters)}"
+            f"parameters must be {len(PARAMETERS)} numbers, {', '.join(PARAMETERS)}, got {short_repr(parameters)}"
         )
     return tuple(
         check_number(f"parameters, {name},", value, "a finite number")

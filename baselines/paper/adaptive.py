@@ -99,7 +99,7 @@ def study_law(regularised: bool, torque_limit: float = UNLIMITED) -> LawStudy:
     """Runs one form of the adaptive law over the grid."""
     controller = adaptive(regularised=regularised)
     plants, runs, falls = plant_grid(), [], []
-    # Row by row: a run with its memory takes 10 MB.
+    # One run at a time: its memory takes 10 MB.
     for row in range(0, len(plants), GRID):
         batch = plants[row : row + GRID]
         for (M, mu), run in zip(batch, simulate(controller, batch, torque_limit=torque_limit), strict=True):

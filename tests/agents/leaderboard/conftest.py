@@ -28,6 +28,6 @@ def world(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def written(world):
+def short_repr(world):
     write_all(world)
     return world

@@ -209,7 +209,7 @@ def test_choices_reach_the_law(regularised):
 
 def test_the_page_prints_the_constants_of_the_laws():
     page = (Path(__file__).resolve().parents[3] / "docs" / "controllers.md").read_text(encoding="utf-8")
-    cells = [[cell.strip() for cell in line.split("|")[1:4]] for line in page.splitlines() if line.startswith("| `")]
+    cells = [[cell.strip() for cell in line.split("|")[1:4]] for line in page.splitlines() if line.startswith("|`")]
     for pair in ((PUBLISHED,), (REGULARISED, UNREGULARISED)):
         for name, *values in zip(pair[0]._fields, *pair, strict=True):
             shown = [str(value) if isinstance(value, bool) else f"{value:g}" for value in values]

@@ -81,7 +81,7 @@ def test_demands_on_the_profiles_are_those_of_the_page():
     for demand in ("Principle 4 (8)", "Lemma 2 (15)"):
         for forms in (("as printed",), ("Newton's forces", "corrected, Newton's forces")):
             margins = [row["restoring"] for row in rows if row["demand"] == demand and row["form"] in forms]
-            assert " | ".join(f"{max(0.0, factor):.2f}" for phases in margins for factor in phases) in page
+            assert "|".join(f"{max(0.0, factor):.2f}" for phases in margins for factor in phases) in page
     met = [row["profile"] for row in rows if row["met"] and row["demand"].startswith("Principle")]
     # The proposed profile defines Principle 2, rate and acceleration; both profiles meet Principle 3 in both forms.
     assert met == ["proposed"] * 4 + ["EPC"] * 2

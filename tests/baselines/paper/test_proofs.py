@@ -64,7 +64,7 @@ def test_pages_print_the_bounds_rounded_outwards(rates):
         first = [f"**{printed_below(peak['bound'], 3)} N m**", f"{printed_below(peak['sticking'], 3)} N m"]
         second = [f"**{printed_above(rate['bound'], 3)} rad/s**", f"{rate['published']:g} rad/s"]
         second += [f"{printed_below(rate['torque_needed'], 3)} N m", f"{printed_above(rate['torque_enough'], 3)} N m"]
-        assert " | ".join(first) in page and " | ".join(second) in page
+        assert "|".join(first) in page and "|".join(second) in page
         assert printed_above(rate["undamped"], 2) in page and printed_above(rate["bound"], 3) in readme
 
 
