@@ -34,6 +34,8 @@ from agents.training.config import (  # noqa: E402
     read_config,
 )
 from agents.training.presets import ROWS, preset, row_settings  # noqa: E402
+from baselines.drawing import new_figure, style  # noqa: E402
+from capsule_gym.checks import first_cause  # noqa: E402
 from capsule_gym.command_line import NO_NEGATIONS, parse, refuse  # noqa: E402
 from capsule_gym.controller import is_own  # noqa: E402
 from capsule_gym.policy import POLICY  # noqa: E402
@@ -160,6 +162,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         threading.excepthook = before
 
 
+def _can_draw() -> bool:
+    """Whether figures can be drawn; the reason why not is printed."""
+    try:
+        with style():
+            new_figure(1.0)
+    except (ImportError, OSError, ValueError) as error:
+        print(f"Without a comparison at the end, since figures cannot be drawn: {first_cause(error)}", file=sys.stderr)
+        return False
+    return True
+
+
 def _train(args: Args) -> int:
     """Trains and compares; returns the exit status."""
     # Imported after the command line is checked, since torch takes seconds to import.
@@ -167,7 +180,7 @@ def _train(args: Args) -> int:
     from agents.training import loop
 
     config, run = args.hyperparameters, args.resume
-    compared = not (args.no_comparison or config.wrapper)
+    compared = not (args.no_comparison or config.wrapper) and _can_draw()
     try:
         if run is not None:
             print(f"Resuming {run} (seed {config.seed}) until {config.total_steps:,} steps.")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,14 +14,18 @@ from agents.evaluation.criteria import CRITERIA
 from agents.leaderboard.rows import RESULTS, load_row
 from agents.training.config import Config, read_config
 from agents.training.presets import ROWS
+from baselines.drawing import BLUE, DPI, MUTED, new_figure, style
 from baselines.evaluation.episodes import Episode, evaluate, scores
 from baselines.evaluation.policies import Policy, find_candidate
 from capsule_gym import CapsuleEnv
 from capsule_gym.config import find_task
 from capsule_gym.evaluation_sets import NOMINAL_PLANT, EvaluationSet, PlantSpec, load_set
+from capsule_gym.files import replacing
 from capsule_gym.task import CONTROL_DT
 
 ROOT = Path(__file__).resolve().parents[1]
+# Length of the shown part of angle and torque at the end of an episode, s.
+SHOWN = 6.6
 # Settings that a run shares with the row of the leaderboard to which it is compared.
 KIND = (
     *("env", "task", "algo", "controller", "randomization", "disturbances", "static_ratio", "energy_weight"),
@@ -29,10 +34,10 @@ KIND = (
 
 
 def compare(run: Path, set_name: str | None = None) -> None:
-    """Evaluates a run's best model and the baseline on the same frozen episodes, and prints the comparison.
+    """Evaluates a run's best model and the baseline on the same frozen episodes; prints and draws the comparison.
 
-    Also prints the published row of the same kind, if there is one and it was evaluated on the set. The default set is
-    the task's ranking set.
+    Also prints the published row of the same kind, if there is one and it was evaluated on the set. Writes
+    comparison.png to the run's folder. The default set is the task's ranking set.
     """
     # Imported here, since torch takes seconds to import.
     from agents.training.export import load_best
@@ -45,8 +50,12 @@ def compare(run: Path, set_name: str | None = None) -> None:
     print(f"\nOn the set {evaluation_set.name} ({episodes}):\n")
     print(comparison_table("agent", own, criteria.baseline, theirs) + "\n", flush=True)
     plant = NOMINAL_PLANT if evaluation_set.task == "speed" else evaluation_set.plants[0]
-    if text := compare_to_row(run, own, evaluation_set, record_angles(policy, plant, evaluation_set)):
+    names = {criteria.baseline: baseline, "agent": policy}
+    recordings = {name: record(each, plant, evaluation_set) for name, each in names.items()}
+    if text := compare_to_row(run, own, evaluation_set, recordings["agent"]["theta"]):
         print(text + "\n", flush=True)
+    draw_comparison(recordings, run / "comparison.png", plant)
+    print(f"Figure: {run / 'comparison.png'}")
 
 
 def compare_to_row(run: Path, own: Sequence[Episode], evaluation_set: EvaluationSet, theta: np.ndarray) -> str:
@@ -103,17 +112,50 @@ def _likely_reason(config: Config, row: Config, run: Path, theta: np.ndarray, *,
     return "the spread of seeds; rounding errors of another processor or version of torch act as another seed"
 
 
-def record_angles(policy: Policy, plant: PlantSpec, evaluation_set: EvaluationSet) -> np.ndarray:
-    """The pendulum's angle (rad) at every step of a policy's episode on one plant of a set."""
+def record(policy: Policy, plant: PlantSpec, evaluation_set: EvaluationSet) -> dict[str, np.ndarray]:
+    """Runs a policy's episode on one plant of a set.
+
+    Returns:
+        Samples per agent step, each of shape (steps + 1,): t (s), theta (rad), theta_dot (rad/s), x (m), x_dot (m/s)
+        and torque (N m).
+    """
     env = CapsuleEnv(**{**policy.env_kwargs, **evaluation_set.env_kwargs})
-    act, ended, angles = policy.start([plant.seed]), False, []
-    observation, _ = env.reset(seed=plant.seed, options=plant.reset_options())
-    for _ in range(round(episode_seconds(evaluation_set) / env.simulation.options.control_dt)):
+    act, dt, ended = policy.start([plant.seed]), env.simulation.options.control_dt, False
+    observation, info = env.reset(seed=plant.seed, options=plant.reset_options())
+    samples = [(0.0, *info["state"], info["torque"])]
+    while not ended and len(samples) <= round(episode_seconds(evaluation_set) / dt):
         observation, _, ended, _, info = env.step(act(observation[None])[0])
-        angles.append(info["state"][0])
-        if ended:
-            break
-    return np.array(angles)
+        samples.append((len(samples) * dt, *info["state"], info["torque"]))
+    return dict(zip(("t", "theta", "theta_dot", "x", "x_dot", "torque"), np.array(samples).T, strict=True))
+
+
+def draw_comparison(recordings: Mapping[str, Mapping[str, np.ndarray]], path: Path, plant: PlantSpec) -> None:
+    """Draws displacement over the episode, and angle and torque over its last seconds, as a PNG.
+
+    Args:
+        recordings: samples of two recordings on the plant by the policies' names, the baseline first.
+        path: the PNG; written atomically.
+        plant: the plant.
+    """
+    title = f"{'Nominal plant' if plant == NOMINAL_PLANT else 'Plant'} (M = {plant.M:g} kg, μ = {plant.mu:g})"
+    end = max(each["t"][-1] for each in recordings.values())
+    with style():
+        figure = new_figure(5.5)
+        displacement, angle, torque = figure.subplots(3, 1, height_ratios=(1.5, 1.0, 1.0))
+        for (name, each), colour in zip(recordings.items(), (MUTED, BLUE), strict=True):
+            speed = 100.0 * (each["x"][-1] - each["x"][0]) / each["t"][-1]
+            displacement.plot(each["t"], 100.0 * each["x"], color=colour, label=f"{name}: {speed:.2f} cm/s")
+            angle.plot(each["t"], np.degrees(each["theta"]), color=colour)
+            torque.step(each["t"], each["torque"], color=colour, linewidth=1.0, where="pre")
+        if plant.goal is not None:
+            displacement.axhline(100.0 * plant.goal, color=MUTED, linestyle=":", label="goal")
+        displacement.set(title=title, ylabel="displacement x (cm)", xlim=(0.0, end))
+        displacement.legend(loc="upper left")
+        window: dict[str, Any] = {"xlim": (max(0.0, end - SHOWN), end)}
+        angle.set(ylabel="angle θ (deg)", **window)
+        torque.set(xlabel="time (s)", ylabel="torque u (N m)", **window)
+        with replacing(path) as temporary:
+            figure.savefig(temporary, dpi=DPI)
 
 
 def episode_seconds(evaluation_set: EvaluationSet) -> float:

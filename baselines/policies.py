@@ -33,7 +33,7 @@ class ScriptedPolicy:
         env_kwargs: the arguments of `CapsuleVectorEnv` that it needs.
         start: takes the seeds of the environments and returns a function from observations (n, entries) to actions
             (n, 1), float32.
-        senses: the entries of the state that it reads.
+        senses: the measurements that it reads; "state" stands for theta, theta_dot and x_dot.
         told: its knowledge of the plant.
     """
 
@@ -41,7 +41,7 @@ class ScriptedPolicy:
     description: str
     env_kwargs: dict[str, Any] = field(default_factory=dict)
     start: Start = _no_action
-    senses: str = "theta, theta_dot, x_dot"
+    senses: str = "state"
     told: str = "nominal plant"
 
 

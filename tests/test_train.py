@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -148,11 +149,24 @@ def test_a_run_is_never_overwritten(tmp_path, capsys):
 TINY = "--total-steps 64 --num-envs 8 --n-steps 8 --batch-size 32 --hidden 4 --evaluation-episodes 1".split()
 
 
+def test_a_comparison_that_cannot_be_drawn_is_left_out_before_the_training(tmp_path, monkeypatch, capsys):
+    def full(*size):
+        raise OSError("No space left on device")
+
+    monkeypatch.setattr(train, "new_figure", full)
+    before, run = threading.excepthook, tmp_path / "run"
+    assert train.main([*TINY, "--run", str(run)]) == 0
+    assert capsys.readouterr().err == (
+        "Without a comparison at the end, since figures cannot be drawn: No space left on device\n"
+    )
+    assert threading.excepthook is before and not (run / "comparison.png").exists()
+
+
 def test_an_inherited_environment_keeps_no_command_from_its_work(tmp_path):
     inherited = {"MPLBACKEND": "module://no_such_module", "PYTHONIOENCODING": "ascii", "LC_ALL": "xx_YY.UTF-8"}
     kept = {name: os.environ[name] for name in ("PATH", "SYSTEMROOT") if name in os.environ}
     words = [sys.executable, "train.py", *TINY, "--no-comparison", "--run", str(tmp_path / "µ")]
-    code = "from baselines import drawing\nwith drawing.style(): drawing.new_figure(1.0)"
+    code = "import train; assert train._can_draw()"
     for command in (words, [sys.executable, "-c", code]):
         done = subprocess.run(command, cwd=ROOT, env={**inherited, **kept}, capture_output=True, text=True)
         assert (done.returncode, done.stderr) == (0, "")

@@ -44,7 +44,9 @@ def rank(rows: Sequence[Row], sets: Sequence[EvaluationSet], task: str = "speed"
         for each in sets:
             row.check_set(each)
     criteria = CRITERIA[task]
-    values = {row.name: estimate(row.score(criteria.ranking_set, criteria.metric.name)).value for row in rows}
+    values = {
+        row.name: estimate(row.score(criteria.ranking_set, criteria.metric.name), mean=True).value for row in rows
+    }
     return sorted(rows, key=lambda row: criteria.rank(values[row.name], row.name))
 
 

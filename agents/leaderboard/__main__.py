@@ -3,8 +3,8 @@
 The episodes of all policies are written to agents/leaderboard/results; leaderboard.json, the pages and the chart depend
 only on these files.
 
-The check compares the header of every row, then the pages with the results. Then it evaluates all policies again and
-compares every bit of every episode, but not the sensitivity. Versions of packages may differ.
+The check compares headers, pages and every bit of every episode with the results, but neither the sensitivity nor the
+versions of packages.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Args:
 
 def uncommitted(candidates: Sequence[Candidate]) -> list[str]:
     """The policies that cannot be trained again, since their training code was not committed."""
-    policies = [(each.name, policy.revision) for each in candidates for policy in each.trained]
+    policies = [(f"{each.name}/seed-{p.training_seed}", p.revision) for each in candidates for p in each.trained]
     return [f"{name}: the revision {revision} is not committed" for name, revision in policies if "+" in revision]
 
 
@@ -94,18 +94,16 @@ def check_episodes(root: Path, rows: Iterable[Row]) -> Iterator[str]:
             if differs.size:
                 metric, run, episode = first = tuple(differs[0].tolist())
                 seed = f"training seed {row.header['training_seeds'][run]}, " if row.trained else ""
-                yield (
-                    f"{row.name} on {set_name}: {row.header['metrics'][metric]} is {before[first].item()!r} in its "
-                    f"results and {now[first].item()!r} now ({seed}episode {episode}; {len(differs)} of {now.size} "
-                    "differ)"
-                )
+                numbers = f"is {before[first].item()!r} in its results and {now[first].item()!r} now"
+                where = f"({seed}episode {episode}; {len(differs)} of {now.size} differ)"
+                yield f"{row.name} on {set_name}: {row.header['metrics'][metric]} {numbers} {where}"
 
 
 def main(arguments: Sequence[str] | None = None, *, root: Path = ROOT) -> int:
     """The command line; returns the exit status."""
     args = parse(Args, COMMAND, arguments)
-    candidates = [candidate for task in TASKS for candidate in all_candidates(task)]
-    names, sets = [candidate.name for candidate in candidates], [load_set(name) for name in SETS]
+    candidates, sets = [each for task in TASKS for each in all_candidates(task)], [load_set(name) for name in SETS]
+    names = [candidate.name for candidate in candidates]
     chosen = [] if args.from_results else [each for each in candidates if each.name in (args.names or names)]
     if args.jobs < 1:
         refuse(COMMAND, f"--jobs must be an integer >= 1, got {args.jobs}")

@@ -16,7 +16,7 @@ BARS = {
     RANKING_SET: (BLUE, "paper: perfect sensors, the plants that models assume"),
     REAL: (VERMILION, "real: noise, bias and latency of sensors, lag and friction of the motor"),
 }
-WIDTH, LINE, BAR, LABEL_COLUMNS = 5.0, 0.2, 0.38, 22
+WIDTH, LINE, BAR, LABEL_COLUMNS = 5.0, 0.19, 0.38, 22
 # Smallest share of failed episodes that is marked.
 MARKED = 0.005
 

@@ -45,7 +45,7 @@ HEAD = ("open-loop", "adaptive", "pd", "gait-predictive", "lqr", "dp-oracle", "d
 # Tables of other pages: rows and sets.
 SECTIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "disturbances": (("gait-predictive", "residual-real", "residual-real-wide"), (REAL, "real-wide")),
-    "algorithms": (("direct-ppo", "direct-sac"), (RANKING_SET,)),
+    "algorithms": (("direct-ppo", "direct-sac", "direct-tqc"), (RANKING_SET,)),
     "energy": (("direct-ppo", "efficient"), (RANKING_SET,)),
     "wide": (("direct-ppo", "direct-ppo-wide", "gait-guarded", "dp-distilled-wide"), (RANKING_SET, "wide")),
     "sticky": (("sticky", "gait-guarded", "dp-oracle", "dp-distilled-wide"), ("sticky",)),
@@ -97,13 +97,10 @@ def _ranked(rows: Sequence[Row], sets: Sequence[EvaluationSet], criteria: Criter
 def grouped(board: Mapping[str, Any]) -> dict[str, list[Mapping[str, Any]]]:
     """The rows of the main table by group; the last group contains rows that are in no table of another page."""
     placed = {name for names, _ in SECTIONS.values() for name in names}.union(*GROUPS.values())
-    others = {"Others": [row["policy"] for row in board["rows"] if row["policy"] not in placed]}
-    groups = {title: _chosen(board, names) for title, names in {**GROUPS, **others}.items()}
-    return {title: rows for title, rows in groups.items() if rows}
-
-
-def _chosen(board: Mapping[str, Any], names: Sequence[str]) -> list[Mapping[str, Any]]:
-    return [row for row in board["rows"] if row["policy"] in names]
+    others = {"Others": tuple(row["policy"] for row in board["rows"] if row["policy"] not in placed)}
+    groups = GROUPS | others
+    found = {title: [row for row in board["rows"] if row["policy"] in names] for title, names in groups.items()}
+    return {title: rows for title, rows in found.items() if rows}
 
 
 def message(board: Mapping[str, Any]) -> str:
@@ -134,16 +131,12 @@ def _main_table(board: Mapping[str, Any], columns: Sequence[str], names: Sequenc
         for row in (row for row in rows if not names or row["policy"] in names):
             cells = {"policy": row["policy"], "senses": row["senses"], "told": row["told"]}
             for name, each in row["results"].items():
-                failed = f" ({_failures(each)})" if each["failures"] else ""
+                failed = f" ({each['failures']}/{each['episodes']})" if each["failures"] else ""
                 cells[name] = SPEED.format(each[SPEED.name]["mean"]) + failed
             cells[RATIO] = SPEED.format(speeds[row["policy"]] / speeds[REFERENCE])
             cells[COST.label] = COST.format(row["results"][RANKING_SET][COST.name]["iqm"])
             lines.append([cells[column] for column in columns])
     return markdown_table(lines)
-
-
-def _failures(summary: Mapping[str, Any]) -> str:
-    return f"{summary['failures']}/{summary['episodes']}"
 
 
 def _interval(metric: TableMetric, values: Iterable[float | None], *, sign: bool = False) -> str:
@@ -172,12 +165,13 @@ def _cells(row: Mapping[str, Any], set_name: str, criteria: Criteria) -> dict[st
         each = result[name]
         worst = max(each["seeds"]) if weight < 0.0 else min(each["seeds"])
         cells[metric.label] = _interval(metric, (each["mean"], each["mean_low"], each["mean_high"]))
-        cells[f"worst seed: {metric.label}"] = metric.format(worst if seeds else None)
+        cells[f"worst seed ({metric.label.partition(' (')[2] or 'share)'}"] = metric.format(worst if seeds else None)
         if not metric.share:
             cells["interquartile mean"] = _interval(metric, (each["iqm"], each["low"], each["high"]))
     base = row.get("minus_base", {}).get(set_name)
     difference = _interval(criteria.metric, base.values(), sign=True) if base else "-"
-    cells |= {"failed": _failures(result), f"difference to base law on `{set_name}`": difference}
+    cells["failed"] = f"{result['failures']}/{result['episodes']}"
+    cells[f"difference to base law on `{set_name}`"] = difference
     if SPEED.name in criteria.weights:
         cells[COST.label] = COST.format(result[COST.name]["iqm"])
     return {**cells, "seeds": str(seeds or "-"), "revision": row["revision"] or "-"}
@@ -208,7 +202,10 @@ def files(root: Path, board: Mapping[str, Any]) -> dict[str, str]:
         if not (first and last and end in rest):
             raise ValueError(f"README.md must contain {start} and then {end}")
         readme = before + _section(name, text) + after
-    tables = {name: _details(_chosen(board, names), sets, speed) for name, (names, sets) in SECTIONS.items()}
+    tables = {
+        name: _details([row for row in board["rows"] if row["policy"] in names], sets, speed)
+        for name, (names, sets) in SECTIONS.items()
+    }
     tables |= {task: _details(own["rows"], own["sets"], CRITERIA[task]) for task, own in board["tasks"].items()}
     return {
         "README.md": readme,

@@ -36,7 +36,6 @@ from capsule_gym.task import METRICS, TASKS
 # Relative to the project's folder.
 RESULTS = Path("agents", "leaderboard", "results")
 COLUMNS = tuple(name for name in METRICS if name not in ("distance", "energy"))
-HEADER = "header"
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +158,7 @@ def evaluate(
 def save_row(folder: Path, row: Row) -> None:
     """Writes a row's file atomically; the same row gives the same bytes."""
     folder.mkdir(parents=True, exist_ok=True)
-    arrays: dict[str, Any] = {HEADER: np.frombuffer(json.dumps(row.header).encode(), np.uint8), **row.scores}
+    arrays: dict[str, Any] = {"header": np.frombuffer(json.dumps(row.header).encode(), np.uint8), **row.scores}
     content = io.BytesIO()
     np.savez_compressed(content, **arrays)
     write_atomically(folder / f"{row.name}.npz", content.getvalue())
@@ -176,7 +175,7 @@ def load_row(path: Path) -> Row:
     try:
         # Read from memory, since numpy does not close an invalid file.
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
-            header = json.loads(archive[HEADER].tobytes().decode())
+            header = json.loads(archive["header"].tobytes().decode())
             scores = {name: archive[name] for name in header["sets"]}
         shape = (len(header["metrics"]), max(1, len(header["training_seeds"])))
         fits = all(values.dtype == np.float64 and values.shape[:2] == shape for values in scores.values())

@@ -19,6 +19,7 @@ import numpy as np
 import capsule_gym
 from baselines.policies import SCRIPTED, TASK_SCRIPTED, ScriptedPolicy
 from capsule_gym.checks import nearest, short_repr
+from capsule_gym.config import EnvConfig
 from capsule_gym.policy import FOLDERS
 from capsule_gym.task import TORQUE_LIMIT
 
@@ -28,8 +29,6 @@ Act = Callable[[np.ndarray], np.ndarray]
 BASELINE = "adaptive"
 CHECKPOINTS = next((folder for folder in FOLDERS if folder.is_dir()), FOLDERS[-1])
 REFERENCE = re.compile(r"([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*):([A-Za-z_]\w*)")
-# The sensors in the observation of a trained policy.
-OBSERVED = "theta, theta_dot, x_dot, stick"
 EXTERNAL = "a policy of another project"
 
 
@@ -141,11 +140,14 @@ class Candidate:
         if not self.trained:
             return getattr(self.policies[0], "senses", ""), getattr(self.policies[0], "told", "")
         policy, base = self.trained[0], SCRIPTED.get(self.base or "")
-        steps, estimates = policy.env_kwargs.get("stack_size", 1), ", estimates of M, mu" if policy.identifies else ""
-        senses = OBSERVED + (f" of {steps} steps" if steps > 1 else "") + (", law" if base else "") + estimates
-        # The estimates follow from a model of the pendulum.
-        known = "nominal pendulum" if policy.identifies else base.told if base else "nothing"
-        return senses, "M, mu" if policy.env_kwargs.get("observe_parameters") else known
+        options = EnvConfig(**policy.env_kwargs)
+        senses = ["state", "stick" + (f" of {options.stack_size} steps" if options.stack_size > 1 else "")]
+        senses += ["law"] if base else []
+        told = base.told if base else "nothing"
+        if options.observe_estimates or policy.identifies:
+            # The estimates follow from a model of the pendulum.
+            senses, told = [*senses, "estimates of M, mu"], "nominal pendulum"
+        return ", ".join(senses), "M, mu" if options.observe_parameters else told
 
 
 def _trained(name: str, folder: Path, trust_controller: bool = False) -> Candidate:

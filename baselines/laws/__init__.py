@@ -11,7 +11,7 @@ class Law(NamedTuple):
         module: module of this package that contains the function.
         policy: the name of the scripted policy, the law with a zero residual.
         description: description in one line.
-        senses: the entries of the state that the law reads.
+        senses: the measurements that the law reads; "state" stands for theta, theta_dot and x_dot.
         told: its knowledge of the plant.
         task: name of the task of the law.
     """
@@ -19,12 +19,12 @@ class Law(NamedTuple):
     module: str
     policy: str
     description: str
-    senses: str = "theta, theta_dot, x_dot"
+    senses: str = "state"
     told: str = "nothing"
     task: str = "speed"
 
 
-_ADAPTIVE = {"senses": "theta, theta_dot, x, x_dot", "told": "nominal plant"}
+_ADAPTIVE = {"senses": "state, x", "told": "nominal plant"}
 # Laws by the names of their functions: the environment's argument `controller` takes "baselines:NAME".
 LAWS = {
     "feedback_linearising": Law(

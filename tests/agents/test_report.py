@@ -70,10 +70,10 @@ def test_a_run_worse_than_its_row_names_a_likely_reason(tmp_path, changes, theta
 
 
 @pytest.mark.parametrize("amplitude", [0.5, 1.5])
-def test_recorded_angles_are_those_of_the_episode(amplitude):
+def test_a_recording_is_the_episode(amplitude):
     policy, one = Sine(amplitude, env_kwargs={"control_dt": 0.01}), EvaluationSet("one", (PLANT,))
-    theta = report.record_angles(policy, PLANT, one)
+    found = report.record(policy, PLANT, one)
     (episode,) = evaluate(policy, one)
     # The stronger torque ends the episode early.
-    assert 0.01 * len(theta) == pytest.approx(episode["duration"], abs=0.011)
-    assert np.abs(theta).max() > 0.3
+    assert found["t"][-1] == pytest.approx(episode["duration"], abs=0.011)
+    assert found["x"][-1] == pytest.approx(episode["distance"], abs=1e-12)

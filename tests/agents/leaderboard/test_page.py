@@ -80,7 +80,7 @@ def test_ranking_is_by_the_mean_and_shows_the_worst_seed(written):
     assert line[1] == "-2.50 (1/6)"
     header, _, *lines = table(text, "On the set `paper`")
     (line,) = (line for line in lines if line[0] == "learnt")
-    assert line[header.index("worst seed: mean speed (cm/s)")] == "-14.00"
+    assert line[header.index("worst seed (cm/s)")] == "-14.00"
     assert line[header.index("failed")] == "1/6"
 
 

@@ -102,7 +102,9 @@ def test_summary():
     learned = [e for seed in (0, 1) for e in episodes_of(speeds[seed].tolist(), training_seed=seed)]
     learned[3]["failed"] = 1.0
     summary = summarise(learned)
-    assert summary["mean_speed"] == estimate(speeds).to_dict()
+    mean, low, high = estimate(speeds, mean=True).to_dict().values()
+    means = {"mean": mean, "mean_low": low, "mean_high": high, "seeds": speeds.mean(axis=1).tolist()}
+    assert summary["mean_speed"] == estimate(speeds).to_dict() | means
     assert (summary["failures"], summary["episodes"]) == (1, 40)
     assert summary["training_seeds"] == [0, 1]
     assert set(summary) == {"mean_speed", "episodes", "failures", "training_seeds"}
