@@ -195,9 +195,7 @@ HEADERS = {
 }
 HOSTILE_BYTES = {
     "empty": b"",
-    "zip": b"PK\x03\x04" + bytes(100),
     "pickle": pickle.dumps({"a": 1}),
-    "header of a gigabyte": struct.pack("<Q", 10**9) + b"{}",
     "header of all memory": struct.pack("<Q", 2**63) + b"{}",
     **{name: struct.pack("<Q", len(header)) + header + bytes(8) for name, header in HEADERS.items()},
 }
@@ -242,11 +240,8 @@ DEEP = {f"layers.{n}.{kind}": ones(*shape) for n in range(2, 7) for kind, shape 
 # Tensors and entries of the metadata that replace those of a valid file (None removes one), and the error message.
 HOSTILE_TENSORS: list[tuple[dict[str, np.ndarray | None], str]] = [
     ({"layers.0.weight": np.full((8, 5), np.nan, np.float32)}, "layers.0.weight must be finite"),
-    ({"inputs.mean": np.full(5, np.inf)}, "inputs.mean must be finite"),
     ({"inputs.variance": np.full(5, -1.0)}, "inputs.variance must be >= 0"),
     ({"layers.0.weight": np.ones((8, 5))}, "layers.0.weight must be float32 of shape (8, 5)"),
-    ({"layers.1.weight": ones(1, 9)}, "layers.1.weight must be float32 of shape (1, 8)"),
-    ({"layers.0.weight": ones(40)}, "layers.0.weight must be float32 of shape (8, 5)"),
     ({"layers.1.weight": ones(2, 8), "layers.1.bias": ones(2)}, "and one in the last"),
     ({"inputs.mean": np.zeros(6)}, "of shape (5,), one for each input"),
     ({"../../secret": ones(1)}, "it must contain the tensors"),
@@ -263,14 +258,10 @@ HOSTILE_METADATA: list[tuple[dict[str, str | None], str]] = [
     ({"squashing": None}, "squashing must be text in its metadata, got None"),
     ({"identifies": "true"}, "of shape (9,), one for each input"),
     ({"identifies": "True"}, "identifies must be JSON in its metadata, got 'True'"),
-    ({"identifies": "2"}, "identifies must be one of (False, True), got 2"),
     ({"activation": "gelu"}, "activation must be one of"),
     ({"clip": "1e300"}, "clip must be a number in (0, 1e+06]"),
-    ({"clip": "ten"}, "clip must be JSON in its metadata, got 'ten'"),
-    ({"epsilon": "-1"}, "epsilon must be a finite number >= 0"),
     ({"training_seed": "-1"}, "training_seed must be an integer from 0"),
     ({"revision": ""}, "revision must be a string that is not empty"),
-    ({"env_kwargs": "[]"}, "env_kwargs must be a dict"),
     ({"env_kwargs": '{"capsule":' + "[" * 60_000}, "is not a policy file: "),
     ({"env_kwargs": '{"torque_limit": NaN}'}, "torque_limit must be a finite number > 0"),
     ({"env_kwargs": '{"threads": 1000000000}'}, "env_kwargs must have keys out of"),
