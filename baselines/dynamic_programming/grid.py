@@ -1,4 +1,4 @@
-"""The grid of states: coordinates in which the motion is slow and stick lies on nodes.
+"""The grid of states.
 
 A state (theta, theta_dot, x_dot) becomes (theta, s, w), with q = m l / (M + m):
 
@@ -53,10 +53,7 @@ def clamped(positions: np.ndarray, last: np.ndarray | float) -> np.ndarray:
 
 
 class Cells(NamedTuple):
-    """The cells in which positions lie: the first node's index in the flat array of values, strides, and shares.
-
-    The strides lead to the next nodes along theta and s. The shares along theta, s and w are from 0 to 1.
-    """
+    """The first node's index in the flat array of values, strides to the next along theta and s, and shares 0 to 1."""
 
     corner: np.ndarray
     strides: tuple[np.ndarray | int, np.ndarray | int]
@@ -77,10 +74,7 @@ def find_cells(
 
 
 def interpolate(values: np.ndarray, cells: Cells, curvature: np.ndarray | float) -> np.ndarray:
-    """The values, flat and float32, at positions in cells: linear along theta and s; along w linear plus a parabola.
-
-    `curvature`: half the second derivative along w, times the square of its spacing.
-    """
+    """The values, flat and float32, in cells: linear, and along w less the parabola of `cell_curvature`."""
     (along_theta, along_s), w = cells.strides, cells.c
 
     def along_w(node: np.ndarray) -> np.ndarray:

@@ -51,7 +51,7 @@ class Problem:
 
     @property
     def key(self) -> str:
-        """The name under which the archive holds the problem; the capsule's other constants are the default ones."""
+        """The name under which the archive holds the problem."""
         numbers = [self.M, self.mu, self.energy_weight, self.control_dt, self.margin]
         # The nominal ratio is omitted, as in the first archives.
         numbers += [self.static_ratio] if self.static_ratio != NOMINAL.static_ratio else []
@@ -76,8 +76,6 @@ def plant_problems(grid: PlantGrid) -> list[Problem]:
     return [Problem(M=M, mu=mu, static_ratio=grid.static_ratio) for M, mu in grid.plants]
 
 
-# All problems: every plant of the grids; the nominal plant with a margin of normal force for lighter platforms, with
-# energy weights, and with shorter control intervals.
 PROBLEMS = (
     *plant_problems(GRID),
     *plant_problems(STICKY_GRID),
@@ -88,10 +86,7 @@ PROBLEMS = (
 
 
 class Transitions:
-    """A batch of environments that takes one step from each of `count` states under any torques.
-
-    All states have the plant of the problem; `set_plants` sets others.
-    """
+    """A batch of environments that takes one step from each of `count` states, on the problem's plant or others."""
 
     def __init__(self, problem: Problem, count: int) -> None:
         self._simulation = Simulation(count, problem.options)
@@ -111,10 +106,9 @@ class Transitions:
         return self._simulation.row(Row.normal_force)
 
     def step(self, states: np.ndarray, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Takes a step from states theta (rad), theta_dot (rad/s), x_dot (m/s), shape (3, count), with these actions.
+        """The next states, rewards in cm, and whether the steps fail.
 
-        Returns:
-            The next states, shape (3, count), the rewards in cm, and whether the steps fail, each of shape (count,).
+        States are theta (rad), theta_dot (rad/s) and x_dot (m/s), shape (3, count).
         """
         simulation = self._simulation
         for row, values in zip((Row.theta, Row.theta_dot, Row.x_dot), states, strict=True):
@@ -131,14 +125,12 @@ class Trajectory:
     """The trajectories of a batch of episodes, and their metrics (`capsule_gym.task.Metrics`), of shape (episodes,).
 
     `states` are theta (rad), theta_dot (rad/s), x (m) and x_dot (m/s) at the beginning of every step, shape (steps, 4,
-    episodes); `choices`, uint8, the torques as indices of `ACTIONS`, and `normal_forces` the smallest in each step, N,
-    both of shape (steps, episodes).
+    episodes), and `choices` the torques as indices of `ACTIONS`, uint8, shape (steps, episodes).
     """
 
     metrics: dict[str, np.ndarray]
     states: np.ndarray
     choices: np.ndarray
-    normal_forces: np.ndarray
 
     def cycle_starts(self, control_dt: float) -> np.ndarray:
         """The steps after `SETTLED` at which the first pendulum, left of upright, reverses to move forwards."""
@@ -161,10 +153,9 @@ def record(
     choose: Callable[[int, np.ndarray], Any],
     plants: np.ndarray | None = None,
 ) -> Trajectory:
-    """Runs episodes of a problem from rest at the angles `thetas`, rad.
+    """Runs episodes from rest at the angles `thetas`, rad, on the problem's plant or `plants`, M in kg and mu of each.
 
-    choose(step, states) gives the torques as indices of `ACTIONS` for states of shape (4, episodes). `plants` are M in
-    kg and mu of every episode, shape (episodes, 2), instead of the problem's.
+    choose(step, states) gives the torques as indices of `ACTIONS` for states of shape (4, episodes).
     """
     count = thetas.size
     M, mu = (np.tile([problem.M, problem.mu], (count, 1)) if plants is None else plants).T
@@ -173,13 +164,11 @@ def record(
     starts[:, 0] = thetas
     simulation.reset(np.arange(count), M.tolist(), mu.tolist(), starts)
     states, choices = np.empty((steps, 4, count)), np.empty((steps, count), np.uint8)
-    normal_forces = np.empty((steps, count))
     for step in range(steps):
         states[step] = simulation.rows(Row.theta, Row.x_dot + 1)
         choices[step] = choose(step, states[step])
         simulation.step(ACTIONS[choices[step]], simulation.row(Row.termination) == 0.0)
-        normal_forces[step] = simulation.row(Row.normal_force)
-    return Trajectory(simulation.metrics(np.arange(count), steps), states, choices, normal_forces)
+    return Trajectory(simulation.metrics(np.arange(count), steps), states, choices)
 
 
 def repeat(problem: Problem, choices: np.ndarray) -> Trajectory:

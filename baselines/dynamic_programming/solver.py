@@ -77,10 +77,9 @@ def cell_curvature(curvature: float, grid: Grid) -> float:
 
 
 def transitions(problem: Problem, grid: Grid, torques: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Takes one step from every node; `torques`, of shape (nodes, torques), are divided by the limit.
+    """Takes one step from every node with its `torques`, divided by the limit, shape (nodes, torques).
 
-    Returns:
-        Positions on the grid, shape (nodes, torques, 3), and rewards in cm, (nodes, torques), both float32.
+    Returns positions on the grid, shape (nodes, torques, 3), and rewards in cm, both float32.
     """
     states = grid.nodes()
     nodes, count = torques.shape
@@ -117,11 +116,7 @@ class Outcome(NamedTuple):
 def _backup(
     values: np.ndarray, positions: np.ndarray, rewards: np.ndarray, gain: float, curvature: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """One step of value iteration on `transitions`, with the gain per step and `cell_curvature` in cm.
-
-    Returns:
-        The new values, cm, and the indices of the best torques, each of shape (nodes,).
-    """
+    """One step of value iteration: the new values, cm, and the indices of the best torques, each of shape (nodes,)."""
     new, chosen = np.full(len(rewards), -np.inf), np.zeros(len(rewards), np.int64)
     for torque in range(rewards.shape[1]):
         found = rewards[:, torque] + Outcome.of(positions[:, torque], values.shape).values(values, curvature)
@@ -181,10 +176,9 @@ def final_solutions(solution: Solution) -> list[Solution]:
 def run_policy(
     solution: Solution, thetas: np.ndarray, *, final: Sequence[Solution] = (), horizon: float = HORIZON
 ) -> Trajectory:
-    """Runs the policy that takes, at every step, the torque with the largest reward plus value of the next state.
+    """Runs the policy that looks one step ahead, from rest at the angles `thetas` in rad, for `horizon` s.
 
-    The episodes start at the angles `thetas` in rad, at rest, and last `horizon` s. `final` are the values before the
-    end, from `final_solutions`; without them the policy ignores the end.
+    `final` are the values before the end, from `final_solutions`; without them the policy ignores the end.
     """
     model = Transitions(solution.problem, thetas.size * ACTIONS.size)
     actions = np.tile(ACTIONS, thetas.size)
