@@ -17,11 +17,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
-from baselines.dynamic_programming.grid import FAILED, INITIAL_Y, MIN_COSINE, Cells, Grid, find_cells, interpolate
+from baselines.dynamic_programming.grid import FAILED, INITIAL_Y, MIN_COSINE, Grid, find_cells, interpolate
 from baselines.dynamic_programming.problem import ACTIONS, SETTLED, Problem, Trajectory, Transitions, record
 from capsule_gym.task import HORIZON, START_THETA
 
@@ -66,8 +65,7 @@ class Solution:
 
     def at(self, states: np.ndarray) -> np.ndarray:
         """The values of states of shape (3, n), cm; `FAILURE_VALUE` off the grid."""
-        outcome = Outcome.of(self.grid.positions(states), self.grid.shape)
-        return outcome.values(self.values, cell_curvature(self.curvature, self.grid))
+        return next_values(self.values, self.grid.positions(states), cell_curvature(self.curvature, self.grid))
 
 
 def cell_curvature(curvature: float, grid: Grid) -> float:
@@ -97,20 +95,11 @@ def transitions(problem: Problem, grid: Grid, torques: np.ndarray) -> tuple[np.n
     return positions, rewards
 
 
-class Outcome(NamedTuple):
-    """Where the steps of one torque per node end: the cells on the grid, and whether they fail."""
-
-    cells: Cells
-    failed: np.ndarray
-
-    @classmethod
-    def of(cls, positions: np.ndarray, shape: tuple[int, int, int]) -> Outcome:
-        """The outcome for positions of shape (nodes, 3); those of failed steps are indices from the array's end."""
-        return cls(find_cells(tuple(positions.T), *shape[1:]), positions[:, 0] < 0.0)
-
-    def values(self, values: np.ndarray, curvature: float) -> np.ndarray:
-        """The values of the next states, cm; `curvature` is `cell_curvature`."""
-        return np.where(self.failed, FAILURE_VALUE, interpolate(values.reshape(-1), self.cells, curvature))
+def next_values(values: np.ndarray, positions: np.ndarray, curvature: float) -> np.ndarray:
+    """The values at positions of shape (nodes, 3), cm; `curvature` is `cell_curvature`."""
+    # Positions of failed steps are indices from the array's end.
+    found = interpolate(values.reshape(-1), find_cells(tuple(positions.T), *values.shape[1:]), curvature)
+    return np.where(positions[:, 0] < 0.0, FAILURE_VALUE, found)
 
 
 def _backup(
@@ -119,7 +108,7 @@ def _backup(
     """One step of value iteration: the new values, cm, and the indices of the best torques, each of shape (nodes,)."""
     new, chosen = np.full(len(rewards), -np.inf), np.zeros(len(rewards), np.int64)
     for torque in range(rewards.shape[1]):
-        found = rewards[:, torque] + Outcome.of(positions[:, torque], values.shape).values(values, curvature)
+        found = rewards[:, torque] + next_values(values, positions[:, torque], curvature)
         better = found > new
         new[better], chosen[better] = found[better], torque
     return new - gain, chosen
@@ -147,10 +136,9 @@ def solve(problem: Problem, grid: Grid, *, curvature: float = 0.0, start: Soluti
         for _ in range(MAX_ITERATIONS):
             improved, chosen = _backup(values, positions, rewards, gain, cell)
             before = values = improved.astype(np.float32).reshape(grid.shape)
-            outcome = Outcome.of(np.take_along_axis(positions, chosen[:, None, None], axis=1)[:, 0], grid.shape)
-            own_rewards = np.take_along_axis(rewards, chosen[:, None], axis=1)[:, 0]
+            own, own_rewards = (each[np.arange(len(chosen)), chosen] for each in (positions, rewards))
             for _ in range(steps):
-                evaluated = own_rewards + outcome.values(values, cell) - gain
+                evaluated = own_rewards + next_values(values, own, cell) - gain
                 values = evaluated.astype(np.float32).reshape(grid.shape)
             change = ((values - before) / steps)[before > 0.5 * FAILURE_VALUE]
             gain += float(np.median(change))
