@@ -14,27 +14,10 @@ from time import perf_counter
 import numpy as np
 
 from baselines.archive import GRID, PlantGrid, reading, write_archive
-from baselines.dynamic_programming import FOLDER
+from baselines.dynamic_programming import FOLDER, solver
 from baselines.dynamic_programming.grid import Grid
-from baselines.dynamic_programming.problem import (
-    ACTIONS,
-    ENERGY_WEIGHTS,
-    Problem,
-    Trajectory,
-    plant_problems,
-    record,
-    repeat,
-)
-from baselines.dynamic_programming.solver import (
-    GRIDS,
-    STARTS,
-    Solution,
-    divide_nodes,
-    final_solutions,
-    run_policy,
-    solve,
-    solve_on_grids,
-)
+from baselines.dynamic_programming.problem import ACTIONS, Problem, Trajectory, plant_problems, record, repeat
+from baselines.dynamic_programming.solver import GRIDS, STARTS, Solution
 from capsule_gym import dynamics
 from capsule_gym.config import DIRECT_PHYSICS_DT
 from capsule_gym.evaluation_sets import load_set
@@ -42,8 +25,7 @@ from capsule_gym.parameters import NOMINAL
 from capsule_gym.task import CONTROL_DT, START_THETA, TORQUE_LIMIT
 
 # cm: step of the stored values, larger if two bytes cannot count the steps; a control interval earns half a cm.
-RESOLUTION = 0.005
-MAX_STEPS = 65535
+RESOLUTION, MAX_STEPS = 0.005, 65535
 # rad, rad/s, m, m/s: scales of the differences between the ends of a cycle.
 SCALES = np.array([0.1, 1.0, np.inf, 0.05])
 # Evaluation sets whose plants are solved themselves, and the number of plants between two writes of the archive.
@@ -53,29 +35,21 @@ PART = 20
 
 @dataclass(frozen=True, kw_only=True)
 class Result(Problem):
-    """The solution of one problem.
+    """The solution of one problem; the archived trajectory is the best of all grids."""
 
-    Attributes:
-        grids: nodes along theta, s and w of every grid, from coarse to fine.
-        gains: mean reward of the Markov chain on each grid, cm/s.
-        steady: mean speed of each grid's trajectory over whole cycles, cm/s.
-        mean_speed: of the archived trajectory, the best of all grids, over 33 s from rest, cm/s.
-        cost_of_transport: of the archived trajectory.
-    """
-
-    grids: tuple[tuple[int, int, int], ...]
-    gains: tuple[float, ...]
-    steady: tuple[float, ...]
-    mean_speed: float
-    cost_of_transport: float
+    grids: tuple[tuple[int, int, int], ...]  # nodes along theta, s and w, from coarse to fine
+    gains: tuple[float, ...]  # mean reward of the Markov chain on each grid, cm/s
+    steady: tuple[float, ...]  # mean speed of each grid's trajectory over whole cycles, cm/s
+    mean_speed: float  # of the archived trajectory over 33 s from rest, cm/s
+    cost_of_transport: float  # of the archived trajectory
 
 
 @dataclass
 class Archive:
     """The results by key, and their arrays by key and kind.
 
-    The kinds are `torques` of the trajectory, `differences` and `numbers` of the values; for plants of evaluation sets
-    `plants` with M, mu and speed, and `plants torques`, shape (plants, steps). Torques are indices of `ACTIONS`, uint8.
+    The kinds are `torques` of the trajectory (indices of `ACTIONS`, uint8), `differences` and `numbers` of the values;
+    for plants of evaluation sets `plants` with M, mu and speed, and `plants torques`, shape (plants, steps).
     """
 
     results: dict[str, Result] = field(default_factory=dict)
@@ -86,7 +60,7 @@ class Archive:
         for n, problem in enumerate(problems):
             print(f"{n + 1}/{len(problems)} {problem} ..", flush=True)
             began, own_interval = perf_counter(), problem.control_dt == CONTROL_DT
-            solved = solve_on_grids(problem, GRIDS[: (4 if problem == Problem() else 2) if own_interval else 3])
+            solved = solver.solve_on_grids(problem, GRIDS[: (4 if problem == Problem() else 2) if own_interval else 3])
             runs = [trajectory for _, trajectory in solved]
             distance, energy, failed = (
                 np.array([run.metrics[key][0] for run in runs]) for key in ("distance", "energy", "failed")
@@ -160,10 +134,7 @@ class Archive:
 
     def save(self, folder: Path = FOLDER) -> None:
         """Writes the archive."""
-        results = sorted(
-            self.results.values(), key=lambda r: (r.static_ratio, r.margin, r.control_dt, r.energy_weight, r.M, r.mu)
-        )
-        write_archive(folder, {"results": [asdict(result) for result in results]}, self.arrays)
+        write_archive(folder, {"results": [asdict(result) for _, result in sorted(self.results.items())]}, self.arrays)
 
 
 def load_archive(folder: Path = FOLDER) -> Archive:
@@ -202,22 +173,12 @@ def optimal_speed(M: float, mu: float, grid: PlantGrid = GRID) -> float:
     return archive.interpolated_speed(M, mu, grid) if solved is None else solved
 
 
-def optimal_front() -> list[tuple[float, float]]:
-    """The undominated costs of transport and mean speeds (cm/s) of the energy weights, nominal plant, slowest first."""
-    results = known_results().results
-    own = [results[Problem(energy_weight=weight).key] for weight in (0.0, *ENERGY_WEIGHTS)]
-    found = [(each.cost_of_transport, each.mean_speed) for each in own]
-    undominated = [(cost, speed) for cost, speed in found if not any(c <= cost and s > speed for c, s in found)]
-    return sorted(undominated, key=lambda point: point[1])
-
-
 def cycle() -> dict[str, np.ndarray]:
     """The settled period of the trajectory on the nominal plant whose ends differ the least.
 
     Returns:
         `time` (s), `theta` (rad), `theta_dot` (rad/s), `x` (m), `x_dot` (m/s), `normal_force` (N) and `torque` (N m) at
-        every step of the integrator from one reversal of the pendulum, left of upright and into forward motion, to the
-        next.
+        every step of the integrator from one reversal of the pendulum left of upright to the next.
     """
     problem, archive = Problem(), known_results()
     trajectory = archive.repeat(problem)
@@ -229,15 +190,12 @@ def cycle() -> dict[str, np.ndarray]:
     dt = problem.control_dt / substeps
     fine = repeat(replace(problem, control_dt=dt), np.repeat(trajectory.choices[: end + 1, 0], substeps))
     part = slice(begin * substeps, end * substeps + 1)
-    states = dict(zip(("theta", "theta_dot", "x", "x_dot"), fine.states[part, :, 0].T, strict=True))
-    states["x"] -= states["x"][0]
-    torque, motion = (
-        TORQUE_LIMIT * ACTIONS[fine.choices[part, 0]],
-        (*fine.states[part, :2, 0].T, fine.states[part, 3, 0]),
-    )
-    phase = dynamics.contact_phase(*motion, torque, NOMINAL.plant())
-    normal_force = dynamics.accelerations(*motion, phase, torque, NOMINAL.plant())[2]
-    return {"time": dt * np.arange(torque.size), **states, "normal_force": normal_force, "torque": torque}
+    theta, theta_dot, x, x_dot = fine.states[part, :, 0].T
+    torque, plant = TORQUE_LIMIT * ACTIONS[fine.choices[part, 0]], NOMINAL.plant()
+    phase = dynamics.contact_phase(theta, theta_dot, x_dot, torque, plant)
+    normal_force = dynamics.accelerations(theta, theta_dot, x_dot, phase, torque, plant)[2]
+    found = {"time": dt * np.arange(torque.size), "theta": theta, "theta_dot": theta_dot, "x": x - x[0], "x_dot": x_dot}
+    return found | {"normal_force": normal_force, "torque": torque}
 
 
 def set_plants(*names: str) -> list[tuple[float, float]]:
@@ -253,9 +211,9 @@ def solve_plant(problem: Problem, archive: Archive, shape: tuple[int, int, int] 
     limits = np.array([[solution.grid.y, solution.grid.w] for solution in near])
     y, w = zip(limits[..., 0].min(axis=0).tolist(), limits[..., 1].max(axis=0).tolist(), strict=True)
     curvature = sum(weight * solution.curvature for weight, solution in zip(weights.tolist(), near, strict=True))
-    grid = Grid(divide_nodes(shape, y, w), y, w, problem.M)
-    solution = solve(problem, grid, curvature=curvature, start=near[int(weights.argmax())])
-    return run_policy(solution, STARTS[:1], final=final_solutions(solution))
+    grid = Grid(solver.divide_nodes(shape, y, w), y, w, problem.M)
+    solution = solver.solve(problem, grid, curvature=curvature, start=near[int(weights.argmax())])
+    return solver.run_policy(solution, STARTS[:1], final=solver.final_solutions(solution))
 
 
 def solve_plants(archive: Archive, missing: Sequence[tuple[float, float]]) -> Iterator[None]:

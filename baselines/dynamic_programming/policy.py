@@ -14,7 +14,7 @@ import numpy as np
 from baselines.archive import GRID, PlantGrid
 from baselines.dynamic_programming import MIN_NORMAL_FORCE
 from baselines.dynamic_programming.archive import known_results
-from baselines.dynamic_programming.grid import clamped, coordinates, find_cells, interpolate
+from baselines.dynamic_programming.grid import clamped, coordinates, interpolate
 from baselines.dynamic_programming.problem import NOMINAL_MARGIN, Problem, Transitions, plant_problems
 from baselines.dynamic_programming.solver import cell_curvature
 from capsule_gym.parameters import NOMINAL
@@ -24,8 +24,7 @@ Act = Callable[[np.ndarray], np.ndarray]
 # Torques, divided by their limit, that a policy tries; float32 like the environment's actions.
 NUM_TORQUES = 41
 TORQUES = np.linspace(-1.0, 1.0, NUM_TORQUES).astype(np.float32)
-# cm: the score of a torque that fails.
-FAILURE_SCORE = -1e6
+FAILURE_SCORE = -1e6  # cm
 
 
 @lru_cache(maxsize=2)
@@ -43,10 +42,7 @@ def _tables(*problems: Problem) -> tuple[np.ndarray, ...]:
 
 
 class Lookahead:
-    """The policy on the nominal plant, for `count` environments; its torques leave a `margin` of normal force, N.
-
-    The values of several problems, all of one static ratio, are interpolated linearly in M and log(mu).
-    """
+    """The policy on the nominal plant, for `count` environments; its torques leave a `margin` of normal force, N."""
 
     def __init__(self, count: int, margin: float, *problems: Problem) -> None:
         self._tables = _tables(*problems)
@@ -74,8 +70,8 @@ class Lookahead:
             first, spacing = axes[corner].transpose(2, 1, 0)[..., None]
             nodes = shapes[corner].T[..., None]
             positions = tuple(clamped((own[n] - first[n]) / spacing[n], nodes[n] - 1.0) for n in range(3))
-            cells = find_cells(positions, nodes[1], nodes[2], starts[corner, None])
-            scores = scores + weight[:, None] * interpolate(values, cells, curvatures[corner, None])
+            found = interpolate(values, positions, nodes, curvatures[corner, None], starts[corner, None])
+            scores = scores + weight[:, None] * found
         return scores
 
     @property

@@ -19,10 +19,8 @@ from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA
 
 # Torques, divided by their limit, from which a policy chooses; their indices fit into a byte.
 ACTIONS = np.linspace(-1.0, 1.0, 121)
-# s: time after which every trajectory is close to its limit cycle.
-SETTLED = HORIZON / 2.0
-# s
-CONTROL_INTERVALS = (0.01, 0.005)
+SETTLED = HORIZON / 2.0  # s: time after which every trajectory is close to its limit cycle
+CONTROL_INTERVALS = (0.01, 0.005)  # s
 # cm/J
 ENERGY_WEIGHTS = (0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0)
 # N: normal force that `dp-nominal` leaves; the lightest platform of `wide` weighs 1.47 N less than the nominal one.
@@ -31,22 +29,13 @@ NOMINAL_MARGIN = 1.6
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
-    """The objective: the mean speed, less a weight times the energy.
+    """The objective: the mean speed, less a weight times the energy."""
 
-    Attributes:
-        M: mass of the platform, kg.
-        mu: friction coefficient.
-        energy_weight: cm/J.
-        control_dt: control interval, over which the torque is constant, s.
-        margin: normal force that must be left, N; a smaller one counts as a failure.
-        static_ratio: static over kinetic friction coefficient.
-    """
-
-    M: float = NOMINAL.M
+    M: float = NOMINAL.M  # mass of the platform, kg
     mu: float = NOMINAL.mu
-    energy_weight: float = 0.0
-    control_dt: float = CONTROL_DT
-    margin: float = 0.0
+    energy_weight: float = 0.0  # cm/J
+    control_dt: float = CONTROL_DT  # control interval, over which the torque is constant, s
+    margin: float = 0.0  # normal force that must be left, N; a smaller one counts as a failure
     static_ratio: float = NOMINAL.static_ratio
 
     @property
