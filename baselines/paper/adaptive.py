@@ -59,15 +59,11 @@ def lyapunov(run: Trajectory, start: tuple[float, ...], plant: Plant) -> np.ndar
 
 @dataclass(frozen=True)
 class LawStudy:
-    """One form of the adaptive law, five cycles on each plant of the grid.
+    """One form of the adaptive law, with a torque limit in N m, five cycles on each plant of the grid.
 
-    Attributes:
-        law: `REGULARISED_LAW` or `CORRECTED_LAW`.
-        torque_limit: N m.
-        runs: one per plant, M the slower index: `M` (kg), `mu`, `failed` (whether it ended early), `error_rms` of
-            theta - theta_d (rad), `peak_velocity` (rad/s), `peak_torque` (N m), `mean_speed` (cm/s), `eta` at its end,
-            the sum of all rises of the Lyapunov function (40) (`rise`) and the fraction of the time in which it rises
-            (`rising`).
+    A run has `M` (kg), `mu`, `failed` (whether it ended early), `error_rms` of theta - theta_d (rad), `peak_velocity`
+    (rad/s), `peak_torque` (N m), `mean_speed` (cm/s), `eta` at its end, the sum of all rises of the Lyapunov function
+    (40) (`rise`) and the fraction of the time in which it rises (`rising`).
     """
 
     law: str

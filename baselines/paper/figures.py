@@ -1,4 +1,4 @@
-"""Figures 3 to 9 of the paper from our own runs, with the published numbers, and two additional figures."""
+"""Figures 3 to 9 of the paper from our own runs, with the published numbers, and the phase plane of Proof 2."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from baselines.laws.profiles import PROPOSED
 from baselines.paper import published
 from baselines.paper.adaptive import CORRECTED_LAW, REGULARISED_LAW, sliding
 from baselines.paper.proofs import swing_envelope
-from baselines.paper.tracking import CYCLES, PROFILES, Trajectory, grid, simulate, speed_map, speed_ratio
+from baselines.paper.tracking import CYCLES, PROFILES, Trajectory, simulate
 from baselines.tables import printed_above
 from capsule_gym.config import LAW_DT
 from capsule_gym.parameters import NOMINAL
@@ -43,10 +43,8 @@ PERIOD = PROPOSED.period
 DURATION = CYCLES * PERIOD
 # The phases of the profile, and so its cycle, begin and end on whole milliseconds.
 CYCLE = round(PERIOD / LAW_DT)
-# The time axis of a cycle changes its scale here, s.
-SPLIT = 1.2
-# Duration of the unregularised law's panels, s: short enough to resolve its chattering.
-CHATTER = 0.3
+SPLIT = 1.2  # s; the time axis of a cycle changes its scale here
+CHATTER = 0.3  # s; duration of the unregularised law's panels, short enough to resolve its chattering
 NO_CURVES = "The paper's curves are not available as data"
 DOTTED = f"{NO_CURVES}: dotted are the numbers of its text."
 # Figures 6 to 9: nominal, lightest with least friction, heaviest with most.
@@ -227,33 +225,6 @@ def draw_phase_plane() -> Any:
     return figure
 
 
-def draw_speed_map() -> Any:
-    """Mean speed over mass and friction for both profiles, and the ratio of the two."""
-    figure = new_figure(3.3)
-    panels = figure.subplots(1, 3, sharey=True)
-    maps = [speed_map(profile, *grid()) for profile in PROFILES]
-    M, mu, ratio = maps[0].M, maps[0].mu, speed_ratio(*maps)
-    speeds = (np.arange(-0.25, 2.76, 0.25), "mean speed (cm/s)", (0, 1, 2))
-    ratios = (np.arange(-0.4, 0.91, 0.1), "proposed / EPC", (-0.4, 0, 0.4, 0.8))
-    columns = [(each.profile, each.speed, *speeds) for each in maps] + [("Ratio of the speeds", ratio, *ratios)]
-    for axes, (title, values, levels, label, ticks) in zip(panels, columns, strict=True):
-        drawn = axes.contourf(mu, M, values, levels=levels, cmap="cividis")
-        figure.colorbar(drawn, ax=axes, location="bottom", aspect=30, shrink=0.95, label=label, ticks=ticks)
-        axes.plot(NOMINAL.mu, NOMINAL.M, "*", color="white", mec=INK, mew=0.7, ms=9)
-        axes.set(title=title, xscale="log", xlabel="friction coefficient μ")
-        axes.grid(False)
-    hatched = {"facecolor": "none", "edgecolor": "white", "hatch": "////", "linewidth": 0.0}
-    panels[1].fill_between(mu, M[0], maps[1].least_mass_in_contact, **hatched)
-    panels[0].set(ylabel="mass of the platform M (kg)")
-    add_note(
-        figure,
-        f"Exact tracking; star: nominal plant. EPC is faster on all of it (largest ratio {np.nanmax(ratio):.2f}); "
-        f"hatched, below M = {maps[1].least_mass_in_contact:.2f} kg, it lifts the platform off the floor. White: both "
-        "all but at rest.",
-    )
-    return figure
-
-
 FIGURES: dict[str, Callable[[], Any]] = {
     "fig3_tracking": draw_tracking,
     "fig4_displacement": draw_displacement,
@@ -263,7 +234,6 @@ FIGURES: dict[str, Callable[[], Any]] = {
     "fig8_adaptive_torque": draw_adaptive_torque,
     "fig9_sliding_variable": draw_sliding_variable,
     "phase_plane": draw_phase_plane,
-    "speed_map": draw_speed_map,
 }
 
 

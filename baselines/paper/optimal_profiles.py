@@ -74,29 +74,19 @@ def problems() -> list[Problem]:
 
 @dataclass(frozen=True)
 class Solution:
-    """A profile (9) under exact tracking on the plants of a problem, in SI units; the worst value over the plants.
-
-    Attributes:
-        times: t1 to t7.
-        feasible: whether it meets every demand.
-        mean_speed: from rest, over the cycle, or over five cycles where the platform still moves after the first.
-        cost_of_transport: integral of |u theta'| over (M + m) g and distance; None without progress.
-        backward_ratio: distance backwards over forwards; None where the platform only moves backwards.
-        shares: load over limit of each demand; above 1 it is violated.
-        found_by: the problem and the seed of the search that found it.
-    """
+    """A profile (9) under exact tracking on the plants of a problem, in SI units; the worst value over the plants."""
 
     problem: Problem
-    times: tuple[float, ...]
+    times: tuple[float, ...]  # t1 to t7
     V1: float
     P2: float
-    feasible: bool
-    mean_speed: float
-    cost_of_transport: float | None
+    feasible: bool  # whether it meets every demand
+    mean_speed: float  # from rest, over the cycle, or over five where the platform still moves after the first
+    cost_of_transport: float | None  # None without progress
     peak_torque: float
-    backward_ratio: float | None
-    shares: dict[str, float]
-    found_by: str = ""
+    backward_ratio: float | None  # distance backwards over forwards; None where the platform only moves backwards
+    shares: dict[str, float]  # load over limit of each demand; above 1 it is violated
+    found_by: str = ""  # the problem and the seed of the search that found it
 
     @property
     def excess(self) -> float:
@@ -179,8 +169,7 @@ def search(
 ) -> Solution:
     """Solves one problem by differential evolution: feasible profiles rank by speed, all others by violation.
 
-    The best of the `known` solutions of other problems and of the published profile joins the first generation. A
-    generation has `members` candidates per parameter.
+    The best of the `known` solutions and of the published profile joins the first generation.
     """
     from scipy.optimize import differential_evolution
 

@@ -22,19 +22,14 @@ from capsule_gym.task import START_THETA
 
 SAMPLES = 20_001
 BISECTIONS = 22
-# N m; reaches every published velocity.
-STRONGEST = 4.0
-# ms; a swing that takes longer has come to rest.
-LONGEST_SWING = 2000
+STRONGEST = 4.0  # N m; reaches every published velocity
+LONGEST_SWING = 2000  # ms; a swing that takes longer has come to rest
 # Steps of an envelope: the widening changes the bounds on the published swings by less than 1e-3 rad/s.
 STEPS = 100_000
-# Steps of the first estimate of the peak.
-COARSE_STEPS = 10_000
-# Steps of an envelope that are iterated together.
-WINDOW = 2000
+COARSE_STEPS = 10_000  # of the first estimate of the peak
+WINDOW = 2000  # steps of an envelope that are iterated together
 # Factor on that estimate up to which the slopes of the widening are valid, and number of attempts with its powers.
-HEADROOM = 1.05
-ATTEMPTS = 12
+HEADROOM, ATTEMPTS = 1.05, 12
 
 
 def torque_without_acceleration(theta: np.ndarray, theta_dot: float, slip: float, p: Plant) -> np.ndarray:

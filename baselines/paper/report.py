@@ -1,7 +1,4 @@
-"""The output of `python -m baselines.paper`: every result as a table.
-
-The page *The paper* explains the tables.
-"""
+"""The output of `python -m baselines.paper`: every result as a table, which the page *The paper* explains."""
 
 from __future__ import annotations
 

@@ -16,15 +16,14 @@ import numpy as np
 from baselines.laws.feedback_linearisation import feedback_linearising
 from baselines.laws.profiles import EPC, PROPOSED, Profile
 from baselines.laws.reference import platform_motion
-from capsule_gym import Capsule, Controller, dynamics
+from capsule_gym import Capsule, Controller
 from capsule_gym.config import LAW_DT, EnvConfig
 from capsule_gym.layout import ROWS, Row
 from capsule_gym.parameters import NOMINAL, NormalForce, Plant
 from capsule_gym.simulation import Simulation
 
 PROFILES = (PROPOSED, EPC)
-# Beyond any torque of the paper: its Figures 5 and 8 show no limit.
-UNLIMITED = 50.0
+UNLIMITED = 50.0  # beyond any torque of the paper: its Figures 5 and 8 show no limit
 CYCLES = 5
 M_RANGE, MU_RANGE = (0.3, 1.0), (0.003, 1.0)
 # s. Fivefold refinement changes no speed of the map by more than 1e-5 cm/s.
@@ -35,24 +34,17 @@ AT_REST = 0.01
 
 @dataclass(frozen=True)
 class Trajectory:
-    """One run in SI units, a sample per millisecond from the start, each array of shape (n,) or (n, columns).
-
-    Attributes:
-        torque: torque of the motor in the millisecond that ends at t.
-        reference: rows of the reference table.
-        memory: the law's memory after its call at t.
-        metrics: metrics of the episode, by name; see `Simulation.metrics`.
-    """
+    """One run in SI units, a sample per millisecond from the start, each array of shape (n,) or (n, columns)."""
 
     t: np.ndarray
     theta: np.ndarray
     theta_dot: np.ndarray
     x: np.ndarray
     x_dot: np.ndarray
-    torque: np.ndarray
-    reference: np.ndarray
-    memory: np.ndarray
-    metrics: dict[str, float]
+    torque: np.ndarray  # of the motor in the millisecond that ends at t
+    reference: np.ndarray  # rows of the reference table
+    memory: np.ndarray  # of the law after its call at t
+    metrics: dict[str, float]  # see `Simulation.metrics`
 
     @property
     def completed(self) -> bool:
@@ -163,19 +155,12 @@ def displacement(motion: Sequence[np.ndarray], p: Plant, h: float) -> float:
 
 @dataclass(frozen=True)
 class SpeedMap:
-    """Mean speed along one profile over a grid of plants, exact tracking.
-
-    Attributes:
-        speed: mean speed over five cycles from rest, cm/s, shape (M, mu).
-        smallest_normal_ratio: smallest N / ((M + m) g), shape (M,); at 0.0 or less contact is lost, and the speed
-            belongs to a floor without friction for that time.
-    """
+    """Mean speed along one profile over five cycles from rest, exact tracking, cm/s, shape (M, mu)."""
 
     profile: str
     M: np.ndarray
     mu: np.ndarray
     speed: np.ndarray
-    smallest_normal_ratio: np.ndarray
 
     def friction_for(self, speed: float) -> list[float]:
         """Every friction coefficient at which the nominal mass has a speed (cm/s), interpolated in log mu."""
@@ -183,11 +168,6 @@ class SpeedMap:
         signs = np.flatnonzero(row[:-1] * row[1:] < 0.0)
         shares = row[signs] / (row[signs] - row[signs + 1])
         return [float(mu) for mu in np.exp(logs[signs] + shares * (logs[signs + 1] - logs[signs]))]
-
-    @property
-    def least_mass_in_contact(self) -> float:
-        """The mass in kg below which the profile lifts the platform off the floor, interpolated between rows."""
-        return float(np.interp(0.0, self.smallest_normal_ratio, self.M))
 
 
 def grid(rows: int = 29, columns: int = 61) -> tuple[list[float], list[float]]:
@@ -198,14 +178,15 @@ def grid(rows: int = 29, columns: int = 61) -> tuple[list[float], list[float]]:
 def speed_map(
     profile: Profile, M: Sequence[float] = (NOMINAL.M,), mu: Sequence[float] = (NOMINAL.mu,), h: float = MAP_STEP
 ) -> SpeedMap:
-    """Mean speed along a profile under exact tracking, for every M with every mu, in steps of h seconds."""
+    """Mean speed along a profile under exact tracking, for every M with every mu, in steps of h seconds.
+
+    Where the motion would lift the platform, the floor is without friction.
+    """
     # In the middle of the steps, where theta_d'' does not jump.
     motion = profile.evaluate((np.arange(round(profile.period / h)) + 0.5) * h)
     plants = [[NOMINAL.plant(M=mass, mu=friction) for friction in mu] for mass in M]
     travelled = np.array([[displacement(motion, plant, h) for plant in row] for row in plants])
-    smallest = [dynamics.normal_force(*motion, p).min() / ((p.M + p.m) * p.g) for p, *_ in plants]
-    speed = 100.0 * travelled / (CYCLES * profile.period)
-    return SpeedMap(profile.name, np.array(M), np.array(mu), speed, np.array(smallest))
+    return SpeedMap(profile.name, np.array(M), np.array(mu), 100.0 * travelled / (CYCLES * profile.period))
 
 
 def speed_ratio(proposed: SpeedMap, epc: SpeedMap) -> np.ndarray:

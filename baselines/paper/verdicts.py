@@ -17,12 +17,9 @@ from capsule_gym.parameters import NOMINAL
 
 Results = dict[str, Any]
 
-# Curves read off a figure, and printed digits, are no more accurate.
-AGREEMENT = 0.02
-# Travel backwards over forwards that still counts as suppressed.
-SUPPRESSED = 0.1
-# An error counts as converged once it has fallen to this share of the first cycle's on every plant.
-CONVERGED = 0.1
+AGREEMENT = 0.02  # curves read off a figure, and printed digits, are no more accurate
+SUPPRESSED = 0.1  # travel backwards over forwards that still counts as suppressed
+CONVERGED = 0.1  # an error has converged once it has fallen to this share of the first cycle's on every plant
 
 
 def compare_numbers(runs: Results, study: Results) -> list[Results]:

@@ -61,8 +61,7 @@ def test_command_prints_every_published_number(made, monkeypatch, capsys, tmp_pa
         paper.main(["--figures", str(tmp_path / "file")])
 
 
-def test_figures_show_the_numbers_of_the_table(made, monkeypatch):
-    monkeypatch.setattr(figures, "grid", lambda: tracking.grid(4, 5))
+def test_figures_show_the_numbers_of_the_table(made):
     with drawing.style():
         texts = {name: text_of(draw()) for name, draw in figures.FIGURES.items()}
     assert [name[:4] for name in texts][:7] == [f"fig{n}" for n in range(3, 10)]
