@@ -13,7 +13,7 @@ import numpy as np
 from agents.analysis.data import SPEED, Learning
 from agents.leaderboard.rows import Row
 from baselines.drawing import BLUE, GREEN, INK, MUTED, VERMILION, Pen, add_note, new_figure, save, style
-from baselines.dynamic_programming.archive import optimal_front
+from baselines.dynamic_programming.tables import optimal_front
 from baselines.evaluation.episodes import TABLE_METRICS, TableMetric
 from baselines.evaluation.statistics import Curve, estimate, learning_curve, performance_profile
 

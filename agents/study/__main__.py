@@ -35,7 +35,7 @@ class Args:
     seeds: Annotated[tuple[int, ...], arg(metavar="N")] = tuple(range(10))
     """Training seeds."""
     jobs: int | None = None
-    """Number of runs in parallel; one per core by default."""
+    """Number of runs in parallel with loky; one per core by default. Ray starts one per processor of the cluster."""
     backend: Literal["loky", "ray"] = "loky"
     """joblib's processes of this machine, or the Ray cluster that RAY_ADDRESS names (extra `cluster`)."""
     runs: Path = Path("runs/study")
@@ -57,6 +57,8 @@ class Args:
                 )
         if self.jobs is not None:
             check_count("--jobs", self.jobs)
+            if self.backend == "ray":
+                raise ValueError("--jobs needs --backend loky")
         if self.backend == "ray" and find_spec("ray") is None:
             raise ValueError("--backend ray needs Ray: pip install 'capsule-gym[cluster]'")
 

@@ -11,9 +11,6 @@ from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
-
-from tqdm import tqdm
 
 from agents.evaluation.criteria import CRITERIA
 from agents.training.config import BEST, CONFIG, EVALUATIONS, Config, RunError, read_config
@@ -47,7 +44,7 @@ class Job:
 
 
 def plan(rows: Sequence[str], seeds: Sequence[int], folder: Path) -> list[Job]:
-    """Lists the runs of a study: the first seed of every row, then the second seed of every row, and so on.
+    """Lists the runs of a study: the first seed of every row, then the second, and so on.
 
     Raises:
         RunError: if a run's folder exists and holds no run, or a run with other settings.
@@ -61,27 +58,17 @@ def plan(rows: Sequence[str], seeds: Sequence[int], folder: Path) -> list[Job]:
     for job in jobs:
         job.config.check()
         if job.run.exists():
-            check_settings(job)
+            begun, now = read_config(job.run).to_dict(), job.config.to_dict()
+            changed = [
+                f"{name} was {begun.get(name)!r} and is {now[name]!r}" for name in now if begun.get(name) != now[name]
+            ]
+            if changed:
+                raise RunError(f"{job.run} contains a run with other settings ({', '.join(changed)}): move it")
     return jobs
 
 
-def check_settings(job: Job) -> None:
-    """Checks that a run was started with the current settings of its job.
-
-    Raises:
-        RunError: if the settings differ, or the run's folder is broken.
-    """
-    begun, now = read_config(job.run).to_dict(), job.config.to_dict()
-    changed = [f"{name} was {begun.get(name)!r} and is {now[name]!r}" for name in now if begun.get(name) != now[name]]
-    if changed:
-        raise RunError(f"{job.run} contains a run with other settings ({', '.join(changed)}): move it")
-
-
 def train_job(job: Job) -> str:
-    """Trains or resumes a run until its end; writes its output to the file seed-N.log next to its folder.
-
-    Returns the reason for a failure, or an empty string: one run cannot stop a study.
-    """
+    """Trains or resumes a run, with its output in seed-N.log next to its folder; returns the reason for a failure."""
     # Imported here, since torch takes seconds to import and only workers need it.
     from agents.training.loop import begin, train
 
@@ -100,29 +87,19 @@ def train_job(job: Job) -> str:
     return ""
 
 
-def train_all(
-    jobs: Sequence[Job], parallel: int | None = None, backend: Literal["loky", "ray"] = "loky"
-) -> dict[Job, str]:
-    """Trains or resumes the runs that are not finished, `parallel` at a time (one per core by default).
-
-    Ctrl-C stops all runs; each can be resumed from its last checkpoint. The backend `ray` uses the cluster that
-    RAY_ADDRESS names, or a new one on this machine; all machines need the checkout and the runs at the same paths. If a
-    machine is lost, its runs are resumed on another one.
-
-    Returns:
-        The reasons for the failures, by run.
-    """
-    # Imported here, since both take long.
+def train_all(jobs: Sequence[Job], parallel: int | None = None, backend: str = "loky") -> dict[Job, str]:
+    """Trains or resumes the unfinished runs, `parallel` at a time; returns the reasons for failures by run."""
+    # Imported here, since it takes long.
     from joblib import Parallel, delayed
 
     waiting = [job for job in jobs if not job.finished]
-    if backend == "ray" and waiting:
-        found = _train_on_ray([dataclasses.replace(job, run=job.run.resolve()) for job in waiting], parallel)
-        return {job: reason for job, reason in zip(waiting, found, strict=True) if reason}
     try:
-        # One run per task, since joblib would otherwise batch several short runs.
-        work = Parallel(parallel or -1, verbose=10, batch_size=1, pre_dispatch="n_jobs")
-        found = work(delayed(train_job)(job) for job in waiting)
+        if backend == "ray" and waiting:
+            found = _train_on_ray([dataclasses.replace(job, run=job.run.resolve()) for job in waiting])
+        else:
+            # One run per task, since joblib would otherwise batch several short runs.
+            work = Parallel(parallel or -1, verbose=10, batch_size=1, pre_dispatch="n_jobs")
+            found = work(delayed(train_job)(job) for job in waiting)
     except Exception as error:
         # `train_job` does not raise: a worker was killed.
         reason = f"{type(error).__name__}: {str(error).partition(chr(10))[0]}; --resume continues"
@@ -130,13 +107,11 @@ def train_all(
     return {job: reason for job, reason in zip(waiting, found, strict=True) if reason}
 
 
-def _train_on_ray(jobs: Sequence[Job], parallel: int | None) -> list[str]:
-    """Trains or resumes runs on a Ray cluster; a run whose node is lost is resumed on another one.
+def _train_on_ray(jobs: Sequence[Job]) -> list[str]:
+    """Trains or resumes runs on the Ray cluster that RAY_ADDRESS names, or a new one; returns reasons for failures.
 
-    joblib's backend for Ray would wait forever for a lost node, whose actor holds its place.
-
-    Returns:
-        The reasons for the failures, as `train_job`.
+    All machines need the checkout and the runs at the same paths. Ray resumes the runs of a lost machine on another
+    one; joblib's backend for Ray would wait forever for it, whose actor holds its place.
     """
     import ray
 
@@ -145,23 +120,10 @@ def _train_on_ray(jobs: Sequence[Job], parallel: int | None) -> list[str]:
     try:
         # Ray starts as many as it has processors.
         task = ray.remote(num_cpus=1, max_retries=-1)(train_job)
-        running: dict[Any, int] = {}
-        reasons = [""] * len(jobs)
-        progress = tqdm(total=len(jobs), unit=" runs", disable=None)
-        for i, job in enumerate(jobs):
-            running[task.remote(job)] = i
-            while running and (len(running) == parallel or i == len(jobs) - 1):
-                (done,), _ = ray.wait(list(running))
-                try:
-                    reasons[running[done]] = ray.get(done)
-                except ray.exceptions.RayError as error:
-                    reasons[running[done]] = f"{type(error).__name__}: {error}; --resume continues"
-                del running[done]
-                progress.update()
-        progress.close()
+        found: list[str] = ray.get([task.remote(job) for job in jobs])
+        return found
     finally:
         ray.shutdown()
-    return reasons
 
 
 def results_table(jobs: Sequence[Job]) -> str:
@@ -180,14 +142,13 @@ def results_table(jobs: Sequence[Job]) -> str:
 
 
 def publish(job: Job, checkpoints: Path = CHECKPOINTS) -> Path:
-    """Copies a run's best policy and its evaluations into the folder of its row and seed, and returns that folder.
+    """Copies a run's best policy and its evaluations into the folder of its row and seed, which it returns.
 
     Raises:
-        RunError: if the run is not finished, its settings differ from those of its row, or its code was not committed.
+        RunError: if the run is not finished, or its code was not committed.
     """
     if not job.finished:
         raise RunError(f"{job.run} is not finished")
-    check_settings(job)
     revision = json.loads((job.run / CONFIG).read_text(encoding="utf-8")).get("revision")
     if not re.fullmatch(r"[0-9a-f]+", str(revision)):
         raise RunError(f"{job.run} must be a run of committed code, got the revision {revision!r}: train it again")

@@ -1,7 +1,6 @@
-"""The archive of the results: trajectories, their limit cycles and speeds, and values of the coarse grids.
+"""The archive of the results: trajectories with their speeds, and values of the coarse grids.
 
-Each archived speed is that of a trajectory. `data/arrays.npz` contains the torques of the trajectory, one per control
-interval; repeating them from rest gives the same speed on every machine. `gains` are the gains on the solver's grids.
+Each archived speed is that of a trajectory, whose torques, repeated from rest, give it on every machine.
 """
 
 from __future__ import annotations
@@ -15,34 +14,18 @@ from time import perf_counter
 import numpy as np
 
 from baselines.archive import GRID, PlantGrid, reading, write_archive
-from baselines.dynamic_programming import FOLDER
+from baselines.dynamic_programming import FOLDER, solver
 from baselines.dynamic_programming.grid import Grid
-from baselines.dynamic_programming.problem import (
-    ACTIONS,
-    ENERGY_WEIGHTS,
-    Problem,
-    Trajectory,
-    plant_problems,
-    record,
-    repeat,
-)
-from baselines.dynamic_programming.solver import (
-    GRIDS,
-    STARTS,
-    Solution,
-    divide_nodes,
-    final_solutions,
-    run_policy,
-    solve,
-    solve_on_grids,
-)
+from baselines.dynamic_programming.problem import ACTIONS, Problem, Trajectory, plant_problems, record, repeat
+from baselines.dynamic_programming.solver import GRIDS, STARTS, Solution
+from capsule_gym import dynamics
 from capsule_gym.config import DIRECT_PHYSICS_DT
 from capsule_gym.evaluation_sets import load_set
+from capsule_gym.parameters import NOMINAL
 from capsule_gym.task import CONTROL_DT, START_THETA, TORQUE_LIMIT
 
 # cm: step of the stored values, larger if two bytes cannot count the steps; a control interval earns half a cm.
-RESOLUTION = 0.005
-MAX_STEPS = 65535
+RESOLUTION, MAX_STEPS = 0.005, 65535
 # rad, rad/s, m, m/s: scales of the differences between the ends of a cycle.
 SCALES = np.array([0.1, 1.0, np.inf, 0.05])
 # Evaluation sets whose plants are solved themselves, and the number of plants between two writes of the archive.
@@ -52,29 +35,21 @@ PART = 20
 
 @dataclass(frozen=True, kw_only=True)
 class Result(Problem):
-    """The solution of one problem.
+    """The solution of one problem; the archived trajectory is the best of all grids."""
 
-    Attributes:
-        grids: nodes along theta, s and w of every grid, from coarse to fine.
-        gains: mean reward of the Markov chain on each grid, cm/s.
-        steady: mean speed of each grid's trajectory over whole cycles, cm/s.
-        mean_speed: of the archived trajectory, the best of all grids, over 33 s from rest, cm/s.
-        cost_of_transport: of the archived trajectory.
-    """
-
-    grids: tuple[tuple[int, int, int], ...]
-    gains: tuple[float, ...]
-    steady: tuple[float, ...]
-    mean_speed: float
-    cost_of_transport: float
+    grids: tuple[tuple[int, int, int], ...]  # nodes along theta, s and w, from coarse to fine
+    gains: tuple[float, ...]  # mean reward of the Markov chain on each grid, cm/s
+    steady: tuple[float, ...]  # mean speed of each grid's trajectory over whole cycles, cm/s
+    mean_speed: float  # of the archived trajectory over 33 s from rest, cm/s
+    cost_of_transport: float  # of the archived trajectory
 
 
 @dataclass
 class Archive:
     """The results by key, and their arrays by key and kind.
 
-    The kinds are `torques` of the trajectory as indices of `ACTIONS`, uint8, and `differences` and `numbers` of the
-    values; for plants of evaluation sets `plants` with M, mu and speed, and `plants torques`, shape (plants, steps).
+    The kinds are `torques` of the trajectory (indices of `ACTIONS`, uint8), `differences` and `numbers` of the values;
+    for plants of evaluation sets `plants` with M, mu and speed, and `plants torques`, shape (plants, steps).
     """
 
     results: dict[str, Result] = field(default_factory=dict)
@@ -85,18 +60,17 @@ class Archive:
         for n, problem in enumerate(problems):
             print(f"{n + 1}/{len(problems)} {problem} ..", flush=True)
             began, own_interval = perf_counter(), problem.control_dt == CONTROL_DT
-            solved = solve_on_grids(problem, GRIDS[: (4 if problem == Problem() else 2) if own_interval else 3])
-
-            def reward(trajectory: Trajectory, energy_weight: float = problem.energy_weight) -> float:
-                distance, energy, failed = (trajectory.metrics[key][0] for key in ("distance", "energy", "failed"))
-                return float(100.0 * distance - energy_weight * energy) - 1e9 * float(failed)
-
-            best = max((trajectory for _, trajectory in solved), key=reward)
+            solved = solver.solve_on_grids(problem, GRIDS[: (4 if problem == Problem() else 2) if own_interval else 3])
+            runs = [trajectory for _, trajectory in solved]
+            distance, energy, failed = (
+                np.array([run.metrics[key][0] for run in runs]) for key in ("distance", "energy", "failed")
+            )
+            best = runs[int((100.0 * distance - problem.energy_weight * energy - 1e9 * failed).argmax())]
             self.results[problem.key] = Result(
                 **asdict(problem),
                 grids=tuple(solution.grid.shape for solution, _ in solved),
                 gains=tuple(round(solution.gain, 4) for solution, _ in solved),
-                steady=tuple(round(trajectory.steady_speed(problem.control_dt), 4) for _, trajectory in solved),
+                steady=tuple(round(run.steady_speed(problem.control_dt), 4) for run in runs),
                 **_performance(best),
             )
             self.arrays[f"{problem.key} torques"] = best.choices[:, 0]
@@ -131,12 +105,6 @@ class Archive:
         """Mean speeds, cm/s, of the plants of evaluation sets by M, kg, and mu."""
         return {(M, mu): speed for M, mu, speed in self.arrays.get("plants", np.empty((0, 3))).tolist()}
 
-    def add_plant(self, M: float, mu: float, trajectory: Trajectory) -> None:
-        """Adds the trajectory of a plant of an evaluation set; M in kg."""
-        added = {"plants": [M, mu, _performance(trajectory)["mean_speed"]], "plants torques": trajectory.choices[:, 0]}
-        for name, row in added.items():
-            self.arrays[name] = np.concatenate([self.arrays[name], [row]] if name in self.arrays else [[row]])
-
     def interpolated_speed(self, M: float, mu: float, grid: PlantGrid = GRID) -> float:
         """The mean speed in cm/s, linear in M (kg) and log(mu) between the plants of a grid."""
         corners, along_M, along_mu = grid.cell(M, mu)
@@ -160,31 +128,20 @@ class Archive:
             plants, torques = self.arrays["plants"], self.arrays["plants torques"]
             thetas = np.full(len(plants), START_THETA)
             run = record(Problem(), thetas, torques.shape[1], lambda step, states: torques[:, step], plants[:, :2])
-            for (M, mu, speed), again in zip(plants.tolist(), run.metrics["mean_speed"].tolist(), strict=True):
-                if speed != again:
-                    stale.append(f"M={M}, mu={mu}: {speed} cm/s on file, {again} now")
+            found = zip(plants.tolist(), run.metrics["mean_speed"].tolist(), strict=True)
+            stale += [f"M, mu, cm/s: {filed} on file, {now} cm/s now" for filed, now in found if filed[2] != now]
         return stale
 
     def save(self, folder: Path = FOLDER) -> None:
         """Writes the archive."""
-        results = sorted(
-            self.results.values(), key=lambda r: (r.static_ratio, r.margin, r.control_dt, r.energy_weight, r.M, r.mu)
-        )
-        write_archive(folder, {"results": [asdict(result) for result in results]}, self.arrays)
+        write_archive(folder, {"results": [asdict(result) for _, result in sorted(self.results.items())]}, self.arrays)
 
 
 def load_archive(folder: Path = FOLDER) -> Archive:
-    """Reads the archive of a folder, or returns an empty one if the folder contains none.
-
-    Raises:
-        ValueError: if a file is malformed.
-    """
+    """Reads the archive of a folder, or returns an empty one; a malformed file raises a ValueError."""
     with reading(folder, "python -m baselines.dynamic_programming") as (content, arrays):
-        results = {result.key: result for result in (Result(**fields) for fields in content.get("results", ()))}
-        for key in results:
-            if arrays[f"{key} torques"].dtype != np.uint8:
-                raise ValueError(f"the torques of {key!r} must be bytes")
-        return Archive(results, arrays)
+        results = [Result(**fields) for fields in content.get("results", ())]
+        return Archive({result.key: result for result in results}, arrays)
 
 
 def _performance(trajectory: Trajectory) -> dict[str, float]:
@@ -202,42 +159,26 @@ def known_results() -> Archive:
 def optimal_speed(M: float, mu: float, grid: PlantGrid = GRID) -> float:
     """The mean speed of dynamic programming from rest over 33 s, torque within 1.5 N m every 20 ms, in cm/s; M in kg.
 
-    It is the speed of a computed trajectory, not an upper bound: a policy may exceed it a little. The plants of the
-    grid and of the sets `paper` and `wide` were solved themselves. For other plants the speed is interpolated linearly
-    in M and log(mu) between the plants of the grid, with errors of up to 2 %.
+    It is the speed of a computed trajectory, not an upper bound. The plants of the grid and of `SETS` were solved
+    themselves; for others the speed is interpolated between the plants of the grid, with errors of up to 2 %.
 
     Raises:
         ValueError: if the plant lies outside the grid, which must have its ratio of static to kinetic friction.
     """
     if (M, mu) not in grid:
-        raise ValueError(
-            f"M must be in [{grid.M[0]}, {grid.M[-1]}] kg and mu in [{grid.mu[0]}, {grid.mu[-1]}], "
-            f"got M={M!r}, mu={mu!r}"
-        )
+        ranges = f"M must be in [{grid.M[0]}, {grid.M[-1]}] kg and mu in [{grid.mu[0]}, {grid.mu[-1]}]"
+        raise ValueError(f"{ranges}, got M={M!r}, mu={mu!r}")
     archive = known_results()
     solved = archive.plant_speeds.get((M, mu)) if grid is GRID else None
     return archive.interpolated_speed(M, mu, grid) if solved is None else solved
-
-
-def optimal_front() -> list[tuple[float, float]]:
-    """Cost of transport and mean speed (cm/s) on the nominal plant, one point for every energy weight, slowest first.
-
-    Points that another point dominates are left out.
-    """
-    results = known_results().results
-    own = [results[Problem(energy_weight=weight).key] for weight in (0.0, *ENERGY_WEIGHTS)]
-    found = [(each.cost_of_transport, each.mean_speed) for each in own]
-    undominated = [(cost, speed) for cost, speed in found if not any(c <= cost and s > speed for c, s in found)]
-    return sorted(undominated, key=lambda point: point[1])
 
 
 def cycle() -> dict[str, np.ndarray]:
     """The settled period of the trajectory on the nominal plant whose ends differ the least.
 
     Returns:
-        `time` (s), `theta` (rad), `theta_dot` (rad/s), `x` (m), `x_dot` (m/s), `normal_force` (N, the smallest of the
-        step) and `torque` (N m) at every step of the integrator from one reversal of the pendulum, left of upright and
-        into forward motion, to the next; each of shape (steps + 1,), float64.
+        `time` (s), `theta` (rad), `theta_dot` (rad/s), `x` (m), `x_dot` (m/s), `normal_force` (N) and `torque` (N m) at
+        every step of the integrator from one reversal of the pendulum left of upright to the next.
     """
     problem, archive = Problem(), known_results()
     trajectory = archive.repeat(problem)
@@ -249,11 +190,12 @@ def cycle() -> dict[str, np.ndarray]:
     dt = problem.control_dt / substeps
     fine = repeat(replace(problem, control_dt=dt), np.repeat(trajectory.choices[: end + 1, 0], substeps))
     part = slice(begin * substeps, end * substeps + 1)
-    states = dict(zip(("theta", "theta_dot", "x", "x_dot"), fine.states[part, :, 0].T, strict=True))
-    states["x"] -= states["x"][0]
-    torque = TORQUE_LIMIT * ACTIONS[fine.choices[part, 0]]
-    time = dt * np.arange(torque.size)
-    return {"time": time, **states, "normal_force": fine.normal_forces[part, 0], "torque": torque}
+    theta, theta_dot, x, x_dot = fine.states[part, :, 0].T
+    torque, plant = TORQUE_LIMIT * ACTIONS[fine.choices[part, 0]], NOMINAL.plant()
+    phase = dynamics.contact_phase(theta, theta_dot, x_dot, torque, plant)
+    normal_force = dynamics.accelerations(theta, theta_dot, x_dot, phase, torque, plant)[2]
+    found = {"time": dt * np.arange(torque.size), "theta": theta, "theta_dot": theta_dot, "x": x - x[0], "x_dot": x_dot}
+    return found | {"normal_force": normal_force, "torque": torque}
 
 
 def set_plants(*names: str) -> list[tuple[float, float]]:
@@ -262,27 +204,25 @@ def set_plants(*names: str) -> list[tuple[float, float]]:
 
 
 def solve_plant(problem: Problem, archive: Archive, shape: tuple[int, int, int] = GRIDS[0]) -> Trajectory:
-    """The trajectory of a plant within `GRID`, solved over the ranges and from the values of the plants around it.
-
-    The nodes of `shape` along s and w are divided between both by their ranges.
-    """
+    """The trajectory of a plant within `GRID`, solved over the ranges and from the values of the plants around it."""
     corners, along_M, along_mu = GRID.cell(problem.M, problem.mu)
     near = [archive.solution(plant_problems(GRID)[corner]) for corner in corners]
     weights = np.outer([1.0 - along_M, along_M], [1.0 - along_mu, along_mu]).ravel()
-    y, w = (
-        (min(low for low, _ in each), max(high for _, high in each))
-        for each in ([s.grid.y for s in near], [s.grid.w for s in near])
-    )
+    limits = np.array([[solution.grid.y, solution.grid.w] for solution in near])
+    y, w = zip(limits[..., 0].min(axis=0).tolist(), limits[..., 1].max(axis=0).tolist(), strict=True)
     curvature = sum(weight * solution.curvature for weight, solution in zip(weights.tolist(), near, strict=True))
-    grid = Grid(divide_nodes(shape, y, w), y, w, problem.M)
-    solution = solve(problem, grid, curvature=curvature, start=near[int(weights.argmax())])
-    return run_policy(solution, STARTS[:1], final=final_solutions(solution))
+    grid = Grid(solver.divide_nodes(shape, y, w), y, w, problem.M)
+    solution = solver.solve(problem, grid, curvature=curvature, start=near[int(weights.argmax())])
+    return solver.run_policy(solution, STARTS[:1], final=solver.final_solutions(solution))
 
 
 def solve_plants(archive: Archive, missing: Sequence[tuple[float, float]]) -> Iterator[None]:
-    """Iterates over plants, M in kg and mu, solves them and adds them to an archive with the values of `GRID`."""
+    """Solves plants, M in kg and mu, and adds them to an archive with the values of `GRID`."""
     for n, (M, mu) in enumerate(missing):
-        archive.add_plant(M, mu, solve_plant(Problem(M=M, mu=mu), archive))
+        trajectory = solve_plant(Problem(M=M, mu=mu), archive)
+        rows = {"plants": [M, mu, *trajectory.metrics["mean_speed"]], "plants torques": trajectory.choices[:, 0]}
+        for name, row in rows.items():
+            archive.arrays[name] = np.array([*archive.arrays.get(name, ()), row])
         if n % PART == PART - 1 or n == len(missing) - 1:
             print(f"{n + 1}/{len(missing)} plants of the sets", flush=True)
             yield

@@ -1,4 +1,4 @@
-"""The grid of states: coordinates in which the motion is slow and stick lies on nodes.
+"""The grid of states.
 
 A state (theta, theta_dot, x_dot) becomes (theta, s, w), with q = m l / (M + m):
 
@@ -12,8 +12,9 @@ Stick is the plane s = 0, where the value has a kink; nodes lie on it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -21,18 +22,12 @@ from capsule_gym.elementary import sincos
 from capsule_gym.parameters import NOMINAL
 from capsule_gym.task import THETA_LIMIT
 
-# rad/s: the y at which the spacing of nodes is four times that at rest.
-STRETCH = 10.0
-# Bounds the cosine in y from below.
-MIN_COSINE = 0.3
-# rad/s: the range of y on the first grid, wider than any solution needs.
-INITIAL_Y = (-10.0, 22.0)
-# Cells: distance of the last position from the last node, so that every position lies in a cell.
-EDGE = 1e-4
-# Position of a failed state and of a state off the grid.
-FAILED = -1.0
-# rad/s: limit of the rate of nodes near +-pi/2, where no motion reaches the platform's velocity.
-MAX_NODE_RATE = 40.0
+STRETCH = 10.0  # rad/s: the y at which the spacing of nodes is four times that at rest
+MIN_COSINE = 0.3  # bounds the cosine in y from below
+INITIAL_Y = (-10.0, 22.0)  # rad/s: the range of y on the first grid, wider than any solution needs
+EDGE = 1e-4  # cells: distance of the last position from the last node, so that every position lies in a cell
+FAILED = -1.0  # position of a failed state and of a state off the grid
+MAX_NODE_RATE = 40.0  # rad/s: of nodes near +-pi/2, where no motion reaches the platform's velocity
 
 
 def stretched(y: np.ndarray) -> np.ndarray:
@@ -52,36 +47,17 @@ def clamped(positions: np.ndarray, last: np.ndarray | float) -> np.ndarray:
     return np.maximum(0.0, np.minimum(positions, last - EDGE))
 
 
-class Cells(NamedTuple):
-    """The cells in which positions lie: the first node's index in the flat array of values, strides, and shares.
+def interpolate(
+    values: np.ndarray, positions: Sequence[np.ndarray], nodes: Sequence[Any], curvature: Any, first: Any = 0
+) -> np.ndarray:
+    """The values, flat and float32, at positions on a grid with these nodes along theta, s and w, from index `first`.
 
-    The strides lead to the next nodes along theta and s. The shares along theta, s and w are from 0 to 1.
+    They are linear, and along w less the parabola of `cell_curvature`.
     """
-
-    corner: np.ndarray
-    strides: tuple[np.ndarray | int, np.ndarray | int]
-    a: np.ndarray
-    b: np.ndarray
-    c: np.ndarray
-
-
-def find_cells(
-    positions: tuple[np.ndarray, ...], nodes_s: np.ndarray | int, nodes_w: np.ndarray | int, first: np.ndarray | int = 0
-) -> Cells:
-    """The cells of positions on the grid along theta, s and w; the values begin at the index `first`."""
     # float32 and float64 hold the remainders exactly.
     i, j, k = (position.astype(np.int64) for position in positions)
-    a, b, c = (position - index for position, index in zip(positions, (i, j, k), strict=True))
-    stride = nodes_s * nodes_w
-    return Cells(first + i * stride + j * nodes_w + k, (stride, nodes_w), a, b, c)
-
-
-def interpolate(values: np.ndarray, cells: Cells, curvature: np.ndarray | float) -> np.ndarray:
-    """The values, flat and float32, at positions in cells: linear along theta and s; along w linear plus a parabola.
-
-    `curvature`: half the second derivative along w, times the square of its spacing.
-    """
-    (along_theta, along_s), w = cells.strides, cells.c
+    a, b, w = (position - index for position, index in zip(positions, (i, j, k), strict=True))
+    along_theta, along_s = nodes[1] * nodes[2], nodes[2]
 
     def along_w(node: np.ndarray) -> np.ndarray:
         value = values[node]
@@ -89,23 +65,21 @@ def interpolate(values: np.ndarray, cells: Cells, curvature: np.ndarray | float)
 
     def along_s_and_w(node: np.ndarray) -> np.ndarray:
         low, high = along_w(node), along_w(node + along_s)
-        return low + cells.b * (high - low)
+        return low + b * (high - low)
 
-    near, far = along_s_and_w(cells.corner), along_s_and_w(cells.corner + along_theta)
-    return near + cells.a * (far - near) - curvature * w * (1.0 - w)
+    corner = first + i * along_theta + j * along_s + k
+    near, far = along_s_and_w(corner), along_s_and_w(corner + along_theta)
+    return near + a * (far - near) - curvature * w * (1.0 - w)
 
 
 @dataclass(frozen=True)
 class Grid:
-    """A regular grid over (theta, s, w) for one mass of the platform (kg); a state off the grid counts as failed.
+    """A regular grid over (theta, s, w) for one mass of the platform; a state off the grid counts as failed."""
 
-    It has `shape` nodes, at least 4 along each, and spans a range of y around 0 and of w, rad/s.
-    """
-
-    shape: tuple[int, int, int]
-    y: tuple[float, float]
-    w: tuple[float, float]
-    M: float
+    shape: tuple[int, int, int]  # nodes, at least 4 along each
+    y: tuple[float, float]  # range around 0, rad/s
+    w: tuple[float, float]  # range, rad/s
+    M: float  # kg
 
     @property
     def q(self) -> float:

@@ -1,22 +1,20 @@
 """The scripted policies `dp-nominal` and `dp-oracle`: one-step lookahead with the values of the solutions.
 
 A policy tries a few dozen torques in the environment's own step, on the plant that it assumes, and takes the one with
-the largest reward plus value of the next state. The values are those of the coarse grids; between the plants of
-`baselines.archive.PlantGrid` they are interpolated, linearly in M and log(mu).
+the largest reward plus value of the next state. The values are those of the coarse grids.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
 from baselines.archive import GRID, PlantGrid
 from baselines.dynamic_programming import MIN_NORMAL_FORCE
 from baselines.dynamic_programming.archive import known_results
-from baselines.dynamic_programming.grid import clamped, coordinates, find_cells, interpolate
+from baselines.dynamic_programming.grid import clamped, coordinates, interpolate
 from baselines.dynamic_programming.problem import NOMINAL_MARGIN, Problem, Transitions, plant_problems
 from baselines.dynamic_programming.solver import cell_curvature
 from capsule_gym.parameters import NOMINAL
@@ -26,40 +24,25 @@ Act = Callable[[np.ndarray], np.ndarray]
 # Torques, divided by their limit, that a policy tries; float32 like the environment's actions.
 NUM_TORQUES = 41
 TORQUES = np.linspace(-1.0, 1.0, NUM_TORQUES).astype(np.float32)
-# cm: the score of a torque that fails.
-FAILURE_SCORE = -1e6
-
-
-class Tables(NamedTuple):
-    """The values of several solutions, one after the other, and the first index, grid and `cell_curvature` of each."""
-
-    values: np.ndarray
-    starts: np.ndarray
-    shapes: np.ndarray
-    axes: np.ndarray
-    curvatures: np.ndarray
+FAILURE_SCORE = -1e6  # cm
 
 
 @lru_cache(maxsize=2)
-def _tables(*problems: Problem) -> Tables:
-    """The tables of the solutions of problems."""
+def _tables(*problems: Problem) -> tuple[np.ndarray, ...]:
+    """The values of solutions, one after the other, and the first index, shape, axes and `cell_curvature` of each."""
     solutions = [known_results().solution(problem) for problem in problems]
     values = [solution.values.reshape(-1) for solution in solutions]
-    return Tables(
+    starts, grids = np.cumsum([0, *(each.size for each in values[:-1])]), [solution.grid for solution in solutions]
+    curvatures = [cell_curvature(solution.curvature, solution.grid) for solution in solutions]
+    return (
         np.concatenate(values),
-        np.cumsum([0, *(each.size for each in values[:-1])]),
-        np.array([solution.grid.shape for solution in solutions]),
-        np.array([solution.grid.axes for solution in solutions]),
-        np.array([cell_curvature(solution.curvature, solution.grid) for solution in solutions]),
+        starts,
+        *map(np.array, ([g.shape for g in grids], [g.axes for g in grids], curvatures)),
     )
 
 
 class Lookahead:
-    """The policy on the nominal plant, for `count` environments; its torques leave a `margin` of normal force, N.
-
-    The values of several problems, all of one static ratio, are interpolated; those of a single problem are used
-    unchanged.
-    """
+    """The policy on the nominal plant, for `count` environments; its torques leave a `margin` of normal force, N."""
 
     def __init__(self, count: int, margin: float, *problems: Problem) -> None:
         self._tables = _tables(*problems)
@@ -70,13 +53,7 @@ class Lookahead:
         self._corners, self._weights = np.zeros((count, 1), np.int64), np.ones((count, 1))
 
     def scores(self, observations: np.ndarray) -> np.ndarray:
-        """The score of each torque: its reward plus the value of the next state, cm; `FAILURE_SCORE` if it fails.
-
-        Observations begin with theta, theta_dot and x_dot.
-
-        Returns:
-            Shape (count, torques), float64, in the order of `TORQUES`.
-        """
+        """The reward plus value of the next state, cm, of each of `TORQUES`, shape (count, torques)."""
         states = np.repeat(observations[:, :3].T.astype(np.float64), NUM_TORQUES, axis=1)
         ends, rewards, failed = self._transitions.step(states, self._actions)
         # A failed step may end in NaN, which has no cell.
@@ -86,15 +63,15 @@ class Lookahead:
 
     def add_values(self, scores: np.ndarray, states: np.ndarray) -> np.ndarray:
         """Adds the values of states theta, theta_dot and x_dot, shape (3, count, n), to scores in cm, (count, n)."""
-        own, tables = coordinates(states, self._q[:, None]), self._tables
+        own, (values, starts, shapes, axes, curvatures) = coordinates(states, self._q[:, None]), self._tables
         # The tables around every environment's plant.
         for corner, weight in zip(self._corners.T, self._weights.T, strict=True):
             # Shapes (3, environments, 1).
-            first, spacing = tables.axes[corner].transpose(2, 1, 0)[..., None]
-            nodes = tables.shapes[corner].T[..., None]
+            first, spacing = axes[corner].transpose(2, 1, 0)[..., None]
+            nodes = shapes[corner].T[..., None]
             positions = tuple(clamped((own[n] - first[n]) / spacing[n], nodes[n] - 1.0) for n in range(3))
-            cells = find_cells(positions, nodes[1], nodes[2], tables.starts[corner, None])
-            scores = scores + weight[:, None] * interpolate(tables.values, cells, tables.curvatures[corner, None])
+            found = interpolate(values, positions, nodes, curvatures[corner, None], starts[corner, None])
+            scores = scores + weight[:, None] * found
         return scores
 
     @property
@@ -108,10 +85,7 @@ class Lookahead:
 
 
 class Oracle(Lookahead):
-    """The policy that observes the plants: M and mu are the last two entries of an observation.
-
-    The values are interpolated between the plants of a grid, which has the static ratio of the observed plants.
-    """
+    """The policy that observes the plants, M and mu, at the end of an observation; their static ratio is the grid's."""
 
     def __init__(self, count: int, grid: PlantGrid = GRID) -> None:
         super().__init__(count, MIN_NORMAL_FORCE, *plant_problems(grid))

@@ -19,10 +19,8 @@ from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA
 
 # Torques, divided by their limit, from which a policy chooses; their indices fit into a byte.
 ACTIONS = np.linspace(-1.0, 1.0, 121)
-# s: time after which every trajectory is close to its limit cycle.
-SETTLED = HORIZON / 2.0
-# s
-CONTROL_INTERVALS = (0.01, 0.005)
+SETTLED = HORIZON / 2.0  # s: time after which every trajectory is close to its limit cycle
+CONTROL_INTERVALS = (0.01, 0.005)  # s
 # cm/J
 ENERGY_WEIGHTS = (0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0)
 # N: normal force that `dp-nominal` leaves; the lightest platform of `wide` weighs 1.47 N less than the nominal one.
@@ -31,27 +29,18 @@ NOMINAL_MARGIN = 1.6
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
-    """The objective: the mean speed, less a weight times the energy.
+    """The objective: the mean speed, less a weight times the energy."""
 
-    Attributes:
-        M: mass of the platform, kg.
-        mu: friction coefficient.
-        energy_weight: cm/J.
-        control_dt: control interval, over which the torque is constant, s.
-        margin: normal force that must be left, N; a smaller one counts as a failure.
-        static_ratio: static over kinetic friction coefficient.
-    """
-
-    M: float = NOMINAL.M
+    M: float = NOMINAL.M  # mass of the platform, kg
     mu: float = NOMINAL.mu
-    energy_weight: float = 0.0
-    control_dt: float = CONTROL_DT
-    margin: float = 0.0
+    energy_weight: float = 0.0  # cm/J
+    control_dt: float = CONTROL_DT  # control interval, over which the torque is constant, s
+    margin: float = 0.0  # normal force that must be left, N; a smaller one counts as a failure
     static_ratio: float = NOMINAL.static_ratio
 
     @property
     def key(self) -> str:
-        """The name under which the archive holds the problem; the capsule's other constants are the default ones."""
+        """The name under which the archive holds the problem."""
         numbers = [self.M, self.mu, self.energy_weight, self.control_dt, self.margin]
         # The nominal ratio is omitted, as in the first archives.
         numbers += [self.static_ratio] if self.static_ratio != NOMINAL.static_ratio else []
@@ -76,8 +65,6 @@ def plant_problems(grid: PlantGrid) -> list[Problem]:
     return [Problem(M=M, mu=mu, static_ratio=grid.static_ratio) for M, mu in grid.plants]
 
 
-# All problems: every plant of the grids; the nominal plant with a margin of normal force for lighter platforms, with
-# energy weights, and with shorter control intervals.
 PROBLEMS = (
     *plant_problems(GRID),
     *plant_problems(STICKY_GRID),
@@ -88,10 +75,7 @@ PROBLEMS = (
 
 
 class Transitions:
-    """A batch of environments that takes one step from each of `count` states under any torques.
-
-    All states have the plant of the problem; `set_plants` sets others.
-    """
+    """A batch of environments that takes one step from each of `count` states, on the problem's plant or others."""
 
     def __init__(self, problem: Problem, count: int) -> None:
         self._simulation = Simulation(count, problem.options)
@@ -111,10 +95,9 @@ class Transitions:
         return self._simulation.row(Row.normal_force)
 
     def step(self, states: np.ndarray, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Takes a step from states theta (rad), theta_dot (rad/s), x_dot (m/s), shape (3, count), with these actions.
+        """The next states, rewards in cm, and whether the steps fail.
 
-        Returns:
-            The next states, shape (3, count), the rewards in cm, and whether the steps fail, each of shape (count,).
+        States are theta (rad), theta_dot (rad/s) and x_dot (m/s), shape (3, count).
         """
         simulation = self._simulation
         for row, values in zip((Row.theta, Row.theta_dot, Row.x_dot), states, strict=True):
@@ -131,14 +114,12 @@ class Trajectory:
     """The trajectories of a batch of episodes, and their metrics (`capsule_gym.task.Metrics`), of shape (episodes,).
 
     `states` are theta (rad), theta_dot (rad/s), x (m) and x_dot (m/s) at the beginning of every step, shape (steps, 4,
-    episodes); `choices`, uint8, the torques as indices of `ACTIONS`, and `normal_forces` the smallest in each step, N,
-    both of shape (steps, episodes).
+    episodes), and `choices` the torques as indices of `ACTIONS`, uint8, shape (steps, episodes).
     """
 
     metrics: dict[str, np.ndarray]
     states: np.ndarray
     choices: np.ndarray
-    normal_forces: np.ndarray
 
     def cycle_starts(self, control_dt: float) -> np.ndarray:
         """The steps after `SETTLED` at which the first pendulum, left of upright, reverses to move forwards."""
@@ -161,10 +142,9 @@ def record(
     choose: Callable[[int, np.ndarray], Any],
     plants: np.ndarray | None = None,
 ) -> Trajectory:
-    """Runs episodes of a problem from rest at the angles `thetas`, rad.
+    """Runs episodes from rest at the angles `thetas`, rad, on the problem's plant or `plants`, M in kg and mu of each.
 
-    choose(step, states) gives the torques as indices of `ACTIONS` for states of shape (4, episodes). `plants` are M in
-    kg and mu of every episode, shape (episodes, 2), instead of the problem's.
+    choose(step, states) gives the torques as indices of `ACTIONS` for states of shape (4, episodes).
     """
     count = thetas.size
     M, mu = (np.tile([problem.M, problem.mu], (count, 1)) if plants is None else plants).T
@@ -173,13 +153,11 @@ def record(
     starts[:, 0] = thetas
     simulation.reset(np.arange(count), M.tolist(), mu.tolist(), starts)
     states, choices = np.empty((steps, 4, count)), np.empty((steps, count), np.uint8)
-    normal_forces = np.empty((steps, count))
     for step in range(steps):
         states[step] = simulation.rows(Row.theta, Row.x_dot + 1)
         choices[step] = choose(step, states[step])
         simulation.step(ACTIONS[choices[step]], simulation.row(Row.termination) == 0.0)
-        normal_forces[step] = simulation.row(Row.normal_force)
-    return Trajectory(simulation.metrics(np.arange(count), steps), states, choices, normal_forces)
+    return Trajectory(simulation.metrics(np.arange(count), steps), states, choices)
 
 
 def repeat(problem: Problem, choices: np.ndarray) -> Trajectory:

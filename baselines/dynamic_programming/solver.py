@@ -17,30 +17,23 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
-from baselines.dynamic_programming.grid import FAILED, INITIAL_Y, MIN_COSINE, Cells, Grid, find_cells, interpolate
+from baselines.dynamic_programming.grid import FAILED, INITIAL_Y, MIN_COSINE, Grid, interpolate
 from baselines.dynamic_programming.problem import ACTIONS, SETTLED, Problem, Trajectory, Transitions, record
 from capsule_gym.task import HORIZON, START_THETA
 
-# cm: a loss larger than the distance of any policy in two seconds.
-FAILURE_VALUE = -50.0
-# Torques at every node, evenly spaced within the limits.
-TORQUES = 9
+FAILURE_VALUE = -50.0  # cm: a loss larger than the distance of any policy in two seconds
+TORQUES = 9  # at every node, evenly spaced within the limits
 # Number of times that torques around the best are added at every node, and their offsets in previous spacings.
 REFINEMENTS = 2
 LOCAL = np.linspace(-1.0, 1.0, 9)
-# Number of states per call of the environment's step.
-BATCH = 8192
-# s: duration of the policy evaluation between two improvements.
-EVALUATION_TIME = 0.8
-# s: time before the end of an episode from which a policy considers the end; longer than a cycle.
-ENDING = 0.8
-MAX_ITERATIONS = 60
-# cm/s: the iteration has converged when the range of the changes of the values is smaller.
-TOLERANCE = 0.02
+BATCH = 8192  # states per call of the environment's step
+EVALUATION_TIME = 0.8  # s: duration of the policy evaluation between two improvements
+ENDING = 0.8  # s: time before the end of an episode from which a policy considers the end; longer than a cycle
+# The iteration has converged when the range of the changes of the values is smaller, cm/s.
+MAX_ITERATIONS, TOLERANCE = 60, 0.02
 # Nodes along theta, s and w. The first grid is also that of the policies' values.
 GRIDS = ((31, 51, 16), (46, 76, 24), (61, 101, 32), (91, 151, 48))
 # Ratio of the numbers of nodes of s and w over the ratio of the ranges of y and w; limits of the first ratio.
@@ -53,35 +46,26 @@ ROOM, MIN_ROOM = 0.3, 1.0
 
 @dataclass(frozen=True)
 class Solution:
-    """The solution on a grid: h at its nodes (cm, float32, 0 at the start of an episode), and the gain, cm/s.
-
-    `curvature` is half the second derivative of the values along w, in cm / (rad/s)^2.
-    """
+    """The solution of a problem on a grid."""
 
     problem: Problem
     grid: Grid
-    values: np.ndarray
-    curvature: float
-    gain: float
+    values: np.ndarray  # h at the nodes, cm, float32, 0 at the start of an episode
+    curvature: float  # half the second derivative of the values along w, cm / (rad/s)^2
+    gain: float  # cm/s
 
     def at(self, states: np.ndarray) -> np.ndarray:
         """The values of states of shape (3, n), cm; `FAILURE_VALUE` off the grid."""
-        outcome = Outcome.of(self.grid.positions(states), self.grid.shape)
-        return outcome.values(self.values, cell_curvature(self.curvature, self.grid))
+        return next_values(self.values, self.grid.positions(states), cell_curvature(self.curvature, self.grid))
 
 
 def cell_curvature(curvature: float, grid: Grid) -> float:
     """The curvature times the square of the spacing of w, cm."""
-    spacing = float(grid.axes[2, 1])
-    return curvature * spacing * spacing
+    return curvature * float(grid.axes[2, 1]) * float(grid.axes[2, 1])
 
 
 def transitions(problem: Problem, grid: Grid, torques: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Takes one step from every node; `torques`, of shape (nodes, torques), are divided by the limit.
-
-    Returns:
-        Positions on the grid, shape (nodes, torques, 3), and rewards in cm, (nodes, torques), both float32.
-    """
+    """Positions, shape (nodes, torques, 3), and rewards in cm, both float32, after a step with torques over limit."""
     states = grid.nodes()
     nodes, count = torques.shape
     positions = np.empty((nodes, count, 3), np.float32)
@@ -98,33 +82,20 @@ def transitions(problem: Problem, grid: Grid, torques: np.ndarray) -> tuple[np.n
     return positions, rewards
 
 
-class Outcome(NamedTuple):
-    """Where the steps of one torque per node end: the cells on the grid, and whether they fail."""
-
-    cells: Cells
-    failed: np.ndarray
-
-    @classmethod
-    def of(cls, positions: np.ndarray, shape: tuple[int, int, int]) -> Outcome:
-        """The outcome for positions of shape (nodes, 3); those of failed steps are indices from the array's end."""
-        return cls(find_cells(tuple(positions.T), *shape[1:]), positions[:, 0] < 0.0)
-
-    def values(self, values: np.ndarray, curvature: float) -> np.ndarray:
-        """The values of the next states, cm; `curvature` is `cell_curvature`."""
-        return np.where(self.failed, FAILURE_VALUE, interpolate(values.reshape(-1), self.cells, curvature))
+def next_values(values: np.ndarray, positions: np.ndarray, curvature: float) -> np.ndarray:
+    """The values at positions of shape (nodes, 3), cm; `curvature` is `cell_curvature`."""
+    # Positions of failed steps are indices from the array's end.
+    found = interpolate(values.reshape(-1), tuple(positions.T), values.shape, curvature)
+    return np.where(positions[:, 0] < 0.0, FAILURE_VALUE, found)
 
 
 def _backup(
     values: np.ndarray, positions: np.ndarray, rewards: np.ndarray, gain: float, curvature: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """One step of value iteration on `transitions`, with the gain per step and `cell_curvature` in cm.
-
-    Returns:
-        The new values, cm, and the indices of the best torques, each of shape (nodes,).
-    """
+    """One step of value iteration: the new values, cm, and the indices of the best torques, each of shape (nodes,)."""
     new, chosen = np.full(len(rewards), -np.inf), np.zeros(len(rewards), np.int64)
     for torque in range(rewards.shape[1]):
-        found = rewards[:, torque] + Outcome.of(positions[:, torque], values.shape).values(values, curvature)
+        found = rewards[:, torque] + next_values(values, positions[:, torque], curvature)
         better = found > new
         new[better], chosen[better] = found[better], torque
     return new - gain, chosen
@@ -152,10 +123,9 @@ def solve(problem: Problem, grid: Grid, *, curvature: float = 0.0, start: Soluti
         for _ in range(MAX_ITERATIONS):
             improved, chosen = _backup(values, positions, rewards, gain, cell)
             before = values = improved.astype(np.float32).reshape(grid.shape)
-            outcome = Outcome.of(np.take_along_axis(positions, chosen[:, None, None], axis=1)[:, 0], grid.shape)
-            own_rewards = np.take_along_axis(rewards, chosen[:, None], axis=1)[:, 0]
+            own, own_rewards = (each[np.arange(len(chosen)), chosen] for each in (positions, rewards))
             for _ in range(steps):
-                evaluated = own_rewards + outcome.values(values, cell) - gain
+                evaluated = own_rewards + next_values(values, own, cell) - gain
                 values = evaluated.astype(np.float32).reshape(grid.shape)
             change = ((values - before) / steps)[before > 0.5 * FAILURE_VALUE]
             gain += float(np.median(change))
@@ -181,10 +151,9 @@ def final_solutions(solution: Solution) -> list[Solution]:
 def run_policy(
     solution: Solution, thetas: np.ndarray, *, final: Sequence[Solution] = (), horizon: float = HORIZON
 ) -> Trajectory:
-    """Runs the policy that takes, at every step, the torque with the largest reward plus value of the next state.
+    """Runs the policy that looks one step ahead, from rest at the angles `thetas` in rad, for `horizon` s.
 
-    The episodes start at the angles `thetas` in rad, at rest, and last `horizon` s. `final` are the values before the
-    end, from `final_solutions`; without them the policy ignores the end.
+    `final` are the values before the end, from `final_solutions`; without them the policy ignores the end.
     """
     model = Transitions(solution.problem, thetas.size * ACTIONS.size)
     actions = np.tile(ACTIONS, thetas.size)
@@ -233,11 +202,9 @@ def curvature_of(solution: Solution, trajectory: Trajectory) -> float:
 
 
 def solve_on_grids(problem: Problem, shapes: Sequence[tuple[int, int, int]]) -> list[tuple[Solution, Trajectory]]:
-    """The solutions on grids from coarse to fine, and their policies' episodes from `STARTS`.
-
-    On the first grid the problem is solved over ranges that contain any solution, and over those of its trajectories.
-    """
+    """The solutions on grids from coarse to fine, and their policies' episodes from `STARTS`."""
     friction = min(problem.mu, 0.3)
+    # Contains any solution; the solutions that follow are over the ranges of its trajectories.
     w = -3.0 - 25.0 * friction, 8.0 + 35.0 * friction
     grid = Grid(shapes[0], INITIAL_Y, w, problem.M)
     solution = solve(problem, grid)

@@ -7,9 +7,18 @@ from itertools import islice
 import numpy as np
 
 from baselines.archive import GRID, STICKY_GRID
-from baselines.dynamic_programming.archive import SETS, Archive, Result, set_plants
+from baselines.dynamic_programming.archive import SETS, Archive, Result, known_results, set_plants
 from baselines.dynamic_programming.problem import CONTROL_INTERVALS, ENERGY_WEIGHTS, Problem, plant_problems
 from baselines.tables import markdown_table
+
+
+def optimal_front() -> list[tuple[float, float]]:
+    """The undominated costs of transport and mean speeds (cm/s) of the energy weights, nominal plant, slowest first."""
+    results = known_results().results
+    own = [results[Problem(energy_weight=weight).key] for weight in (0.0, *ENERGY_WEIGHTS)]
+    found = [(each.cost_of_transport, each.mean_speed) for each in own]
+    undominated = [(cost, speed) for cost, speed in found if not any(c <= cost and s > speed for c, s in found)]
+    return sorted(undominated, key=lambda point: point[1])
 
 
 def extrapolated(result: Result) -> str:

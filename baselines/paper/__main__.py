@@ -1,4 +1,4 @@
-"""The paper's numbers compared with ours: `python -m baselines.paper [--figures DIR] [--json FILE]`."""
+"""The paper's numbers compared with ours: `python -m baselines.paper [--figures DIR]`."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from capsule_gym.command_line import check_output, parse
-from capsule_gym.files import to_json, write_atomically
+from capsule_gym.command_line import parse
 
 PROG = "python -m baselines.paper"
 
@@ -21,19 +20,13 @@ class Args:
     Examples:
       python -m baselines.paper                           all tables
       python -m baselines.paper --figures docs/figures    and all figures, as SVG and PNG
-      python -m baselines.paper --json paper.json         and all numbers, for programs
     """
 
     figures: Path | None = None
     """Also draw the figures into this folder, which is created if necessary (needs matplotlib)."""
-    json: Path | None = None
-    """Also write all numbers to this file."""
-    overwrite: bool = False
-    """Let --json replace an existing file."""
 
     def check(self) -> None:
-        """Raises an error for paths that cannot be written, before the computation."""
-        check_output("--json", self.json, overwrite=self.overwrite)
+        """Raises an error for a folder that cannot be written, before the computation."""
         if self.figures is not None:
             if not next(path for path in (self.figures, *self.figures.absolute().parents) if path.exists()).is_dir():
                 raise ValueError(f"--figures must name a folder, got {str(self.figures)!r}")
@@ -45,21 +38,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit status."""
     args = parse(Args, PROG, arguments)
     # Imported after parsing, since `--help` does not need these modules.
-    from baselines.paper.report import compute, plain, text
+    from baselines.paper.report import compute, text
 
-    results = compute()
-    # Written before anything is printed, so that a closed pipe does not cost the result.
-    if args.json is not None:
-        write_atomically(args.json, to_json(plain(results)))
+    print(text(compute()))
     if args.figures is not None:
         from baselines.paper.figures import draw_all
 
-        drawn = len(draw_all(args.figures))
-    print(text(results))
-    if args.json is not None:
-        print(f"\nWritten to {args.json}")
-    if args.figures is not None:
-        print(f"\n{drawn} files drawn to {args.figures}")
+        print(f"\n{len(draw_all(args.figures))} files drawn to {args.figures}")
     return 0
 
 

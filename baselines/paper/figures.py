@@ -1,7 +1,4 @@
-"""Figures 1 to 9 of the paper from our own runs, with the published numbers, and two additional figures.
-
-`FIGURES` names them all; `draw_all` also draws the figures of the gaits and the optimum.
-"""
+"""Figures 3 to 9 of the paper from our own runs, with the published numbers, and the phase plane of Proof 2."""
 
 from __future__ import annotations
 
@@ -14,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from baselines.drawing import (
-    BLUE,
     GREEN,
     INK,
     MUTED,
@@ -22,7 +18,6 @@ from baselines.drawing import (
     PUBLISHED_DASHES,
     PURPLE,
     REFERENCE,
-    VERMILION,
     Pen,
     add_note,
     mark_published,
@@ -32,13 +27,11 @@ from baselines.drawing import (
 )
 from baselines.laws.adaptive import adaptive, adaptive_as_published
 from baselines.laws.feedback_linearisation import epc, feedback_linearising
-from baselines.laws.profiles import P2, PROPOSED, V1
+from baselines.laws.profiles import PROPOSED
 from baselines.paper import published
 from baselines.paper.adaptive import CORRECTED_LAW, REGULARISED_LAW, sliding
-from baselines.paper.principles import RESTORING_PHASES
 from baselines.paper.proofs import swing_envelope
-from baselines.paper.selection import ROMAN
-from baselines.paper.tracking import CYCLES, PROFILES, Trajectory, grid, simulate, speed_map, speed_ratio
+from baselines.paper.tracking import CYCLES, PROFILES, Trajectory, simulate
 from baselines.tables import printed_above
 from capsule_gym.config import LAW_DT
 from capsule_gym.parameters import NOMINAL
@@ -50,10 +43,8 @@ PERIOD = PROPOSED.period
 DURATION = CYCLES * PERIOD
 # The phases of the profile, and so its cycle, begin and end on whole milliseconds.
 CYCLE = round(PERIOD / LAW_DT)
-# The time axis of a cycle changes its scale here, s.
-SPLIT = 1.2
-# Duration of the unregularised law's panels, s: short enough to resolve its chattering.
-CHATTER = 0.3
+SPLIT = 1.2  # s; the time axis of a cycle changes its scale here
+CHATTER = 0.3  # s; duration of the unregularised law's panels, short enough to resolve its chattering
 NO_CURVES = "The paper's curves are not available as data"
 DOTTED = f"{NO_CURVES}: dotted are the numbers of its text."
 # Figures 6 to 9: nominal, lightest with least friction, heaviest with most.
@@ -72,83 +63,6 @@ def adaptive_runs() -> dict[str, list[Trajectory]]:
     """Both forms of the adaptive law on `PLANTS`, five cycles with the environment's torque limit."""
     laws = {REGULARISED_LAW: adaptive(), CORRECTED_LAW: adaptive_as_published()}
     return {name: simulate(law, PLANTS, torque_limit=TORQUE_LIMIT) for name, law in laws.items()}
-
-
-def draw_capsule() -> Any:
-    """Fig. 1: the capsule robot, its constants, coordinates and forces."""
-    from matplotlib.patches import Circle, Rectangle
-
-    figure = new_figure(3.4)
-    axes = figure.subplots()
-    axes.set(aspect="equal", xlim=(-2.6, 2.6), ylim=(-1.2, 1.4), title="Figure 1: the vibro-driven capsule")
-    axes.axis("off")
-    # In lengths of the pendulum, from the pivot.
-    sin, cos, floor = math.sin(math.radians(32.0)), math.cos(math.radians(32.0)), -0.6
-    axes.plot([-2.5, 2.5], [floor, floor], color=INK, lw=1.4)
-    axes.add_patch(Rectangle((-0.77, floor), 1.54, 0.3, facecolor="#dbe3ee", edgecolor=INK, lw=1.2))
-    axes.plot([0.0, 0.0], [floor + 0.3, 0.0], color=INK, lw=3.0)
-    axes.plot([0.0, 0.0], [0.0, 1.3], color=MUTED, lw=0.8, linestyle="--")
-    axes.plot([0.0, -sin], [0.0, cos], color=BLUE, lw=2.6)
-    axes.add_patch(Circle((-sin, cos), 0.12, facecolor=BLUE, edgecolor=INK, zorder=3))
-    axes.add_patch(Circle((0.0, 0.0), 0.06, facecolor="white", edgecolor=INK, zorder=4))
-    for tail, tip, bend, colour in (
-        ((-2.0, -0.9), (0.0, -0.9), 0.0, INK),
-        ((0.0, 0.75), (-0.7 * sin, 0.7 * cos), 0.15, INK),
-        ((0.4, -0.1), (0.2, 0.4), 0.45, VERMILION),
-        ((-sin, cos), (-sin, cos - 0.6), 0.0, VERMILION),
-        ((0.5, floor - 0.5), (0.5, floor), 0.0, VERMILION),
-        ((1.5, floor + 0.1), (0.77, floor + 0.1), 0.0, VERMILION),
-    ):
-        curve = {"connectionstyle": f"arc3,rad={bend}", "shrinkA": 0.0, "shrinkB": 0.0}
-        axes.annotate("", tip, tail, arrowprops={"arrowstyle": "-|>", "color": colour, **curve})
-    for x, y, text, colour in (
-        (0.0, floor + 0.15, "platform, M", INK),
-        (-1.0, 0.95, "ball, m", INK),
-        (-0.36, 0.4, "l", INK),
-        (-0.2, 0.83, "θ", INK),
-        (-1.0, -0.82, "x", INK),
-        (0.5, 0.2, "u", VERMILION),
-        (-0.75, 0.45, "m g", VERMILION),
-        (0.6, -0.95, "N", VERMILION),
-        (2.0, floor + 0.1, "f, sliding forwards", VERMILION),
-        (1.5, 0.0, "spring k and damper c at the pivot", GREEN),
-    ):
-        axes.text(x, y, text, color=colour, ha="center", va="center")
-    c = NOMINAL
-    add_note(
-        figure,
-        f"Section 5: M = {c.M:g} kg, m = {c.m:g} kg, l = {c.l:g} m, k = {c.k:g} N m/rad, c = {c.c:g} N m s/rad, μ = "
-        f"{c.mu:g}, g = {c.g:g} m/s². The ball sits at x \N{MINUS SIGN} l sin θ: a growing θ swings it backwards and "
-        "pushes the platform forwards. The motor's torque u (printed as τ too), spring and damper act between pendulum "
-        "and platform; only N and f act from outside.",
-    )
-    return figure
-
-
-def draw_phases() -> Any:
-    """Fig. 2: the seven phases of the profile (9), with its times and amplitudes; all phases equally wide."""
-    figure = new_figure(3.2)
-    axes = figure.subplots()
-    count, P3 = len(PROPOSED.segments), PROPOSED.restoring_speed
-    axes.axvspan(count - RESTORING_PHASES, count, color="#eef1f5", linewidth=0.0, zorder=0.5)
-    for n, segment in enumerate(PROPOSED.segments):
-        s = np.linspace(0.0, segment.duration, 101)
-        axes.plot(n + s / segment.duration, segment.velocity(s), **PENS[PROPOSED.name].line(lw=2.0))
-        axes.text(n + 0.5, 1.1 * V1, ROMAN[n], ha="center", va="center")
-    for left, stage in ((0, "progressive stage"), (count - RESTORING_PHASES, "restoring stage")):
-        axes.text(left + 0.1, -1.2, stage, va="center")
-    axes.axhline(0.0, color=MUTED, lw=0.8)
-    axes.set_yticks([V1, P2, -P3], ["P₁ω", "P₂", "\N{MINUS SIGN}P₃"])
-    labels = [f"t{index}\n{time:g} s" for index, time in zip("₀₁₂₃₄₅₆₇", (0.0, *PROPOSED.times), strict=True)]
-    axes.set_xticks(range(count + 1), labels)
-    axes.set(xlim=(0.0, count), ylim=(-1.6, 1.2 * V1), xlabel="time, each phase drawn as wide as the next")
-    axes.set(title="Figure 2: the phases of the profile (9)", ylabel="rate of the reference θ' (rad/s)")
-    add_note(
-        figure,
-        f"The times are those of Table 1. The amplitudes are calibrated: P₁ω = {V1:g}, P₂ = {P2:.3f}, P₃ = {P3:.3f} "
-        "rad/s, the last by closure. III to VII as built: the printed formulas are neither continuous nor closed.",
-    )
-    return figure
 
 
 def draw_tracking() -> Any:
@@ -311,36 +225,7 @@ def draw_phase_plane() -> Any:
     return figure
 
 
-def draw_speed_map() -> Any:
-    """Mean speed over mass and friction for both profiles, and the ratio of the two."""
-    figure = new_figure(3.3)
-    panels = figure.subplots(1, 3, sharey=True)
-    maps = [speed_map(profile, *grid()) for profile in PROFILES]
-    M, mu, ratio = maps[0].M, maps[0].mu, speed_ratio(*maps)
-    speeds = (np.arange(-0.25, 2.76, 0.25), "mean speed (cm/s)", (0, 1, 2))
-    ratios = (np.arange(-0.4, 0.91, 0.1), "proposed / EPC", (-0.4, 0, 0.4, 0.8))
-    columns = [(each.profile, each.speed, *speeds) for each in maps] + [("Ratio of the speeds", ratio, *ratios)]
-    for axes, (title, values, levels, label, ticks) in zip(panels, columns, strict=True):
-        drawn = axes.contourf(mu, M, values, levels=levels, cmap="cividis")
-        figure.colorbar(drawn, ax=axes, location="bottom", aspect=30, shrink=0.95, label=label, ticks=ticks)
-        axes.plot(NOMINAL.mu, NOMINAL.M, "*", color="white", mec=INK, mew=0.7, ms=9)
-        axes.set(title=title, xscale="log", xlabel="friction coefficient μ")
-        axes.grid(False)
-    hatched = {"facecolor": "none", "edgecolor": "white", "hatch": "////", "linewidth": 0.0}
-    panels[1].fill_between(mu, M[0], maps[1].least_mass_in_contact, **hatched)
-    panels[0].set(ylabel="mass of the platform M (kg)")
-    add_note(
-        figure,
-        f"Exact tracking; star: nominal plant. EPC is faster on all of it (largest ratio {np.nanmax(ratio):.2f}); "
-        f"hatched, below M = {maps[1].least_mass_in_contact:.2f} kg, it lifts the platform off the floor. White: both "
-        "all but at rest.",
-    )
-    return figure
-
-
 FIGURES: dict[str, Callable[[], Any]] = {
-    "fig1_capsule": draw_capsule,
-    "fig2_phases": draw_phases,
     "fig3_tracking": draw_tracking,
     "fig4_displacement": draw_displacement,
     "fig5_torque": draw_torque,
@@ -349,7 +234,6 @@ FIGURES: dict[str, Callable[[], Any]] = {
     "fig8_adaptive_torque": draw_adaptive_torque,
     "fig9_sliding_variable": draw_sliding_variable,
     "phase_plane": draw_phase_plane,
-    "speed_map": draw_speed_map,
 }
 
 

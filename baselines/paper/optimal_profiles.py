@@ -56,8 +56,7 @@ class Problem:
     @property
     def label(self) -> str:
         """The problem in words."""
-        dropped = f", without Principle {self.dropped}" if self.dropped else ""
-        return f"{self.torque_limit:g} N m, {self.plants}{dropped}"
+        return f"{self.torque_limit:g} N m, {self.plants}" + f", without Principle {self.dropped}" * bool(self.dropped)
 
     def plant_list(self) -> list[Plant]:
         """The plants on which a profile is assessed."""
@@ -75,29 +74,19 @@ def problems() -> list[Problem]:
 
 @dataclass(frozen=True)
 class Solution:
-    """A profile (9) under exact tracking on the plants of a problem, in SI units; the worst value over the plants.
-
-    Attributes:
-        times: t1 to t7.
-        feasible: whether it meets every demand.
-        mean_speed: from rest, over the cycle, or over five cycles where the platform still moves after the first.
-        cost_of_transport: integral of |u theta'| over (M + m) g and distance; None without progress.
-        backward_ratio: distance backwards over forwards; None where the platform only moves backwards.
-        shares: load over limit of each demand; above 1 it is violated.
-        found_by: the problem and the seed of the search that found it.
-    """
+    """A profile (9) under exact tracking on the plants of a problem, in SI units; the worst value over the plants."""
 
     problem: Problem
-    times: tuple[float, ...]
+    times: tuple[float, ...]  # t1 to t7
     V1: float
     P2: float
-    feasible: bool
-    mean_speed: float
-    cost_of_transport: float | None
+    feasible: bool  # whether it meets every demand
+    mean_speed: float  # from rest, over the cycle, or over five where the platform still moves after the first
+    cost_of_transport: float | None  # None without progress
     peak_torque: float
-    backward_ratio: float | None
-    shares: dict[str, float]
-    found_by: str = ""
+    backward_ratio: float | None  # distance backwards over forwards; None where the platform only moves backwards
+    shares: dict[str, float]  # load over limit of each demand; above 1 it is violated
+    found_by: str = ""  # the problem and the seed of the search that found it
 
     @property
     def excess(self) -> float:
@@ -115,10 +104,9 @@ def published_bounds() -> tuple[float, ...]:
 def assess(
     problem: Problem, times: Sequence[float], V1: float, P2: float, h: float = 1e-4, *, reserve: bool = False
 ) -> Solution:
-    """Evaluates a profile under exact tracking, in steps of h seconds, which divide every phase.
+    """Evaluates a profile under exact tracking in steps of h seconds, which divide every phase.
 
-    The platform's motion follows from the second row of Eq. (1), and the torque from the first. `reserve` applies the
-    reserves of the search.
+    `reserve` applies the reserves of the search.
     """
     profile = seven_phases(times, V1, P2)
     counts = np.rint(np.array([segment.duration for segment in profile.segments]) / h).astype(np.int64)
@@ -181,16 +169,9 @@ def search(
 ) -> Solution:
     """Solves one problem by differential evolution: feasible profiles rank by speed, all others by violation.
 
-    The best of the `known` solutions of other problems and of the published profile joins the first generation. A
-    generation has `members` candidates per parameter.
-
-    Raises:
-        ImportError: if scipy is missing.
+    The best of the `known` solutions and of the published profile joins the first generation.
     """
-    try:
-        from scipy.optimize import differential_evolution
-    except ImportError as error:
-        raise ImportError('the search needs scipy: pip install "capsule-gym[paper]"') from error
+    from scipy.optimize import differential_evolution
 
     def objective(z: np.ndarray) -> float:
         found = assess(problem, *_decode(z, problem), GRID, reserve=True)
@@ -229,29 +210,25 @@ def load(path: Path = OPTIMA) -> list[Solution]:
 
 
 def solve(path: Path, seed: int, generations: int) -> None:
-    """Solves all problems and writes the solutions; those of an interrupted search as `-partial.json` next to it."""
+    """Solves all problems and writes the solutions."""
     solutions: list[Solution] = []
-    target = path.with_name(f"{path.stem}-partial.json")
-    try:
-        for problem in problems():
-            solutions.append(search(problem, solutions, seed=seed, generations=generations))
-            print(f"{problem.label}: {solutions[-1].mean_speed:.5f} m/s", flush=True)
-        solutions, target = exchange(solutions), path
-    finally:
-        document = {
-            "command": f"{PROG} --seed {seed} --generations {generations}",
-            "bounds": dict(zip(("theta_0", "v_theta", "a_theta"), published_bounds(), strict=True)),
-            "solutions": [asdict(each) for each in solutions],
-        }
-        write_atomically(target, to_json(document))
-        print(f"{len(solutions)} solutions written to {target}")
+    for problem in problems():
+        solutions.append(search(problem, solutions, seed=seed, generations=generations))
+        print(f"{problem.label}: {solutions[-1].mean_speed:.5f} m/s", flush=True)
+    document = {
+        "command": f"{PROG} --seed {seed} --generations {generations}",
+        "bounds": dict(zip(("theta_0", "v_theta", "a_theta"), published_bounds(), strict=True)),
+        "solutions": [asdict(each) for each in exchange(solutions)],
+    }
+    write_atomically(path, to_json(document))
+    print(f"{len(solutions)} solutions written to {path}")
 
 
 @dataclass(frozen=True)
 class Args:
     """Optimises the paper's profile (9) for speed, under exact tracking, Principles 1 to 4 and a torque limit.
 
-    About half an hour on one core. Ctrl-C keeps the solutions so far in a file of their own.
+    About half an hour on one core.
 
     Examples:
       python -m baselines.paper.optimal_profiles --json mine.json                     solve all problems
@@ -275,10 +252,7 @@ class Args:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit status."""
     args = parse(Args, PROG, arguments)
-    try:
-        solve(args.json, args.seed, args.generations)
-    except KeyboardInterrupt:
-        return 130
+    solve(args.json, args.seed, args.generations)
     return 0
 
 

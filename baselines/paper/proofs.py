@@ -9,33 +9,27 @@ speed.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
 from baselines.paper import published
-from baselines.paper.selection import bisect
 from capsule_gym import dynamics
 from capsule_gym.parameters import Capsule, NormalForce, Plant
 from capsule_gym.task import START_THETA
 
 SAMPLES = 20_001
 BISECTIONS = 22
-# N m; reaches every published velocity.
-STRONGEST = 4.0
-# ms; a swing that takes longer has come to rest.
-LONGEST_SWING = 2000
+STRONGEST = 4.0  # N m; reaches every published velocity
+LONGEST_SWING = 2000  # ms; a swing that takes longer has come to rest
 # Steps of an envelope: the widening changes the bounds on the published swings by less than 1e-3 rad/s.
 STEPS = 100_000
-# Steps of the first estimate of the peak.
-COARSE_STEPS = 10_000
-# Steps of an envelope that are iterated together.
-WINDOW = 2000
+COARSE_STEPS = 10_000  # of the first estimate of the peak
+WINDOW = 2000  # steps of an envelope that are iterated together
 # Factor on that estimate up to which the slopes of the widening are valid, and number of attempts with its powers.
-HEADROOM = 1.05
-ATTEMPTS = 12
+HEADROOM, ATTEMPTS = 1.05, 12
 
 
 def torque_without_acceleration(theta: np.ndarray, theta_dot: float, slip: float, p: Plant) -> np.ndarray:
@@ -45,9 +39,7 @@ def torque_without_acceleration(theta: np.ndarray, theta_dot: float, slip: float
     at_rest = -ml * p.g * sin + p.k * theta + p.c * theta_dot
     if slip == 0.0:
         return at_rest
-    normal = (p.M + p.m) * p.g - ml * theta_dot**2 * cos
-    normal -= p.pivot_torque_on_contact * (p.k * theta + p.c * theta_dot) * sin  # Eq. (7)
-    friction = slip * p.mu * np.maximum(0.0, normal)
+    friction = slip * p.mu * np.maximum(0.0, dynamics.normal_force(theta, theta_dot, 0.0, p))
     return at_rest + ml * cos * (ml * sin * theta_dot**2 + friction) / (p.M + p.m)  # Eq. (32)
 
 
@@ -60,9 +52,7 @@ def _slope_of_torque(largest_theta: float, theta_dot: float, p: Plant) -> float:
     return ml * p.g + p.k + ml * (centrifugal + friction) / total
 
 
-def torque_at_peak(
-    velocity: float, low: float, high: float, slips: tuple[float, ...] = (0.0, 1.0, -1.0)
-) -> tuple[float, float, str]:
+def torque_at_peak(velocity: float, low: float, high: float, slips: tuple[float, ...] = (0.0, 1.0, -1.0)) -> float:
     """Proof 1: a lower bound in N m on the largest torque of every motion whose theta' peaks at a given value (rad/s).
 
     Theorem. Let theta' > 0 attain its maximum V at an angle in [low, high]. Then the torque is, at or just before the
@@ -74,21 +64,15 @@ def torque_at_peak(
     theta'' >= 0 at times arbitrarily close before it, and there u >= u_0, which is continuous within a mode. The
     torque's friction enters by N at theta'' = 0, so both options for the normal force are searched. The minimum over a
     grid is lowered by the largest slope times half the spacing, which makes it a bound.
-
-    Returns:
-        The bound, the angle in rad where it is attained, and the mode in words.
     """
     theta = np.linspace(low, high, SAMPLES)
-    margin = 0.5 * (theta[1] - theta[0])
-    best = (math.inf, 0.0, "")
-    for option, p in zip(get_args(NormalForce), _both_contacts(Capsule()), strict=True):
-        slope = _slope_of_torque(max(abs(low), abs(high)), velocity, p)
-        for slip in slips:
-            torque = torque_without_acceleration(theta, velocity, slip, p) - slope * margin
-            n = int(torque.argmin())
-            mode = "stick" if slip == 0.0 else f"slip {'forwards' if slip > 0.0 else 'backwards'}, N by {option}"
-            best = min(best, (float(torque[n]), float(theta[n]), mode))
-    return best
+    margin = 0.5 * (high - low) / (SAMPLES - 1)
+    return min(
+        float(torque_without_acceleration(theta, velocity, slip, p).min())
+        - _slope_of_torque(max(abs(low), abs(high)), velocity, p) * margin
+        for p in _both_contacts(Capsule())
+        for slip in slips
+    )
 
 
 class Envelope(NamedTuple):
@@ -218,9 +202,18 @@ def _both_contacts(capsule: Capsule) -> list[Plant]:
     return [replace(capsule, normal_force=option).plant() for option in get_args(NormalForce)]
 
 
+def bisect(below: Callable[[float], bool]) -> tuple[float, float]:
+    """Two torques up to `STRONGEST` between which a condition changes: it holds at the first and not at the second."""
+    low, high = 0.0, STRONGEST
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if below(middle) else (low, middle)
+    return low, high
+
+
 def torque_needed(velocity: float, low: float, high: float) -> float:
     """The largest torque limit in N m whose envelope from rest at `low` stays below a velocity (rad/s) up to `high`."""
-    return bisect(lambda torque: swing_envelope(torque, low, high).fastest < velocity, 0.0, STRONGEST, BISECTIONS)[0]
+    return bisect(lambda torque: swing_envelope(torque, low, high).fastest < velocity)[0]
 
 
 def torque_enough(velocity: float, low: float, high: float) -> float:
@@ -236,49 +229,46 @@ def torque_enough(velocity: float, low: float, high: float) -> float:
                 break
         return theta_dot < velocity
 
-    return bisect(fails, 0.0, STRONGEST, BISECTIONS)[1]
+    return bisect(fails)[1]
+
+
+def _published(name: str) -> tuple[float, float, float]:
+    """The published peak velocity (rad/s), largest torque (N m) and largest angle (rad) of a profile."""
+    numbers = published.RUNS[name]
+    return numbers["peak_velocity"].value, numbers["peak_torque"].value, math.radians(numbers["swing"].value)
 
 
 def check_proof_1() -> list[dict[str, Any]]:
-    """Proof 1 for both profiles.
+    """Proof 1 for both profiles: certified lower bounds on the torque at the peak, in any contact and `sticking`, N m.
 
-    Returns:
-        By profile: its `name`; the published peak `velocity` (rad/s) and largest torque (`published`, N m); the
-        certified lower bound on the torque at the peak (`bound`, N m), the `angle` where it is smallest (rad) and the
-        contact there (`mode`); the same bound for a platform at rest (`sticking`); and whether the published torque is
-        below the bound (`holds`).
+    It holds where the `published` torque is below the `bound`.
     """
     found = []
-    for name, numbers in published.RUNS.items():
-        velocity, torque = numbers["peak_velocity"].value, numbers["peak_torque"].value
-        swing = (START_THETA, math.radians(numbers["swing"].value))
-        bound, angle, mode = torque_at_peak(velocity, *swing)
-        sticking, _, _ = torque_at_peak(velocity, *swing, slips=(0.0,))
-        row = {"name": name, "velocity": velocity, "published": torque, "bound": bound, "angle": angle, "mode": mode}
-        found.append({**row, "sticking": sticking, "holds": torque < bound})
+    for name in published.RUNS:
+        velocity, torque, largest = _published(name)
+        row: dict[str, Any] = {"name": name, "velocity": velocity, "published": torque}
+        row["bound"] = torque_at_peak(velocity, START_THETA, largest)
+        found.append({**row, "sticking": torque_at_peak(velocity, START_THETA, largest, slips=(0.0,))})
     return found
 
 
 def check_proof_2() -> list[dict[str, Any]]:
-    """Proof 2 for the proposed profile and for EPC.
+    """Proof 2 for both profiles. It holds where the `published` velocity (rad/s) is above the `bound`.
 
     Returns:
-        By profile: its `name`; the published largest `torque` (N m) and peak velocity (`published`, rad/s); the
-        certified upper bound on theta' under that torque from rest anywhere in +-swing (`bound`, rad/s), from rest at
-        -60 degrees (`from_start`) and from there without the damper (`undamped`); the certified lower bound on the
-        torque that reaches the published velocity from -60 degrees (`torque_needed`, N m) and a constant torque that
-        does, by simulation (`torque_enough`); and whether the published velocity is above the bound (`holds`).
+        By profile: the published `torque` (N m); the certified upper bound on theta' under it from rest anywhere in
+        +-swing (`bound`, rad/s), from rest at -60 degrees (`from_start`) and from there without the damper
+        (`undamped`); the certified lower bound on the torque that reaches the published velocity from -60 degrees
+        (`torque_needed`, N m) and a constant torque that does, by simulation (`torque_enough`).
     """
     found = []
-    for name, numbers in published.RUNS.items():
-        velocity, limit = numbers["peak_velocity"].value, numbers["peak_torque"].value
-        largest = math.radians(numbers["swing"].value)
+    for name in published.RUNS:
+        velocity, limit, largest = _published(name)
         swing = (START_THETA, largest)
         row: dict[str, Any] = {"name": name, "torque": limit, "published": velocity}
         row["bound"] = swing_envelope(limit, -largest, largest).fastest
         row["from_start"] = swing_envelope(limit, *swing).fastest
         row["torque_needed"] = torque_needed(velocity, *swing)
         row["torque_enough"] = torque_enough(velocity, *swing)
-        row["undamped"] = swing_envelope(limit, *swing, Capsule(c=0.0)).fastest
-        found.append({**row, "holds": velocity > row["bound"]})
+        found.append({**row, "undamped": swing_envelope(limit, *swing, Capsule(c=0.0)).fastest})
     return found

@@ -1,19 +1,14 @@
-"""The output of `python -m baselines.paper`: every result as a table, and all numbers as plain data.
-
-The page *The paper* explains the tables.
-"""
+"""The output of `python -m baselines.paper`: every result as a table, which the page *The paper* explains."""
 
 from __future__ import annotations
 
 import math
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import is_dataclass
 from typing import Any
 
 import numpy as np
 
-from baselines.laws.gains import REGULARISED, UNREGULARISED
 from baselines.paper import adaptive, principles, proofs, published, selection, tracking
 from baselines.paper.adaptive import ERRORS
 from baselines.paper.optimal_profiles import Solution, load
@@ -40,19 +35,10 @@ def compute() -> Results:
         "proof_2": proofs.check_proof_2(),
         "profile_as_printed": selection.printed_profile(),
         "table_1": selection.evaluate_selection(),
-        "boundary_condition": selection.boundary_condition(),
         "demands": principles.evaluate_demands(),
         "lemmas": principles.check_lemmas(),
         "optimal_profiles": load(),
     }
-
-
-def plain(value: Any) -> Any:
-    """A value as nested dicts, lists and numbers, for JSON."""
-    value = vars(value) if is_dataclass(value) else value.tolist() if isinstance(value, np.ndarray) else value
-    if isinstance(value, dict):
-        return {key: plain(entry) for key, entry in value.items()}
-    return [plain(entry) for entry in value] if isinstance(value, (list, tuple)) else value
 
 
 def _cell(value: Any) -> str:
@@ -69,13 +55,10 @@ def text(results: Results) -> str:
     runs, study = results["runs"], results["adaptive"]
     laws, ratio = study["laws"], tracking.speed_ratio(*runs["maps"])
     turned = math.degrees(sum(phase["printed"][2] for phase in results["profile_as_printed"]))
-    sensitivity = {"proposed over EPC, least": float(np.nanmin(ratio)), "most": float(np.nanmax(ratio))}
     sections: dict[str, Sequence[Any]] = {
         "Section 5 of the paper: published and found": [_number(row) for row in results["numbers"]],
-        "Remarks": [f"{row['number'].quantity}: {row['remark']}" for row in results["numbers"] if row["remark"]],
         "What the paper claims": [
-            "{} ({}): {}. Found: {}.".format(*published.CLAIMS[row["claim"]], _verdict(row), row["found"])
-            for row in results["claims"]
+            f"{row['claim']}: {_verdict(row)}. Found: {row['found']}." for row in results["claims"]
         ],
         "Both profiles under feedback linearisation (35)": [
             {"profile": name, "N by": force, **run}
@@ -84,23 +67,23 @@ def text(results: Results) -> str:
         ],
         "Proof 1: torque where theta' peaks": [_rounded(row, "bound", "sticking") for row in results["proof_1"]],
         "Proof 2: rate within a torque": [_rounded(row, "torque_needed") for row in results["proof_2"]],
-        f"Speeds over M in {tracking.M_RANGE} kg, mu in {tracking.MU_RANGE}": [
-            {**sensitivity, "EPC loses contact below (kg)": runs["maps"][1].least_mass_in_contact}
-        ],
-        "Steps of law and physics": [
-            {"profile": name, "step (s)": step, "cm/s": float(speed), "N m": float(torque)}
-            for name, found in runs["steps"].items()
-            for step, speed, torque in zip(tracking.STEPS, *found, strict=True)
+        f"Sensitivity: speeds over M in {tracking.M_RANGE} kg, mu in {tracking.MU_RANGE}": [
+            {
+                "mu for the published speed": tuple(
+                    each.friction_for(published.RUNS[each.profile]["mean_speed"].value) for each in runs["maps"]
+                ),
+                "proposed over EPC, least": float(np.nanmin(ratio)),
+                "most": float(np.nanmax(ratio)),
+            }
         ],
         f"The profile (9) as printed, {turned:.0f} degrees a cycle, and as built": results["profile_as_printed"],
         "What Table 1 follows from (Sect. 3.2)": results["table_1"],
-        "The condition theta(t3) = +theta_0": [results["boundary_condition"]],
-        "Principles 1 to 4 and Lemmas 1 and 2: largest load over limit": results["demands"],
+        "Principles 3 and 4 and Lemma 2: largest load over limit": results["demands"],
         "Random states that meet a lemma": results["lemmas"],
         "The fastest profiles (9) under Principles 1 to 4": [
             _optimum(each) for each in sorted(results["optimal_profiles"], key=lambda each: each.problem.torque_limit)
         ],
-        f"Adaptive law (39), {len(laws[0].runs)} plants, M in {published.M_RANGE} kg, mu in {published.MU_RANGE}": [
+        f"Adaptive law: {len(laws[0].runs)} plants, M in {published.M_RANGE} kg, mu in {published.MU_RANGE}": [
             {"law": law.law, "torque_limit": law.torque_limit, "failures": law.failures, "of": name, **run}
             for law in laws
             for name, run in (
@@ -109,29 +92,22 @@ def text(results: Results) -> str:
                 ("the smallest mean_speed", law.worst("mean_speed", smallest=True)),
             )
         ],
-        "Its constants": [
-            f"{law.law}: {choices._asdict()}"
-            for law, choices in zip(laws[:2], (REGULARISED, UNREGULARISED), strict=True)
-        ],
-        f"Plants of {len(laws[1].runs)} that fail, without and with the torque limit, unregularised": [
-            dict(zip(("beta", "eta(0)", "n", "Hz", "fail", "fail, limited"), row, strict=True))
-            for row in study["variants"]
+        f"What the paper leaves open: plants of {len(laws[1].runs)} that fail, unregularised": [
+            dict(zip(("beta", "eta(0)", "n", "Hz", "fail"), row, strict=True)) for row in study["variants"]
         ],
         "Long runs of the regularised law: the largest errors of a cycle": [
-            {"Hz": rate, "M": M, "mu": mu, "cycle": cycle, **dict(zip(ERRORS, errors, strict=True))}
-            for rate, by_plant in study["long_runs"].items()
-            for (M, mu), cycles in zip((adaptive.NOMINAL_PLANT, *adaptive.CORNERS), by_plant, strict=True)
-            for cycle, errors in cycles.items()
+            {"M": M, "mu": mu, "cycle": cycle, **dict(zip(ERRORS, errors, strict=True))}
+            for (M, mu), by_plant in zip(adaptive.LONG_PLANTS, study["long_runs"].transpose(2, 0, 1), strict=True)
+            for cycle, errors in zip(adaptive.LONG_CYCLES, by_plant.tolist(), strict=True)
         ],
-        "The Lyapunov function V of (40)": [{"law": law.law, **values} for law in laws[:2] for values in law.lyapunov],
     }
     return "\n\n".join(f"{title}\n{'=' * len(title)}\n{_section(parts)}" for title, parts in sections.items())
 
 
 def _section(parts: Sequence[Any]) -> str:
-    """Mappings with the same keys as a table, or sentences, each once."""
+    """Mappings with the same keys as a table, or sentences."""
     if isinstance(parts[0], str):
-        return "\n".join(textwrap.fill(f"- {part}", WIDTH) for part in dict.fromkeys(parts))
+        return "\n".join(textwrap.fill(f"- {part}", WIDTH) for part in parts)
     head = [name.replace("_", " ") for name in parts[0]]
     return text_table([head, *([_cell(value) for value in row.values()] for row in parts)])
 

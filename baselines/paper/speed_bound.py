@@ -37,8 +37,7 @@ from capsule_gym.task import HORIZON, START_THETA, TORQUE_LIMIT
 PROG = "python -m baselines.paper.speed_bound"
 # Cells of the angle, and their width for psi' and p, rad/s.
 CELLS, WIDTH = 1200, 0.05
-# Step between the tried values of W, rad/s.
-STEP = 0.05
+STEP = 0.05  # between the tried values of W, rad/s
 
 Interval = tuple[np.ndarray, np.ndarray]
 

@@ -1,7 +1,7 @@
 """Sect. 5 of the paper: both profiles on the platform, tracked exactly and under feedback linearisation (35).
 
 Under exact tracking the platform's motion follows from M, m, l, g and mu alone: `speed_map` evaluates it on many
-plants. `simulate`, `track` and `step_study` run the environment's own simulation.
+plants. `simulate` and `track` run the environment's own simulation.
 """
 
 from __future__ import annotations
@@ -15,46 +15,36 @@ import numpy as np
 
 from baselines.laws.feedback_linearisation import feedback_linearising
 from baselines.laws.profiles import EPC, PROPOSED, Profile
-from baselines.laws.reference import COLUMNS, platform_motion
-from baselines.paper import published
-from capsule_gym import Capsule, Controller, dynamics
+from baselines.laws.reference import platform_motion
+from capsule_gym import Capsule, Controller
 from capsule_gym.config import LAW_DT, EnvConfig
 from capsule_gym.layout import ROWS, Row
 from capsule_gym.parameters import NOMINAL, NormalForce, Plant
 from capsule_gym.simulation import Simulation
 
 PROFILES = (PROPOSED, EPC)
-# Beyond any torque of the paper: its Figures 5 and 8 show no limit.
-UNLIMITED = 50.0
+UNLIMITED = 50.0  # beyond any torque of the paper: its Figures 5 and 8 show no limit
 CYCLES = 5
 M_RANGE, MU_RANGE = (0.3, 1.0), (0.003, 1.0)
 # s. Fivefold refinement changes no speed of the map by more than 1e-5 cm/s.
 MAP_STEP = 1e-4
-STEPS = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2)
 # Below this speed in cm/s a profile moves only during its first push, and a ratio of speeds is meaningless.
 AT_REST = 0.01
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """One run in SI units, a sample per millisecond from the start, each array of shape (n,) or (n, columns).
-
-    Attributes:
-        torque: torque of the motor in the millisecond that ends at t.
-        reference: rows of the reference table.
-        memory: the law's memory after its call at t.
-        metrics: metrics of the episode, by name; see `Simulation.metrics`.
-    """
+    """One run in SI units, a sample per millisecond from the start, each array of shape (n,) or (n, columns)."""
 
     t: np.ndarray
     theta: np.ndarray
     theta_dot: np.ndarray
     x: np.ndarray
     x_dot: np.ndarray
-    torque: np.ndarray
-    reference: np.ndarray
-    memory: np.ndarray
-    metrics: dict[str, float]
+    torque: np.ndarray  # of the motor in the millisecond that ends at t
+    reference: np.ndarray  # rows of the reference table
+    memory: np.ndarray  # of the law after its call at t
+    metrics: dict[str, float]  # see `Simulation.metrics`
 
     @property
     def completed(self) -> bool:
@@ -108,10 +98,8 @@ def simulate(
         columns = {name: own[:, getattr(Row, name)] for name in ("theta", "theta_dot", "x", "x_dot", "torque")}
         reference = simulation.reference[own[:, Row.clock].astype(np.int64)]
         found = {name: float(values[i]) for name, values in metrics.items()}
-        run = Trajectory(
-            np.arange(end + 1) * LAW_DT, **columns, reference=reference, memory=own[:, ROWS:], metrics=found
-        )
-        trajectories.append(run)
+        t, memory = np.arange(end + 1) * LAW_DT, own[:, ROWS:]
+        trajectories.append(Trajectory(t, **columns, reference=reference, memory=memory, metrics=found))
     return trajectories
 
 
@@ -149,28 +137,6 @@ def track(profile: Profile, contact: NormalForce = "newton") -> dict[str, float]
     }
 
 
-def step_study(profile: Profile, steps: Sequence[float] = STEPS) -> tuple[np.ndarray, np.ndarray]:
-    """Five cycles under feedback linearisation, law and physics at the same steps, which divide 20 ms.
-
-    Returns:
-        Mean speeds (cm/s) and largest torques (N m).
-    """
-    law, found, nominal = feedback_linearising().law, [], [(NOMINAL.M, NOMINAL.mu)]
-    for step in steps:
-        times = np.arange(round(profile.period / step)) * step
-        # The law does not read the platform's columns.
-        table = np.zeros((len(times), len(COLUMNS)))
-        table[:, :3] = np.stack(profile.evaluate(times), axis=1)
-        controller = Controller("feedback-linearising", law, table, dt=step)
-        simulation = make_simulation(controller, nominal, 0.02, torque_limit=UNLIMITED, physics_dt=step)
-        for _ in range(round(CYCLES * profile.period / 0.02)):
-            simulation.step(np.zeros(1), np.ones(1, np.bool_))
-        metrics = simulation.metrics(np.zeros(1, np.int64))
-        found.append((metrics["mean_speed"][0], metrics["peak_torque"][0]))
-    speed, torque = np.array(found).T
-    return speed, torque
-
-
 def displacement(motion: Sequence[np.ndarray], p: Plant, h: float) -> float:
     """The position in m of the platform after `CYCLES` cycles from rest.
 
@@ -189,31 +155,19 @@ def displacement(motion: Sequence[np.ndarray], p: Plant, h: float) -> float:
 
 @dataclass(frozen=True)
 class SpeedMap:
-    """Mean speed along one profile over a grid of plants, exact tracking.
-
-    Attributes:
-        speed: mean speed over five cycles from rest, cm/s, shape (M, mu).
-        smallest_normal_ratio: smallest N / ((M + m) g), shape (M,); at 0.0 or less contact is lost, and the speed
-            belongs to a floor without friction for that time.
-    """
+    """Mean speed along one profile over five cycles from rest, exact tracking, cm/s, shape (M, mu)."""
 
     profile: str
     M: np.ndarray
     mu: np.ndarray
     speed: np.ndarray
-    smallest_normal_ratio: np.ndarray
 
-    def friction_for(self, speed: float, M: float = NOMINAL.M) -> list[float]:
-        """Every friction coefficient at which a mass (kg) of the map has a speed (cm/s), interpolated in log mu."""
-        row, logs = self.speed[int(np.argmin(np.abs(self.M - M)))] - speed, np.log(self.mu)
+    def friction_for(self, speed: float) -> list[float]:
+        """Every friction coefficient at which the nominal mass has a speed (cm/s), interpolated in log mu."""
+        row, logs = self.speed[int(np.argmin(np.abs(self.M - NOMINAL.M)))] - speed, np.log(self.mu)
         signs = np.flatnonzero(row[:-1] * row[1:] < 0.0)
         shares = row[signs] / (row[signs] - row[signs + 1])
         return [float(mu) for mu in np.exp(logs[signs] + shares * (logs[signs + 1] - logs[signs]))]
-
-    @property
-    def least_mass_in_contact(self) -> float:
-        """The mass in kg below which the profile lifts the platform off the floor, interpolated between rows."""
-        return float(np.interp(0.0, self.smallest_normal_ratio, self.M))
 
 
 def grid(rows: int = 29, columns: int = 61) -> tuple[list[float], list[float]]:
@@ -224,14 +178,15 @@ def grid(rows: int = 29, columns: int = 61) -> tuple[list[float], list[float]]:
 def speed_map(
     profile: Profile, M: Sequence[float] = (NOMINAL.M,), mu: Sequence[float] = (NOMINAL.mu,), h: float = MAP_STEP
 ) -> SpeedMap:
-    """Mean speed along a profile under exact tracking, for every M with every mu, in steps of h seconds."""
+    """Mean speed along a profile under exact tracking, for every M with every mu, in steps of h seconds.
+
+    Where the motion would lift the platform, the floor is without friction.
+    """
     # In the middle of the steps, where theta_d'' does not jump.
     motion = profile.evaluate((np.arange(round(profile.period / h)) + 0.5) * h)
     plants = [[NOMINAL.plant(M=mass, mu=friction) for friction in mu] for mass in M]
     travelled = np.array([[displacement(motion, plant, h) for plant in row] for row in plants])
-    smallest = [dynamics.normal_force(*motion, p).min() / ((p.M + p.m) * p.g) for p, *_ in plants]
-    speed = 100.0 * travelled / (CYCLES * profile.period)
-    return SpeedMap(profile.name, np.array(M), np.array(mu), speed, np.array(smallest))
+    return SpeedMap(profile.name, np.array(M), np.array(mu), 100.0 * travelled / (CYCLES * profile.period))
 
 
 def speed_ratio(proposed: SpeedMap, epc: SpeedMap) -> np.ndarray:
@@ -244,16 +199,9 @@ def reproduce() -> dict[str, Any]:
     """Reproduces Sect. 5 without the adaptive law, in some seconds.
 
     Returns:
-        `tracking`: see `track`, by profile and normal force. `frictions`: those that give the published speed, by
-        profile. `ratio`: smallest and largest speed of the proposed profile over EPC's at the nominal mass, over mu.
-        `maps`: speed of both profiles over M and mu. `steps`: see `step_study`, by profile.
+        `tracking`: see `track`, by profile and normal force. `maps`: speed of both profiles over M and mu.
     """
-    fine = [speed_map(profile, mu=np.geomspace(*MU_RANGE, 241).tolist()) for profile in PROFILES]
-    ratio = speed_ratio(*fine)
     return {
         "tracking": {p.name: {force: track(p, force) for force in get_args(NormalForce)} for p in PROFILES},
-        "frictions": {m.profile: m.friction_for(published.RUNS[m.profile]["mean_speed"].value) for m in fine},
-        "ratio": (float(np.nanmin(ratio)), float(np.nanmax(ratio))),
         "maps": [speed_map(profile, *grid()) for profile in PROFILES],
-        "steps": {profile.name: step_study(profile) for profile in PROFILES},
     }

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from baselines.archive import GRID, STICKY_GRID, find_grid
-from baselines.dynamic_programming import FOLDER, archive
+from baselines.dynamic_programming import FOLDER, archive, solver
 from baselines.dynamic_programming import __main__ as command
 from baselines.dynamic_programming import problem as module
 from baselines.dynamic_programming.archive import (
@@ -99,7 +99,7 @@ def test_results_survive_the_file(tmp_path, monkeypatch):
     values = np.random.default_rng(0).uniform(-50.0, 80.0, (5, 6, 7)).astype(np.float32)
     solution = Solution(Problem(), Grid((5, 6, 7), (-3.0, 9.0), (-1.0, 4.0), 0.5), values, 0.4, 20.0)
     slow, fast = (repeat(Problem(), (scale * np.arange(1650) % 121).astype(np.uint8)) for scale in (0, 1))
-    monkeypatch.setattr(archive, "solve_on_grids", lambda *_: [(solution, slow), (solution, fast), (solution, slow)])
+    monkeypatch.setattr(solver, "solve_on_grids", lambda *_: [(solution, slow), (solution, fast), (solution, slow)])
     written = Archive()
     list(written.solve([Problem(), Problem(energy_weight=1.0)]))
     written.save(tmp_path)
@@ -140,7 +140,7 @@ def test_the_command_solves_what_is_missing_and_keeps_it(tmp_path, monkeypatch, 
         return solve_on_grids(problem, [(13, 18, 7)])
 
     monkeypatch.setattr(module, "PROBLEMS", problems)
-    monkeypatch.setattr(archive, "solve_on_grids", quick)
+    monkeypatch.setattr(solver, "solve_on_grids", quick)
     monkeypatch.setattr(archive, "set_plants", lambda *_: [(0.5, 0.01), (0.5, 0.02)])
     monkeypatch.setattr(archive, "solve_plant", lambda problem, _: repeat(problem, np.full(1650, 60, np.uint8)))
     arguments = ["--folder", str(tmp_path / "new")]

@@ -66,7 +66,7 @@ def test_short_search_is_seeded_and_says_when_it_fails():
     assert not hopeless.feasible and hopeless.excess > 1.0
 
 
-def test_command_solves_and_keeps_what_an_interrupted_search_found(tmp_path, monkeypatch, capsys):
+def test_command_solves_and_exchanges(tmp_path, monkeypatch, capsys):
     known = [SOLUTIONS[Problem(limit)] for limit in (1.0, 1.5)]
     # The best profile of all searches is kept.
     poor = replace(known[0], problem=Problem(1.5), mean_speed=0.0, found_by="poor")
@@ -80,12 +80,3 @@ def test_command_solves_and_keeps_what_an_interrupted_search_found(tmp_path, mon
     with pytest.raises(SystemExit):
         main(["--json", str(path)])
     assert "--overwrite" in capsys.readouterr().err
-
-    def interrupt(problem, solutions, **options):
-        if solutions:
-            raise KeyboardInterrupt
-        return known[1]
-
-    monkeypatch.setattr(optimal_profiles, "search", interrupt)
-    assert main(["--json", str(path), "--overwrite"]) == 130 and load(path) == [first, second]
-    assert load(tmp_path / "found-partial.json") == known[1:]

@@ -22,7 +22,7 @@ def test_proof_1():
     found = (proposed["bound"], proposed["sticking"], epc["bound"])
     assert found == pytest.approx((0.622, 0.695, 0.8477), abs=5e-4)
     for row in (proposed, epc):
-        assert row["holds"] and row["published"] < row["bound"] <= row["sticking"]
+        assert row["published"] < row["bound"] <= row["sticking"]
 
 
 @pytest.mark.parametrize("option", ["newton", "paper"])
@@ -36,7 +36,7 @@ def test_torque_of_proof_1_does_not_accelerate_the_pendulum(option, slip):
 
 def test_bound_of_proof_1_lies_below_every_sample_and_close():
     theta = np.random.default_rng(0).uniform(START, SWINGS["proposed"], 20_000)
-    bound, _, _ = proofs.torque_at_peak(7.8, START, SWINGS["proposed"])
+    bound = proofs.torque_at_peak(7.8, START, SWINGS["proposed"])
     smallest = min(
         proofs.torque_without_acceleration(theta, 7.8, slip, Capsule(normal_force=option).plant()).min()
         for slip in (0.0, 1.0, -1.0)
@@ -50,8 +50,8 @@ def test_proof_2(rates):
     assert found[0] == pytest.approx((5.803, 14.911, 0.7478, 0.7893), abs=1e-3)
     assert found[1] == pytest.approx((6.778, 16.866, 1.1024, 1.1839), abs=1e-3)
     for row in rates:
-        assert row["holds"] and row["torque"] < row["torque_needed"] < row["torque_enough"]
-        assert row["from_start"] < row["bound"]
+        assert row["torque"] < row["torque_needed"] < row["torque_enough"]
+        assert row["from_start"] < row["bound"] < row["published"]
         swing = START, SWINGS[row["name"]]
         # With 0.1 % more than the required torque, the envelope reaches the rate.
         assert proofs.swing_envelope(row["torque_needed"], *swing).fastest < row["published"]

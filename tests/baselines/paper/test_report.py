@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import re
 
+import numpy as np
 import pytest
 
 from baselines import drawing
-from baselines.laws.profiles import PROPOSED
 from baselines.paper import __main__ as paper
 from baselines.paper import adaptive, figures, published, report, tracking
 from baselines.paper.adaptive import CORRECTED_LAW
@@ -19,9 +18,7 @@ pytest.importorskip("matplotlib")
 @pytest.fixture(scope="module")
 def made(laws, rates):
     """The results; parts that other modules test are shared with them or replaced by a few numbers."""
-    errors = dict.fromkeys(adaptive.SHOWN_CYCLES, (1e-4, 1e-3, 1e-3))
-    long_runs = dict.fromkeys(adaptive.RATES, [errors] * 5)
-    study = {"laws": laws, "variants": [(0.01, 1.0, 1, 1000, 24, 17)], "long_runs": long_runs}
+    study = {"laws": laws, "variants": [(0.01, 1.0, 1, 1000, 24)], "long_runs": np.full((3, 3, 5), 1e-3)}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(adaptive, "study_adaptive", lambda: study)
         patch.setattr(report.proofs, "check_proof_2", lambda: rates)
@@ -42,16 +39,15 @@ def test_verdicts(made):
         assert rows[run, "largest theta'"]["reproduced"]
         for quantity in ("mean speed, five cycles", "largest torque"):
             assert not rows[run, quantity]["reproduced"] and rows[run, quantity]["kind"] == "predicted"
-    assert all(row["remark"] for row in made["numbers"] if not row["reproduced"])
-    assert {row["claim"] for row in made["claims"]} == set(published.CLAIMS)
-    assert {row["claim"] for row in made["claims"] if row["reproduced"]} == {"torque", "energy", "backward"}
-    assert made["runs"]["ratio"][1] < 1.0
+    assert [row["reproduced"] for row in made["claims"]] == [False, True, True, True] + [False] * 5
+    assert all(
+        word in row["claim"] for word, row in zip(("torque", "energy", "back"), made["claims"][1:4], strict=True)
+    )
 
 
-def test_command_prints_and_writes_every_published_number(made, monkeypatch, capsys, tmp_path):
+def test_command_prints_every_published_number(made, monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(report, "compute", lambda: made)
-    target = tmp_path / "paper.json"
-    assert paper.main(["--json", str(target)]) == 0
+    assert paper.main([]) == 0
     text = capsys.readouterr().out
     numbers = [*published.PROPOSED.values(), *published.EPC.values(), *published.BASE_PARAMETERS]
     numbers += [published.SWING_DIFFERENCE, published.ADAPTIVE_PEAK_VELOCITY, published.NATURAL_FREQUENCY]
@@ -59,25 +55,16 @@ def test_command_prints_and_writes_every_published_number(made, monkeypatch, cap
         shown = f" {number.value:.{number.digits}f} "
         assert any(number.quantity in line and shown in line for line in text.splitlines())
     words = " ".join(text.split())
-    assert all(text in words for text, _ in published.CLAIMS.values())
-
-    def refuse(constant):
-        raise AssertionError(f"{constant} is not JSON")
-
-    content = json.loads(target.read_text(encoding="utf-8"), parse_constant=refuse)
-    assert content["numbers"][2]["number"]["value"] == 0.642 and content["numbers"][2]["reproduced"] is False
-    assert {proof["holds"] for proof in content["proof_1"] + content["proof_2"]} == {True}
-    for arguments in (["--json", str(target)], ["--figures", str(target)], ["--json", str(tmp_path / "no" / "x.json")]):
-        with pytest.raises(SystemExit):
-            paper.main(arguments)
-    assert paper.main(["--json", str(target), "--overwrite"]) == 0
+    assert all(row["claim"] in words for row in made["claims"])
+    (tmp_path / "file").touch()
+    with pytest.raises(SystemExit):
+        paper.main(["--figures", str(tmp_path / "file")])
 
 
-def test_figures_show_the_numbers_of_the_table(made, monkeypatch):
-    monkeypatch.setattr(figures, "grid", lambda: tracking.grid(4, 5))
+def test_figures_show_the_numbers_of_the_table(made):
     with drawing.style():
         texts = {name: text_of(draw()) for name, draw in figures.FIGURES.items()}
-    assert [name[:4] for name in texts][:9] == [f"fig{n}" for n in range(1, 10)]
+    assert [name[:4] for name in texts][:7] == [f"fig{n}" for n in range(3, 10)]
     for name, key, digits in (
         ("fig3_tracking", "peak_velocity", 2),
         ("fig4_displacement", "mean_speed", 3),
@@ -86,7 +73,6 @@ def test_figures_show_the_numbers_of_the_table(made, monkeypatch):
         for profile, numbers in published.RUNS.items():
             assert f"{numbers[key].value:g}" in texts[name]
             assert f"{made['runs']['tracking'][profile]['newton'][key]:.{digits}f}" in texts[name]
-    assert all(f"{number:.3g}" in texts["fig2_phases"] for number in (*PROPOSED.times, PROPOSED.restoring_speed))
     for name in ("fig6_adaptive_tracking", "fig7_adaptive_error", "fig8_adaptive_torque", "fig9_sliding_variable"):
         assert "1 of 3 runs loses contact with the floor, at 0.10 s" in texts[name]
     assert [run.completed for run in figures.adaptive_runs()[CORRECTED_LAW]] == [True, False, True]

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 
-from baselines.laws.profiles import PROPOSED, TABLE_1, seven_phases
+from baselines.laws.profiles import PROPOSED
 from baselines.paper import selection
 
 
@@ -19,7 +18,9 @@ def test_printed_profile_by_hand():
     # V: (t3 - t) / (t4 - t3) P3 falls from -P3 to -1.43 / 0.63 P3; VII rises from 0 to 0.8 / 4.1 P3.
     assert phases["V"]["printed"][:2] == pytest.approx((-P3, -1.43 / 0.63 * P3))
     assert phases["VII"]["printed"][1] == pytest.approx(0.8 / 4.1 * P3)
-    assert [name for name, phase in phases.items() if phase["deviates"]] == ["III", "IV", "V", "VII"]
+    # Neither continuous nor closed.
+    (_, two, _), (three, _, _) = phases["II"]["printed"], phases["III"]["printed"]
+    assert abs(three - two) > 1.0
     assert math.degrees(sum(phase["printed"][2] for phase in phases.values())) == pytest.approx(-378, abs=0.5)
 
 
@@ -29,11 +30,11 @@ EXPECTED = [
     ("(22)", "0.88", "2.09", False),
     ("(22)", "1.27", "2.09", False),
     ("(22)", "1.26", "2.09", False),
+    ("(23)", "0.53", "1.05", False),
     ("(24)", "2.51", "0.133", False),
     ("(25)", "2.91", "0.195", False),
     ("(25)", "0.323", "0.195", False),
     ("(26)", "11.64", "11.81", True),
-    ("(26)", "11.64", "5.72", False),
     ("(27)", "0.895", "0.9", True),
     ("(27)", "2.113", "2.122", True),
     ("(28)", "5.63", "1.7", False),
@@ -49,18 +50,3 @@ def test_what_follows_from_the_selection():
         for value, printed in ((row["gives"], gives), (row["implied"], implied)):
             assert value == pytest.approx(float(printed), abs=0.5001 * 10.0 ** -len(printed.partition(".")[2]))
         assert row["follows"] is follows
-
-
-def test_boundary_condition_contradicts_the_published_peak():
-    condition = selection.boundary_condition()
-    assert condition["V1"] == pytest.approx(10.45, abs=5e-3)
-    assert math.degrees(condition["largest_angle"]) == pytest.approx(98.3, abs=0.05)
-    # At 7.8 rad/s, the pendulum reaches half of theta_0 by t3, and P3 = 0.563 returns it too far.
-    assert math.degrees(condition["reached"]) == pytest.approx(30.4, abs=0.05)
-    P3 = selection.eq_23_p3(selection.eq_27_p2())
-    assert condition["drift"] == pytest.approx((P3 - PROPOSED.restoring_speed) * 4.9, rel=1e-9)
-    # (23) closes the cycle that reaches theta_0.
-    profile = seven_phases(TABLE_1, condition["V1"], selection.P2)
-    assert selection.eq_23_p3(selection.P2) == pytest.approx(profile.restoring_speed, rel=1e-9)
-    largest = profile.evaluate(np.linspace(0.0, profile.period, 20_001))[0].max()
-    assert condition["largest_angle"] == pytest.approx(largest, abs=1e-6)
