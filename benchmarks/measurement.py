@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from baselines.tables import Rows, markdown_table, text_table
 from capsule_gym import native
-from capsule_gym.command_line import check_output
+from capsule_gym.command_line import Count, check_output
 from capsule_gym.files import write_atomically
 
 PACKAGES = ("capsule-gym", "numpy", "gymnasium", "mujoco")
@@ -46,6 +46,14 @@ class OutputArgs:
             write_atomically(
                 self.markdown, "\n\n".join([f"<!-- Written by {command}: do not edit. -->", *paragraphs]) + "\n"
             )
+
+
+@dataclass(frozen=True, kw_only=True)
+class TurnArgs(OutputArgs):
+    """The arguments of measurements in turns."""
+
+    turns: Count = 30
+    """Measurements of every contender, in turns."""
 
 
 def machine() -> str:

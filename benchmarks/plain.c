@@ -1,6 +1,6 @@
 // The speed task's step with direct torque in plain C, to compare the core with what a compiler makes of plain loops. The
 // equations, the integrator, the location of events, sums and rewards are those of `capsule_gym/core`, which explains the
-// symbols; the rounding is the compiler's. benchmarks/plain.py compiles it with -ffast-math.
+// symbols; the rounding is the compiler's. benchmarks/throughput.py compiles it with -ffast-math.
 #include <math.h>
 
 #define N 128     // environments in a block
