@@ -48,7 +48,8 @@ DRAWS, EPISODE, BATCH = 256, 40, 1024
 
 # Makes one step of all environments, or a reset of one.
 Step = Callable[[], object]
-# The settings of plain C.
+# The command of the C compiler, and the settings of plain C.
+COMPILER = os.environ.get("CC") or shutil.which("cc")
 C_SETTINGS = (
     "m l g k c static_ratio backward_ratio torque_limit physics_dt energy_weight termination_penalty stick_threshold"
 )
@@ -96,11 +97,6 @@ def mujoco_physics() -> Step:
             data.qpos[:], data.qvel[:] = (0.0, task.START_THETA), 0.0
 
     return step
-
-
-def find_compiler() -> str | None:
-    """The command of the C compiler: the environment variable CC, or what is installed."""
-    return os.environ.get("CC") or next(filter(shutil.which, ("cc", "gcc", "clang")), None)
 
 
 def plain_c(compiler: str, simulation: Simulation) -> tuple[Callable[[np.ndarray], object], np.ndarray]:
@@ -171,8 +167,8 @@ def contenders() -> dict[str, Callable[[], Step]]:
         "CartPole-v1, reset": partial(environment, "CartPole-v1", reset=True),
         f"capsule, core, {BATCH}": lambda: from_the_start()[0],
     }
-    if compiler := find_compiler():
-        found[f"capsule, plain C, {BATCH}"] = lambda: from_the_start(compiler)[0]
+    if COMPILER:
+        found[f"capsule, plain C, {BATCH}"] = lambda: from_the_start(COMPILER)[0]
     if find_spec("mujoco"):
         found["capsule, MuJoCo"] = mujoco_physics
     return found

@@ -31,6 +31,8 @@ from capsule_gym.task import ENV_ID
 COMMAND = "python -m benchmarks.training"
 CONFIG = PRESETS["direct", "ppo"]
 ID, ENV_KWARGS = f"capsule_gym:{ENV_ID}", CONFIG.env_kwargs()
+# Mean speed on validation plants that ends a training, cm/s.
+SPEED = 15.0
 # Agent steps between evaluations; environments of Stable-Baselines3 and SBX, whose documentation advises several.
 EVERY, NUM_ENVS = 32_768, 8
 
@@ -45,8 +47,8 @@ class Clock:
         over: whether the training has reached its aim, or is given up.
     """
 
-    def __init__(self, plants: EvaluationSet, speed: float, seconds: float) -> None:
-        self.plants, self.least_speed, self.most_seconds = plants, speed, seconds
+    def __init__(self, plants: EvaluationSet, most_seconds: float) -> None:
+        self.plants, self.most_seconds = plants, most_seconds
         self.seconds, self.steps, self.speed, self.over, self.began = 0.0, 0, -np.inf, False, time.process_time()
 
     def check(self, steps: int, policy: Callable[[], Any]) -> bool:
@@ -54,7 +56,7 @@ class Clock:
         if steps - self.steps >= EVERY:
             self.seconds += time.process_time() - self.began
             self.steps, self.speed = steps, float(scores(evaluate(policy(), self.plants), "mean_speed").mean())
-            self.over = self.speed >= self.least_speed or self.seconds >= self.most_seconds
+            self.over = self.speed >= SPEED or self.seconds >= self.most_seconds
             self.began = time.process_time()
         return not self.over
 
@@ -168,8 +170,6 @@ class Args(OutputArgs):
 
     seeds: Count = 3
     """Training seeds, from 0 on."""
-    speed: float = 15.0
-    """Mean speed on validation plants that ends a training, cm/s."""
     seconds: float = 900.0
     """Processor time after which a training is given up, s."""
 
@@ -189,15 +189,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             continue
         row, steps = [name], []
         for seed in range(args.seeds):
-            clock = Clock(validation_plants(replace(CONFIG, seed=seed)), args.speed, args.seconds)
+            clock = Clock(validation_plants(replace(CONFIG, seed=seed)), args.seconds)
             train(seed, clock)
-            reached = clock.speed >= args.speed
+            reached = clock.speed >= SPEED
             row.append(f"{clock.seconds:.0f}" if reached else f"> {clock.seconds:.0f} ({clock.speed:.1f} cm/s)")
             steps.append(f"{1e-3 * clock.steps:.0f}")
             print(f"{name}, seed {seed}: {row[-1]} s", file=sys.stderr, flush=True)
         rows.append([*row, ", ".join(steps)])
     note = (
-        f"Processor time, without evaluations, until the mean speed on validation plants is {args.speed:g} cm/s; > "
+        f"Processor time, without evaluations, until the mean speed on validation plants is {SPEED:g} cm/s; > "
         f"where it was not, with the last speed. Direct torque, PPO, one thread of torch. {machine()}."
     )
     args.report(COMMAND, rows, note)

@@ -44,13 +44,13 @@ def test_a_training_ends_at_its_speed_and_evaluations_cost_nothing(monkeypatch) 
         return [{"mean_speed": next(speeds), "policy": policy}]
 
     monkeypatch.setattr(training, "evaluate", evaluate)
-    clock = training.Clock(None, 15.0, 50.0)
+    clock = training.Clock(None, 50.0)
     for steps, over in ((training.EVERY, False), (training.EVERY + 1, False), (2 * training.EVERY, True)):
         now[0] += 1.0
         clock.check(steps, lambda: None)
         assert clock.over is over
     assert (clock.seconds, clock.steps, clock.speed) == (3.0, 2 * training.EVERY, 15.0)
-    clock = training.Clock(None, 15.0, 0.5)
+    clock = training.Clock(None, 0.5)
     speeds = iter([1.0])
     now[0] += 1.0
     clock.check(training.EVERY, lambda: None)
@@ -58,7 +58,7 @@ def test_a_training_ends_at_its_speed_and_evaluations_cost_nothing(monkeypatch) 
 
 
 def test_every_ratio_is_measured() -> None:
-    left_out = {f"capsule, plain C, {throughput.BATCH}"} if throughput.find_compiler() is None else set()
+    left_out = {f"capsule, plain C, {throughput.BATCH}"} if throughput.COMPILER is None else set()
     assert {name for pair in throughput.FLOORS for name in pair} - left_out <= set(throughput.contenders())
 
 
@@ -82,7 +82,7 @@ def test_a_ratio_below_its_floor_fails(tmp_path, monkeypatch) -> None:
 # Without the end of episodes, and with it.
 @pytest.mark.parametrize("scale", [throughput.ACTION_SCALE, 1.0])
 def test_plain_c_does_the_work_of_the_core(scale, monkeypatch) -> None:
-    compiler = throughput.find_compiler()
+    compiler = throughput.COMPILER
     if compiler is None:
         pytest.skip("no C compiler")
     monkeypatch.setattr(throughput, "ACTION_SCALE", scale)
