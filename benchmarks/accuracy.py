@@ -218,8 +218,8 @@ def compare_mujoco() -> list[list[str]]:
         built = mujoco.build(friction, step, capsule) if friction else None
         speed = mujoco.creep(*built, load) if built else abs(run(np.zeros(500), sloped, step)[3])
         row = [f"MuJoCo, {friction}" if friction else "capsule_gym", f"{speed:.0e}" if speed else "0"]
-        for solved, step in cases:
-            row.append(cell([1e3 * abs(run(u, plant, step, friction)[2] - y[2]) for plant, u, y in solved]))
+        for solved, h in cases:
+            row.append(cell([1e3 * abs(run(u, plant, h, friction)[2] - y[2]) for plant, u, y in solved]))
         table.append(row)
     return table
 
