@@ -235,23 +235,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         length = task.CONTROL_DT * np.median([len(u) for _, u, _ in solved])
         cells = [cell([np.abs(run(u, plant, step) - y).max() for plant, u, y in solved]) for step in STEPS]
         table.append([kind, f"±{amplitude:g}", *cells, f"{length:.1f} s"])
-    note = (
-        f"Largest (in brackets: median) error in any state after {SECONDS:g} s of random torque held for "
-        f"{1e3 * task.CONTROL_DT:g} ms, {TRAJECTORIES} trajectories of the paper's plant per row, against DOP853 at a "
-        f"relative tolerance of {RTOL:g}. Trajectories in which the ball meets the platform or contact is lost are "
-        "compared at the last torque change before that; the last column is the median length. The random plants "
-        "differ in every constant, with a slope, viscous friction, Stribeck's curve, and friction of the motor."
-    )
-    compared = (
-        "The same capsule in MuJoCo, with the settings that it documents against slip. Hold: the speed of a platform "
-        f"that {LOAD:.0%} of the friction limit loads, at a step of {1e3 * MUJOCO_STEPS[0]:g} ms and "
-        f"μ = {MUJOCO_CASES[-1][0]:g}; exactly 0 in stick. Errors of x as above: largest (in brackets: median). "
-        f"frictionloss: friction of the joint, without a contact; contact: an elliptic cone with default settings; "
-        f"impratio: {mujoco.IMPRATIO:g}; no-slip: {mujoco.NO_SLIP_ITERATIONS} iterations; stiff: the hardest contact "
-        "that it accepts; discrete: the integrator discrete, elsewhere implicitfast."
-    )
-    further = [compared, compare_mujoco()] if find_spec("mujoco") else []
-    args.report(COMMAND, note, table, *further, f"{machine()}.")
+    further = [compare_mujoco()] if find_spec("mujoco") else []
+    args.report(COMMAND, table, *further, f"{machine()}.")
     return 0
 
 

@@ -193,11 +193,9 @@ class Args(TurnArgs):
 
     Examples:
       python -m benchmarks.throughput --markdown docs/speed_tables.md --figure docs/figures/speed
-      CAPSULE_GYM_LEVEL=v3 CC=clang python -m benchmarks.throughput --ratios
+      CAPSULE_GYM_LEVEL=v3 CC=clang python -m benchmarks.throughput --turns 10
     """
 
-    ratios: bool = False
-    """Measure only what the ratios need."""
     figure: Path | None = None
     """Draw the rates as bars into files with this name, as SVG and PNG."""
 
@@ -222,11 +220,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = parse(Args, COMMAND, arguments)
     found = contenders()
     floors = {pair: floor for pair, floor in FLOORS.items() if set(pair) <= set(found)}
-    turns = {}
-    for name, make in found.items():
-        if not args.ratios or any(name in pair for pair in floors):
-            last = name.rpartition(", ")[2]
-            turns[name] = partial(seconds_per_step, make(), int(last) if last.isdigit() else 1)
+    sizes = {name: BATCH if name.endswith(f", {BATCH}") else 1 for name in found}
+    turns = {name: partial(seconds_per_step, make(), sizes[name]) for name, make in found.items()}
     measured = rates(turns, args.turns)
     compared = {one: (other, measured[one] / measured[other], floor) for (one, other), floor in floors.items()}
     table = [["", "env-steps/s", "ratio", "to", "at least"]]

@@ -72,8 +72,6 @@ def test_a_ratio_below_its_floor_fails(tmp_path, monkeypatch) -> None:
         assert throughput.main(["--markdown", str(page)]) == status
         assert f"|fast|2|2.00|slow|{floor:g}|" in page.read_text(encoding="utf-8")
         assert "|other|1||||" in page.read_text(encoding="utf-8")
-        assert throughput.main(["--ratios", "--markdown", str(page)]) == status
-        assert "other" not in page.read_text(encoding="utf-8")
 
 
 # --- plain C ---------------------------------------------------------------------------------------------------------
