@@ -129,15 +129,15 @@ def check_timed(name: str, value: Any, accepted: str, keys: tuple[str, ...]) -> 
         raise TypeError(f"{name} must be {accepted}, got {short_repr(value)}")
     last, these = -math.inf, f"{', '.join(map(repr, keys[:-1]))} and {keys[-1]!r}"
     for n, entry in enumerate(value):
-        own = f"{name}[{n}]"
+        where = f"{name}[{n}]"
         if not isinstance(entry, dict):
-            raise TypeError(f"{own} must be a dict with the keys {these}, got {short_repr(entry)}")
+            raise TypeError(f"{where} must be a dict with the keys {these}, got {short_repr(entry)}")
         if set(entry) != set(keys):
-            raise ValueError(f"{own} must have the keys {these} and no others, got {short_repr(entry)}")
-        t = check_number(f"{own}['t']", entry["t"], "a finite number >= 0 (s)", 0.0)
+            raise ValueError(f"{where} must have the keys {these} and no others, got {short_repr(entry)}")
+        t = check_number(f"{where}['t']", entry["t"], "a finite number >= 0 (s)", 0.0)
         if t <= last:
-            raise ValueError(f"{own}['t'] must be later than the one before, {last:g} s, got {t:g} s")
-        yield own, t, entry
+            raise ValueError(f"{where}['t'] must be later than the one before, {last:g} s, got {t:g} s")
+        yield where, t, entry
         last = t
 
 

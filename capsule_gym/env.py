@@ -260,8 +260,8 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
         if options is None:
             self.simulation.reset(_FIRST)
         else:
-            own = self.simulation.task.options
-            check_options(options, (*RESET_OPTIONS, *own))
+            task_options = self.simulation.task.options
+            check_options(options, (*RESET_OPTIONS, *task_options))
             # One environment is a batch of one.
             given = {name: [value] for name, value in options.items() if value is not None and name != "state"}
             self.simulation.reset(_FIRST, state=options.get("state"), **given)
@@ -383,10 +383,10 @@ def describe(values: Any, state: np.ndarray, termination: Any, cost: Any) -> dic
     return dict(zip(_INFO, (state, values[_X_DOT] == 0.0, *values[_SHOWN], termination, cost), strict=True))
 
 
-def add_task(info: dict[str, Any], own: task.Task, memory: Any) -> None:
+def add_task(info: dict[str, Any], current: task.Task, memory: Any) -> None:
     """Adds the entries of a task other than speed to an info; `memory` is a list, or the rows of a batch."""
-    info[own.term] = info.pop("reward_progress")
-    for name, place in own.places:
+    info[current.term] = info.pop("reward_progress")
+    for name, place in current.places:
         info[name] = memory[place]
 
 

@@ -11,7 +11,7 @@ from capsule_gym.layout import Row
 from capsule_gym.task import Metrics, Task
 
 
-def episode_metrics(world: np.ndarray, horizon: float | None, own: Task) -> dict[str, np.ndarray]:
+def episode_metrics(world: np.ndarray, horizon: float | None, task: Task) -> dict[str, np.ndarray]:
     """The metrics of episodes, one column of `Simulation.world` each, with the rows down to the task's memory.
 
     The length of a whole episode, `horizon` in s, is by default the time that has passed.
@@ -42,5 +42,5 @@ def episode_metrics(world: np.ndarray, horizon: float | None, own: Task) -> dict
         duration=rows.duration,
         failed=failed.astype(np.float64),
     )
-    memory = SimpleNamespace(**dict(zip(own.fields, world[len(world) - own.rows :], strict=True)))
-    return {**metrics._asdict(), **own.metrics(memory, whole)}
+    memory = SimpleNamespace(**dict(zip(task.fields, world[len(world) - task.rows :], strict=True)))
+    return {**metrics._asdict(), **task.metrics(memory, whole)}

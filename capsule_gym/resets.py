@@ -77,14 +77,14 @@ def draw_table(first: int, stream: Stream, draws: Sequence[Draw]) -> np.ndarray:
     return np.array(lines, np.float64).reshape(-1, 6)
 
 
-def write_options(drawn: np.ndarray, options: dict[str, Sequence[Any]], own: Task, settings: StepSettings) -> None:
+def write_options(drawn: np.ndarray, options: dict[str, Sequence[Any]], task: Task, settings: StepSettings) -> None:
     """Writes the reset options that replace draws, one value per episode.
 
     Args:
         drawn: shape (lines of the tables, episodes): the numbers that the task's options draw, then the constants of
             the plant and the disturbances where they vary; changed.
         options: values by the name of their option; other options are ignored.
-        own: the task.
+        task: the task.
         settings: the settings of the step.
 
     Raises:
@@ -92,7 +92,7 @@ def write_options(drawn: np.ndarray, options: dict[str, Sequence[Any]], own: Tas
         ValueError: if a value is out of range.
     """
     first = 0
-    for name, option in own.options.items():
+    for name, option in task.options.items():
         last = first + len(option.draws)
         for n, value in enumerate(options.get(name, ())):
             drawn[first:last, n] = option.parse(f"options[{name!r}]", value)

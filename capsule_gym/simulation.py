@@ -102,8 +102,8 @@ class Simulation:
         rows = self._law_end + memories * self.task.rows + layout.HISTORY_ROWS * self.settings.history + filter_rows
         tables = [resets.draw_table(self.task_end - len(self.task.draws), resets.Stream.task, self.task.draws)]
         if self.settings.history:
-            own = [getattr(self.randomization, name) or getattr(self.capsule, name) for name in CONSTANTS]
-            ranges = [*own, *(getattr(disturbed, name) for name in DISTURBANCES), (0.0, LARGEST_KEY)]
+            constants = [getattr(self.randomization, name) or getattr(self.capsule, name) for name in CONSTANTS]
+            ranges = [*constants, *(getattr(disturbed, name) for name in DISTURBANCES), (0.0, LARGEST_KEY)]
             draws = [task.Draw(*ends(each)) for each in ranges]
             tables.append(resets.draw_table(Row.drawn_m, resets.Stream.variation, draws))
         self.draw_table = np.concatenate(tables)
@@ -270,8 +270,8 @@ class Simulation:
             masses = starts[Row.M].tolist() if M is None else M
             frictions = starts[Row.mu].tolist() if mu is None else mu
             for n, plant in enumerate(zip(masses, frictions, strict=True)):
-                own = drawn[len(self.task.draws) :, n].tolist()
-                self._check_plant(*plant, replace(self.capsule, **dict(zip(CONSTANTS, own, strict=False))))
+                constants = drawn[len(self.task.draws) :, n].tolist()
+                self._check_plant(*plant, replace(self.capsule, **dict(zip(CONSTANTS, constants, strict=False))))
             starts[Row.M], starts[Row.mu] = masses, frictions
         if state is not None:
             starts[: Row.M] = resets.check_state(state, count).T

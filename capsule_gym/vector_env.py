@@ -147,14 +147,14 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         Returns:
             Observations, float32 of shape (num_envs, entries), and the infos.
         """
-        own = self.simulation.task.options
-        options = check_options(options, (*RESET_OPTIONS, *own, "reset_mask"))
+        task_options = self.simulation.task.options
+        options = check_options(options, (*RESET_OPTIONS, *task_options, "reset_mask"))
         mask = self._check_mask(options.get("reset_mask"))
         rows = np.flatnonzero(mask)
         self._seed(seed, rows)
         given = {
             name: self._per_row(name, options[name], rows)
-            for name in (*RESET_OPTIONS, *own)
+            for name in (*RESET_OPTIONS, *task_options)
             if options.get(name) is not None
         }
         self.simulation.reset(rows, **given)
@@ -298,7 +298,7 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         if seed is not None and isinstance(seed, (Sequence, np.ndarray)):
             if (isinstance(seed, np.ndarray) and seed.ndim != 1) or len(seed) != n:
                 raise ValueError(f"seed must be {accepted}, got {short_repr(seed)}")
-            given = [None if own is None else check_seed(own, accepted) for own in seed]
+            given = [None if each is None else check_seed(each, accepted) for each in seed]
         elif seed is not None:
             super().reset(seed=check_seed(seed, accepted, n))
             fresh = True
@@ -308,9 +308,9 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         assert first is not None
         self._seeded = True
         for i in range(n) if first_time else rows.tolist():
-            own = given[i]
-            if own is not None or fresh:
-                self.simulation.seed(i, first + i if own is None else own)
+            chosen = given[i]
+            if chosen is not None or fresh:
+                self.simulation.seed(i, first + i if chosen is None else chosen)
 
     def _check_mask(self, mask: Any) -> np.ndarray:
         """The mask of the environments to be reset."""

@@ -28,7 +28,7 @@ ROOT = Path(train.__file__).parent
         (["--row", "fastest"], "--row: a row must be one of residual-ppo, "),
         (["--row", "direct-ppo", "--task", "residual"], "--task must stay direct with --row direct-ppo, got residual"),
         (["--row", "direct-ppo", "--env", "CapsuleGoal-v0"], "--env must stay CapsuleStickSlip-v0 with --row"),
-        (["--row", "direct-tqc", "--algo", "ppo"], "--algo must stay tqc with --row direct-tqc, got ppo"),
+        (["--row", "direct-sac", "--algo", "ppo"], "--algo must stay sac with --row direct-sac, got ppo"),
     ],
 )
 def test_bad_options_are_named(arguments, message, capsys):

@@ -45,7 +45,7 @@ HEAD = ("open-loop", "adaptive", "pd", "gait-predictive", "lqr", "dp-oracle", "d
 # Tables of other pages: rows and sets.
 SECTIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "disturbances": (("gait-predictive", "residual-real", "residual-real-wide"), (REAL, "real-wide")),
-    "algorithms": (("direct-ppo", "direct-sac", "direct-tqc"), (RANKING_SET,)),
+    "algorithms": (("direct-ppo", "direct-sac"), (RANKING_SET,)),
     "energy": (("direct-ppo", "efficient"), (RANKING_SET,)),
     "wide": (("direct-ppo", "direct-ppo-wide", "gait-guarded", "dp-distilled-wide"), (RANKING_SET, "wide")),
     "sticky": (("sticky", "gait-guarded", "dp-oracle", "dp-distilled-wide"), ("sticky",)),

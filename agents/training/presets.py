@@ -15,7 +15,7 @@ OFF_POLICY: dict[str, Any] = {
 # With only the default start, training converges to a one-sided gait; without correlated noise or without
 # `observation_scale`, it mostly converges to a narrow gait (docs/algorithms.md).
 DIRECT_OFF_POLICY: dict[str, Any] = {
-    **{"total_steps": 500_000, "evaluate_every": 50_000},
+    **{"total_steps": 500_000, "evaluate_every": 25_000},
     **{"initial_range": (1.047, 8.0), "episode_seconds": 4.0, "termination_penalty": 10.0},
     **{"learning_rate": 1e-3, "num_envs": 32, "batch_size": 256, "learning_starts": 2000, "n_steps": 3, "tau": 0.005},
     **{"action_noise": 0.25, "noise_time": 0.25, "observation_scale": (2.0, 0.25, 6.0)},
@@ -94,7 +94,7 @@ ROWS: dict[str, Config] = {
     "residual-ppo": PRESETS["residual", "ppo"],
     "direct-ppo": PRESETS["direct", "ppo"],
     "direct-ppo-wide": _vary(PRESETS["direct", "ppo"], {"randomization": "wide", "observe_estimates": True}),
-    "direct-tqc": PRESETS["direct", "tqc"],
+    "direct-sac": PRESETS["direct", "sac"],
     "residual-real": _vary(ON_PREDICTION, {"randomization": "real"}),
     "residual-real-wide": _vary(ON_PREDICTION, {"residual_limit": 1.5, "total_steps": 4_000_000}),
     # With the default start, or a discount factor of 0.9975, the swings stay narrow: 12 to 15 cm/s.
@@ -103,10 +103,10 @@ ROWS: dict[str, Config] = {
         {"disturbances": "real", "randomization": "real", "stack_size": 8, "initial_range": (1.047, 8.0)},
         {"total_steps": 8_000_000, "hidden": 128, "evaluate_every": 1_000_000, "evaluation_episodes": 512},
     ),
-    # After some 2 M steps the cost of transport rises again.
+    # With more steps the cost of transport rises again.
     "efficient": _vary(
         PRESETS["direct", "ppo"],
-        {"energy_weight": 4.25, "initial_range": (1.047, 8.0), "total_steps": 2_500_000, "evaluate_every": 250_000},
+        {"energy_weight": 5.25, "initial_range": (1.047, 8.0), "total_steps": 2_000_000, "evaluate_every": 200_000},
     ),
     "goal": ENV_PRESETS["CapsuleGoal-v0"],
     "velocity": ENV_PRESETS["CapsuleVelocity-v0"],

@@ -81,12 +81,12 @@ def parse_commands(name: str, value: Any) -> list[float]:
         raise ValueError(f"{name} must be {accepted}, got {len(value)}")
     times: list[float] = []
     commands: list[float] = []
-    for own, t, command in check_timed(name, value, accepted, ("t", "v")):
+    for where, t, command in check_timed(name, value, accepted, ("t", "v")):
         if not times and t != 0.0:
-            raise ValueError(f"{own}['t'] must be 0 s for the first command, got {t:g} s")
+            raise ValueError(f"{where}['t'] must be 0 s for the first command, got {t:g} s")
         times.append(t)
         limit = f"a number of m/s within {LARGEST:g} of 0"
-        commands.append(check_number(f"{own}['v']", command["v"], limit, -LARGEST, LARGEST))
+        commands.append(check_number(f"{where}['v']", command["v"], limit, -LARGEST, LARGEST))
     more = COMMANDS - len(times)
     lasts = [later - t for t, later in zip(times, [*times[1:], math.inf], strict=True)]
     return [*commands, *[commands[-1]] * more, *lasts, *[math.inf] * more]
