@@ -9,7 +9,8 @@ import os
 import platform
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -58,12 +59,7 @@ class TurnArgs(OutputArgs):
 
 def machine() -> str:
     """One line with the processor, the vectors of the core, the cores, and the versions of installed packages."""
-    versions = []
-    for package in PACKAGES:
-        try:
-            versions.append(f"{package} {version(package)}")
-        except PackageNotFoundError:
-            continue
+    versions = [f"{name} {version(name)}" for name in PACKAGES if find_spec(name.replace("-", "_"))]
     info = Path("/proc/cpuinfo")
     _, _, model = (info.read_text(encoding="utf-8") if info.exists() else "").partition("model name")
     cpu = model.partition(":")[2].partition("\n")[0].strip() or platform.processor() or platform.machine()
