@@ -42,8 +42,7 @@ class Args:
 
 def make_logs(count: int, seed: int) -> Iterator[tuple[dict[str, np.ndarray], dict[str, float]]]:
     """Logs of random plants, and their quantities; plants on which the excitation ends the episode are left out."""
-    options: dict[str, Any] = {"control_dt": CONTROL_DT, "physics_dt": PHYSICS_DT}
-    env = CapsuleEnv(randomization=DRAWN, disturbances=DISTURBANCES, capsule=Capsule(), **options)
+    env = CapsuleEnv(randomization=DRAWN, disturbances=DISTURBANCES, control_dt=CONTROL_DT, physics_dt=PHYSICS_DT)
     while count:
         _, info = env.reset(seed=seed)
         log = record(env, Excitation(seed=seed), seed=seed)

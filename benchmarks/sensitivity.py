@@ -15,8 +15,8 @@ from capsule_gym.trajectory import constant_inputs, simulate
 
 NAMES = ("torque", "M", "mu", "k", "c")
 START, INTERVALS, PERIODS = (0.1, 0.0, 0.0, 0.0), 200, {"control_dt": 0.01, "physics_dt": 1e-3}
-# Relative steps of the differences: the estimate that changes least from one to the next is kept. Relative to derivatives
-# by the logarithm of a constant below SMALLEST, m, differences are only rounding errors.
+# Relative steps of the differences: the estimate that changes least from one to the next is kept. Relative to smaller
+# derivatives by the logarithm of a constant than SMALLEST, m, differences are only rounding errors.
 STEPS, SMALLEST = 10.0 ** np.arange(-3.0, -7.1, -0.5), 1e-5
 
 
