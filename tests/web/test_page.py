@@ -196,7 +196,7 @@ SCENES = [
     "#driver=epc&rival=adaptive&view=lane&set=drift&plant=3&speed=0.5&t=7.5",
     "#driver=adaptive&M=0.45&mu=0.02&jumps=1:0.5:0.01,2.5:0.6:0.1&t=3",
     "#driver=yourself&rival=epc&M=0.5&mu=0.01&t=0.8&hand=10uK20z9u",
-    "#driver=dp-nominal&rival=random&set=paper&plant=9&t=2",
+    "#driver=dp-nominal&rival=pd&set=paper&plant=9&t=2",
     "#driver=gait-predictive&rival=gait-guarded&M=0.5&mu=0.01&seed=3&disturbances=real&t=0.5",
     "#driver=gait-predictive&M=0.5&mu=0.01&latency=0.005&noise=0.5&motor=0.05&slope=-2&t=0.5",
     "#driver=gait-predictive&set=real&plant=7&t=0.5",
