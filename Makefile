@@ -90,7 +90,7 @@ reproduce: $(STAMP)  ## Train one run of each row and compare it with the publis
 	$(foreach row,$(ROWS),$(BIN)/python -m agents.evaluate runs/reproduce/$(row)/seed-$(SEED) --against $(row) &&) true
 
 regression: $(STAMP)  ## Fail if a ratio of speeds is below its floor
-	$(BIN)/python -m benchmarks.throughput --ratios
+	$(BIN)/python -m benchmarks.throughput
 
 fuzz: $(STAMP)  ## Call the environments with random and invalid arguments; fail on an unexpected error
 	$(BIN)/python -m pytest -n 2 --hypothesis-profile fuzz tests/capsule_gym/test_arguments.py

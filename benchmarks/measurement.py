@@ -9,7 +9,8 @@ import os
 import platform
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from tqdm import tqdm
 
 from baselines.tables import Rows, markdown_table, text_table
 from capsule_gym import native
-from capsule_gym.command_line import check_output
+from capsule_gym.command_line import Count, check_output
 from capsule_gym.files import write_atomically
 
 PACKAGES = ("capsule-gym", "numpy", "gymnasium", "mujoco")
@@ -48,14 +49,17 @@ class OutputArgs:
             )
 
 
+@dataclass(frozen=True, kw_only=True)
+class TurnArgs(OutputArgs):
+    """The arguments of measurements in turns."""
+
+    turns: Count = 30
+    """Measurements of every contender, in turns."""
+
+
 def machine() -> str:
     """One line with the processor, the vectors of the core, the cores, and the versions of installed packages."""
-    versions = []
-    for package in PACKAGES:
-        try:
-            versions.append(f"{package} {version(package)}")
-        except PackageNotFoundError:
-            continue
+    versions = [f"{name} {version(name)}" for name in PACKAGES if find_spec(name.replace("-", "_"))]
     info = Path("/proc/cpuinfo")
     _, _, model = (info.read_text(encoding="utf-8") if info.exists() else "").partition("model name")
     cpu = model.partition(":")[2].partition("\n")[0].strip() or platform.processor() or platform.machine()

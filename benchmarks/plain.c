@@ -1,6 +1,6 @@
 // The speed task's step with direct torque in plain C, to compare the core with what a compiler makes of plain loops. The
 // equations, the integrator, the location of events, sums and rewards are those of `capsule_gym/core`, which explains the
-// symbols; the rounding is the compiler's. benchmarks/plain.py compiles it with -ffast-math.
+// symbols; the rounding is the compiler's. benchmarks/throughput.py compiles it with -ffast-math.
 #include <math.h>
 
 #define N 128     // environments in a block
@@ -29,17 +29,9 @@ typedef struct {
 } Block;
 const int ROWS = sizeof(Block) / sizeof(double) / N;
 
-typedef struct {
-  double theta, theta_dot, x, x_dot;
-} State;
-typedef struct {
-  double theta, x, normal;
-} Accelerations;
-// The plant of an environment and its phase of contact.
-typedef struct {
-  double M, mu, mass_ratio, slip, u;
-  Settings q;
-} Phase;
+typedef struct { double theta, theta_dot, x, x_dot; } State;
+typedef struct { double theta, x, normal; } Accelerations;
+typedef struct { double M, mu, mass_ratio, slip, u; Settings q; } Phase;  // the plant and its phase of contact
 
 INLINE double larger(double a, double b) { return a > b ? a : b; }
 INLINE double smaller(double a, double b) { return a < b ? a : b; }
@@ -158,16 +150,8 @@ INLINE void smooth_substep(Block *b, Settings q, int first, double h, int may_st
 
 // The start of a phase with its accelerations; and a part of a substep in it, with the boundary at its end, which is
 // positive while the phase lasts.
-typedef struct {
-  State s;
-  Accelerations first;
-  Phase p;
-} Start;
-typedef struct {
-  double tau, value, rate, normal;
-  State end;
-  Accelerations last;
-} Piece;
+typedef struct { State s; Accelerations first; Phase p; } Start;
+typedef struct { double tau, value, rate, normal; State end; Accelerations last; } Piece;
 
 static double boundary(State s, double x_ddot, const Phase *p, double *rate) {
   double force;

@@ -10,9 +10,14 @@ vectorises a loop no longer.
 
 from __future__ import annotations
 
+import ctypes
+import os
+import shutil
+import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
@@ -24,11 +29,12 @@ import gymnasium as gym
 import numpy as np
 
 from baselines.drawing import BLUE, MUTED, new_figure, save, style
-from benchmarks.measurement import OutputArgs, machine, rates
-from benchmarks.plain import copy_to_c, find_compiler
-from capsule_gym import ENV_ID, task
-from capsule_gym.command_line import Count, parse
+from benchmarks import mujoco
+from benchmarks.measurement import TurnArgs, machine, rates
+from capsule_gym import ENV_ID, native, task
+from capsule_gym.command_line import parse
 from capsule_gym.config import DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, EnvConfig
+from capsule_gym.layout import LANES, Row
 from capsule_gym.parameters import Capsule
 from capsule_gym.simulation import Simulation
 
@@ -42,6 +48,11 @@ DRAWS, EPISODE, BATCH = 256, 40, 1024
 
 # Makes one step of all environments, or a reset of one.
 Step = Callable[[], object]
+# The command of the C compiler, and the settings of plain C.
+COMPILER = os.environ.get("CC") or shutil.which("cc")
+C_SETTINGS = (
+    "m l g k c static_ratio backward_ratio torque_limit physics_dt energy_weight termination_penalty stick_threshold"
+)
 # The smallest ratio of two contenders' rates.
 FLOORS = {
     ("capsule", "CartPole-v1"): 1.3,
@@ -50,71 +61,78 @@ FLOORS = {
     ("capsule, law, 1024", "capsule, 1 ms, 1024"): 0.46,
     ("capsule, core, 1024", "capsule, plain C, 1024"): 0.65,
 }
-NOTE = (
-    "Environment steps per second of processor time; a number at the end: environments of a batch. A step of the "
-    "capsule is 20 ms in 10 substeps, with the law baselines:adaptive or at 1 ms in 20; the direct torque is uniform "
-    f"within ±{ACTION_SCALE * task.TORQUE_LIMIT:g} N m. It includes observation, reward and info; in MuJoCo the "
-    "physics alone, in the core and in plain C no infos and resets."
-)
 
 
-def _draw(space: gym.Space[Any], count: int) -> Iterator[Any]:
-    """Endless actions out of a space; those of the capsule are multiplied by `ACTION_SCALE`."""
-    space.seed(0)
-    samples = [space.sample() for _ in range(count)]
-    discrete = np.asarray(samples[0]).dtype.kind == "i"
-    return cycle(samples if discrete else [np.float32(ACTION_SCALE) * sample for sample in samples])
-
-
-def single(env_id: str, *, reset: bool = False, **kwargs: Any) -> Step:
-    """Steps or resets of one environment with gymnasium's default wrappers."""
-    env = gym.make(env_id, **kwargs)
+def environment(env_id: str, num_envs: int = 0, *, reset: bool = False, **kwargs: Any) -> Step:
+    """Steps or resets of one environment with gymnasium's default wrappers, or steps of a native batch."""
+    batch: dict[str, Any] = {"num_envs": num_envs, "vectorization_mode": "vector_entry_point"}
+    env: Any = gym.make_vec(env_id, **batch, **kwargs) if num_envs else gym.make(env_id, **kwargs)
     env.reset(seed=0)
-    actions = _draw(env.action_space, DRAWS)
+    env.action_space.seed(0)
+    samples = [env.action_space.sample() for _ in range(16 if num_envs else DRAWS)]
+    discrete = np.asarray(samples[0]).dtype.kind == "i"
+    actions = cycle(samples if discrete else [np.float32(ACTION_SCALE) * sample for sample in samples])
 
     def step() -> None:
         _, _, terminated, truncated, _ = env.step(next(actions))
         if terminated or truncated:
             env.reset()
 
-    return env.reset if reset else step
-
-
-def batch(env_id: str, num_envs: int = BATCH, **kwargs: Any) -> Step:
-    """Steps of a native batch through gym.make_vec."""
-    env = gym.make_vec(env_id, num_envs=num_envs, vectorization_mode="vector_entry_point", **kwargs)
-    env.reset(seed=0)
-    actions = _draw(env.action_space, 16)
-    return lambda: env.step(next(actions))
+    return env.reset if reset else (lambda: env.step(next(actions))) if num_envs else step
 
 
 def mujoco_physics() -> Step:
     """The physics of one capsule in MuJoCo under random torques, which restarts where its ball meets the platform."""
-    from benchmarks import mujoco
-
-    model = mujoco.build_model("frictionloss", DIRECT_PHYSICS_DT, Capsule())
-    data, limit = mujoco.start_data(model), ACTION_SCALE * task.TORQUE_LIMIT
+    (model, data), limit = mujoco.build("frictionloss", DIRECT_PHYSICS_DT, Capsule()), ACTION_SCALE * task.TORQUE_LIMIT
     torques = cycle(np.random.default_rng(0).uniform(-limit, limit, DRAWS).tolist())
 
     def step() -> None:
-        mujoco.hold(model, data, next(torques))
-        if abs(data.qpos[1]) >= task.THETA_LIMIT:
+        if abs(mujoco.hold(model, data, next(torques))[0]) >= task.THETA_LIMIT:
             data.qpos[:], data.qvel[:] = (0.0, task.START_THETA), 0.0
 
     return step
+
+
+def plain_c(compiler: str, simulation: Simulation) -> tuple[Callable[[np.ndarray], object], np.ndarray]:
+    """Copies environments of the speed task with direct torque, a multiple of the core's lanes, into plain C.
+
+    Returns:
+        Their `Simulation.step`, and the rows of `Simulation.world` before `Row.clock`.
+    """
+    level = {"v4": ("-march=native", "-mprefer-vector-width=512"), "v3": ("-march=x86-64-v3",)}.get(native.LEVEL, ())
+    options = ("-std=c99", "-O3", "-ffast-math", "-fPIC", *level, "-c", str(Path(__file__).with_name("plain.c")))
+    with tempfile.TemporaryDirectory() as folder:
+        compiled, path = str(Path(folder, "plain.o")), str(Path(folder, "plain.so"))
+        subprocess.run([*compiler.split(), *options, "-o", compiled], check=True)
+        # Linked without -ffast-math, with which gcc makes the whole process lose subnormal numbers.
+        subprocess.run([*compiler.split(), "-shared", compiled, "-lm", "-o", path], check=True)
+        library = ctypes.CDLL(path)
+    blocks, rows = len(simulation.world), ctypes.c_int.in_dll(library, "ROWS").value
+    world, observations = native.aligned_zeros((blocks, rows, LANES)), np.zeros((simulation.num_envs, 5), np.float32)
+    settings = native.ordered(
+        C_SETTINGS.split(), {**simulation.capsule.plant()._asdict(), **simulation.settings._asdict()}
+    )
+    first = world[:, : Row.clock]
+    first[...] = simulation.world[:, : Row.clock]
+
+    def step(actions: np.ndarray) -> None:
+        b, q, u, out = (ctypes.c_void_p(native.address(each)) for each in (world, settings, actions, observations))
+        library.step(b, blocks, q, u, out)
+
+    return step, first
 
 
 def from_the_start(compiler: str | None = None) -> tuple[Step, np.ndarray]:
     """Steps of the core, or with a compiler of plain C, always from the same states in episodes of `EPISODE` steps.
 
     Returns:
-        The function and the rows of the environments that it changes, see `copy_to_c`.
+        The function and the rows of the environments that it changes, see `plain_c`.
     """
     simulation = Simulation(BATCH, EnvConfig(randomization="wide"))
     for i in range(BATCH):
         simulation.seed(i, i)
     simulation.reset(np.arange(BATCH))
-    advance, world = copy_to_c(compiler, simulation) if compiler else (simulation.step, simulation.world)
+    advance, world = plain_c(compiler, simulation) if compiler else (simulation.step, simulation.world)
     start = world.copy()
     torques = ACTION_SCALE * np.random.default_rng(0).uniform(-1.0, 1.0, (EPISODE, BATCH))
     actions = cycle(enumerate(torques))
@@ -130,21 +148,21 @@ def from_the_start(compiler: str | None = None) -> tuple[Step, np.ndarray]:
 
 def contenders() -> dict[str, Callable[[], Step]]:
     """Functions that create what is measured; the number of environments is at the end of the names of batches."""
-    endless = {"max_episode_steps": sys.maxsize}
+    endless: dict[str, Any] = {"max_episode_steps": sys.maxsize}
     found: dict[str, Callable[[], Step]] = {
-        "capsule": partial(single, ENV_ID),
-        f"capsule, {BATCH}": partial(batch, ENV_ID, **endless),
-        f"capsule, law, {BATCH}": partial(batch, ENV_ID, **LAW, **endless),
-        f"capsule, 1 ms, {BATCH}": partial(batch, ENV_ID, physics_dt=LAW_PHYSICS_DT, **endless),
-        "CartPole-v1": partial(single, "CartPole-v1"),
-        f"CartPole-v1, {BATCH}": partial(batch, "CartPole-v1"),
-        "Pendulum-v1": partial(single, "Pendulum-v1"),
-        "capsule, reset": partial(single, ENV_ID, reset=True),
-        "CartPole-v1, reset": partial(single, "CartPole-v1", reset=True),
+        "capsule": partial(environment, ENV_ID),
+        f"capsule, {BATCH}": partial(environment, ENV_ID, BATCH, **endless),
+        f"capsule, law, {BATCH}": partial(environment, ENV_ID, BATCH, **LAW, **endless),
+        f"capsule, 1 ms, {BATCH}": partial(environment, ENV_ID, BATCH, physics_dt=LAW_PHYSICS_DT, **endless),
+        "CartPole-v1": partial(environment, "CartPole-v1"),
+        f"CartPole-v1, {BATCH}": partial(environment, "CartPole-v1", BATCH),
+        "Pendulum-v1": partial(environment, "Pendulum-v1"),
+        "capsule, reset": partial(environment, ENV_ID, reset=True),
+        "CartPole-v1, reset": partial(environment, "CartPole-v1", reset=True),
         f"capsule, core, {BATCH}": lambda: from_the_start()[0],
     }
-    if compiler := find_compiler():
-        found[f"capsule, plain C, {BATCH}"] = lambda: from_the_start(compiler)[0]
+    if COMPILER:
+        found[f"capsule, plain C, {BATCH}"] = lambda: from_the_start(COMPILER)[0]
     if find_spec("mujoco"):
         found["capsule, MuJoCo"] = mujoco_physics
     return found
@@ -162,20 +180,16 @@ def seconds_per_step(step: Step, environments: int) -> float:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Args(OutputArgs):
+class Args(TurnArgs):
     """Environment steps per second, and ratios to other environments and to plain C; fails if a ratio is too small.
 
     Plain C needs a compiler, MuJoCo the extra `bench`; what is not installed is left out.
 
     Examples:
       python -m benchmarks.throughput --markdown docs/speed_tables.md --figure docs/figures/speed
-      CAPSULE_GYM_LEVEL=v3 CC=clang python -m benchmarks.throughput --ratios
+      CAPSULE_GYM_LEVEL=v3 CC=clang python -m benchmarks.throughput --turns 10
     """
 
-    ratios: bool = False
-    """Measure only what the ratios need."""
-    turns: Count = 30
-    """Measurements of every contender, in turns."""
     figure: Path | None = None
     """Draw the rates as bars into files with this name, as SVG and PNG."""
 
@@ -200,24 +214,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = parse(Args, COMMAND, arguments)
     found = contenders()
     floors = {pair: floor for pair, floor in FLOORS.items() if set(pair) <= set(found)}
-    turns = {}
-    for name, make in found.items():
-        if not args.ratios or any(name in pair for pair in floors):
-            last = name.rpartition(", ")[2]
-            turns[name] = partial(seconds_per_step, make(), int(last) if last.isdigit() else 1)
+    sizes = {name: BATCH if name.endswith(f", {BATCH}") else 1 for name in found}
+    turns = {name: partial(seconds_per_step, make(), sizes[name]) for name, make in found.items()}
     measured = rates(turns, args.turns)
-    compared = {one: (other, measured[one] / measured[other], floor) for (one, other), floor in floors.items()}
+    ratios = {pair: measured[pair[0]] / measured[pair[1]] for pair in floors}
+    compared = {pair[0]: [f"{ratios[pair]:.2f}", pair[1], f"{floor:g}"] for pair, floor in floors.items()}
     table = [["", "env-steps/s", "ratio", "to", "at least"]]
-    for name, rate in measured.items():
-        cells = ["", "", ""]
-        if name in compared:
-            other, ratio, floor = compared[name]
-            cells = [f"{ratio:.2f}", other, f"{floor:g}"]
-        table.append([name, f"{rate:,.0f}", *cells])
-    args.report(COMMAND, table, NOTE, f"{machine()}.")
+    table += [[name, f"{rate:,.0f}", *compared.get(name, ["", "", ""])] for name, rate in measured.items()]
+    args.report(COMMAND, table, f"{machine()}.")
     if args.figure:
         draw(measured, args.figure)
-    return int(any(ratio < floor for _, ratio, floor in compared.values()))
+    return int(any(ratios[pair] < floor for pair, floor in floors.items()))
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
@@ -30,6 +31,8 @@ from capsule_gym.task import ENV_ID
 COMMAND = "python -m benchmarks.training"
 CONFIG = PRESETS["direct", "ppo"]
 ID, ENV_KWARGS = f"capsule_gym:{ENV_ID}", CONFIG.env_kwargs()
+# Mean speed on validation plants that ends a training, cm/s.
+SPEED = 15.0
 # Agent steps between evaluations; environments of Stable-Baselines3 and SBX, whose documentation advises several.
 EVERY, NUM_ENVS = 32_768, 8
 
@@ -44,51 +47,38 @@ class Clock:
         over: whether the training has reached its aim, or is given up.
     """
 
-    def __init__(self, plants: EvaluationSet, speed: float, seconds: float) -> None:
-        self.plants, self.least_speed, self.most_seconds = plants, speed, seconds
+    def __init__(self, plants: EvaluationSet, most_seconds: float) -> None:
+        self.plants, self.most_seconds = plants, most_seconds
         self.seconds, self.steps, self.speed, self.over, self.began = 0.0, 0, -np.inf, False, time.process_time()
 
-    def check(self, steps: int, policy: Callable[[], Any]) -> None:
-        """Evaluates the policy if an evaluation is due."""
+    def check(self, steps: int, policy: Callable[[], Any]) -> bool:
+        """Evaluates the policy if an evaluation is due; returns whether the training goes on."""
         if steps - self.steps >= EVERY:
             self.seconds += time.process_time() - self.began
             self.steps, self.speed = steps, float(scores(evaluate(policy(), self.plants), "mean_speed").mean())
-            self.over = self.speed >= self.least_speed or self.seconds >= self.most_seconds
+            self.over = self.speed >= SPEED or self.seconds >= self.most_seconds
             self.began = time.process_time()
-
-    def learn(self, model: Any, total_steps: int) -> None:
-        """Trains an agent of Stable-Baselines3 or SBX."""
-        from stable_baselines3 import PPO
-
-        from agents.training.export import export, recurrent_policy
-
-        def policy() -> Any:
-            if isinstance(model, PPO):
-                return export("agent", model, CONFIG, "none")
-            return recurrent_policy("agent", model, model.get_vec_normalize_env(), ENV_KWARGS)
-
-        def on_step(*_: Any) -> bool:
-            self.check(model.num_timesteps, policy)
-            return not self.over
-
-        model.learn(total_steps, callback=on_step)
+        return not self.over
 
 
-def train_preset(seed: int, clock: Clock) -> None:
-    """Trains as `train.py`."""
-    from agents.training.algorithms import make_env, make_model
-
-    config = replace(CONFIG, seed=seed)
-    clock.learn(make_model(config, make_env(config, seed)), config.total_steps)
-
-
-def train_sb3(library: str, seed: int, clock: Clock) -> None:
-    """Trains with the defaults of Stable-Baselines3 or SBX."""
+def train_model(library: str, seed: int, clock: Clock) -> None:
+    """Trains as `train.py`, or with the defaults of a library, Stable-Baselines3 or SBX, and `VecNormalize`."""
     from stable_baselines3.common.env_util import make_vec_env
     from stable_baselines3.common.vec_env import VecNormalize
 
-    env = VecNormalize(make_vec_env(ID, NUM_ENVS, seed, env_kwargs=ENV_KWARGS))
-    clock.learn(__import__(library).PPO("MlpPolicy", env, seed=seed, device="cpu"), 10**9)
+    from agents.training.algorithms import make_env, make_model
+    from agents.training.export import export, recurrent_policy
+
+    if library:
+        env = VecNormalize(make_vec_env(ID, NUM_ENVS, seed, env_kwargs=ENV_KWARGS))
+        model = import_module(library).PPO("MlpPolicy", env, seed=seed, device="cpu")
+    else:
+        env, config = make_env(CONFIG, seed), replace(CONFIG, seed=seed)
+        model = make_model(config, env)
+    networks = partial(export, "agent", model, CONFIG, "none")
+    policy = partial(recurrent_policy, "agent", model, env, ENV_KWARGS) if library == "sbx" else networks
+    steps = 10**9 if library else CONFIG.total_steps
+    model.learn(steps, callback=lambda *_: clock.check(model.num_timesteps, policy))
 
 
 def train_loop(seed: int, clock: Clock) -> None:
@@ -102,12 +92,12 @@ def train_loop(seed: int, clock: Clock) -> None:
     steps, epochs, batch, gamma, decay, clip, total, rate = 2048, 10, 64, 0.99, 0.95, 0.2, 1_000_000, 3e-4
     rng = np.random.default_rng(seed)
     torch.manual_seed(seed)
-    env: Any = wrappers.ClipAction(gym.make(ID, **ENV_KWARGS))
-    env = normalised = wrappers.NormalizeObservation(env)
-    env = wrappers.TransformObservation(env, lambda seen: np.clip(seen, -10, 10), env.observation_space)
-    env = wrappers.TransformReward(
-        wrappers.NormalizeReward(env, gamma=gamma), lambda r: max(-10.0, min(10.0, float(r)))
-    )
+    normalised = wrappers.NormalizeObservation(wrappers.ClipAction(gym.make(ID, **ENV_KWARGS)))
+    env: Any = wrappers.NormalizeReward(normalised, gamma=gamma)
+    env = wrappers.TransformReward(env, lambda reward: max(-10.0, min(10.0, float(reward))))
+
+    def clipped(observation: np.ndarray) -> torch.Tensor:
+        return torch.as_tensor(np.clip(observation, -10.0, 10.0), dtype=torch.float32)
 
     def network(scale: float) -> nn.Sequential:
         layers = [nn.Linear(env.observation_space.shape[0], 64), nn.Linear(64, 64), nn.Linear(64, 1)]
@@ -120,20 +110,20 @@ def train_loop(seed: int, clock: Clock) -> None:
     parameters = [*actor.parameters(), *critic.parameters(), log_std]
     optimiser = torch.optim.Adam(parameters, lr=rate, eps=1e-5)
 
+    @torch.no_grad()
     def act(observations: np.ndarray) -> np.ndarray:
         rms = normalised.obs_rms
-        inputs = np.clip((observations - rms.mean) / np.sqrt(rms.var + normalised.epsilon), -10, 10)
-        with torch.no_grad():
-            return actor(torch.as_tensor(inputs, dtype=torch.float32)).numpy()
+        return actor(clipped((observations - rms.mean) / np.sqrt(rms.var + normalised.epsilon))).numpy()
 
-    seen, done = env.reset(seed=seed)[0], 0.0
-    for step in range(0, 10**9, steps):
+    policy = partial(wrap_policy, act, name="agent", env_kwargs=ENV_KWARGS)
+    seen, done, step = env.reset(seed=seed)[0], 0.0, 0
+    while clock.check(step, policy):
         # CleanRL anneals the rate over its 1,000,000 steps; a longer training keeps the last one.
         optimiser.param_groups[0]["lr"] = rate * max(steps / total, 1.0 - step / total)
         observations, actions = torch.zeros(steps, len(seen)), torch.zeros(steps, 1)
-        log_probs, rewards, dones = (torch.zeros(steps) for _ in range(3))
+        log_probs, rewards, going = torch.zeros(steps), torch.zeros(steps), torch.ones(steps + 1)
         for t in range(steps):
-            observations[t], dones[t] = torch.as_tensor(seen), done
+            observations[t], going[t] = clipped(seen), 1.0 - done
             with torch.no_grad():
                 distribution = Normal(actor(observations[t]), log_std.exp())
                 actions[t] = distribution.sample()
@@ -141,39 +131,31 @@ def train_loop(seed: int, clock: Clock) -> None:
             seen, rewards[t], terminated, truncated, _ = env.step(actions[t].numpy())
             done = float(terminated or truncated)
             seen = env.reset()[0] if done else seen
+        going[steps], step = 1.0 - done, step + steps
         with torch.no_grad():
-            last = critic(torch.as_tensor(seen, dtype=torch.float32))
-            values = torch.cat([critic(observations)[:, 0], last])
-        advantages, advantage, continues = (
-            torch.zeros(steps),
-            torch.zeros(()),
-            1.0 - torch.cat([dones, torch.tensor([done])]),
-        )
+            values = critic(torch.cat([observations, clipped(seen)[None]]))[:, 0]
+        advantages = torch.zeros(steps + 1)
         for t in reversed(range(steps)):
-            error = rewards[t] + gamma * values[t + 1] * continues[t + 1] - values[t]
-            advantages[t] = advantage = error + gamma * decay * continues[t + 1] * advantage
-        values = values[:-1]
-        returns = advantages + values
-        for part in (part for _ in range(epochs) for part in rng.permutation(steps).reshape(-1, batch)):
+            error = rewards[t] + gamma * values[t + 1] * going[t + 1] - values[t]
+            advantages[t] = error + gamma * decay * going[t + 1] * advantages[t + 1]
+        returns = (advantages + values)[:-1]
+        for part in np.concatenate([rng.permutation(steps).reshape(-1, batch) for _ in range(epochs)]):
             distribution, value = Normal(actor(observations[part]), log_std.exp()), critic(observations[part])[:, 0]
             ratio = (distribution.log_prob(actions[part]).sum(1) - log_probs[part]).exp()
             advantage = (advantages[part] - advantages[part].mean()) / (advantages[part].std() + 1e-8)
             policy_loss = -torch.min(ratio * advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * advantage).mean()
-            clipped = values[part] + (value - values[part]).clamp(-clip, clip)
-            errors = torch.max((value - returns[part]) ** 2, (clipped - returns[part]) ** 2)
+            near = values[part] + (value - values[part]).clamp(-clip, clip)
+            errors = torch.max((value - returns[part]) ** 2, (near - returns[part]) ** 2)
             optimiser.zero_grad()
             (policy_loss + 0.25 * errors.mean()).backward()
             nn.utils.clip_grad_norm_(parameters, 0.5)
             optimiser.step()
-        clock.check(step + steps, lambda: wrap_policy(act, name="agent", env_kwargs=ENV_KWARGS))
-        if clock.over:
-            return
 
 
 CONTENDERS: dict[str, Callable[[int, Clock], None]] = {
-    "train.py": train_preset,
-    "SB3, make_vec_env": partial(train_sb3, "stable_baselines3"),
-    "SBX, make_vec_env": partial(train_sb3, "sbx"),
+    "train.py": partial(train_model, ""),
+    "SB3, make_vec_env": partial(train_model, "stable_baselines3"),
+    "SBX, make_vec_env": partial(train_model, "sbx"),
     "CleanRL's loop": train_loop,
 }
 
@@ -188,8 +170,6 @@ class Args(OutputArgs):
 
     seeds: Count = 3
     """Training seeds, from 0 on."""
-    speed: float = 15.0
-    """Mean speed on validation plants that ends a training, cm/s."""
     seconds: float = 900.0
     """Processor time after which a training is given up, s."""
 
@@ -209,15 +189,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             continue
         row, steps = [name], []
         for seed in range(args.seeds):
-            clock = Clock(validation_plants(replace(CONFIG, seed=seed)), args.speed, args.seconds)
+            clock = Clock(validation_plants(replace(CONFIG, seed=seed)), args.seconds)
             train(seed, clock)
-            reached = clock.speed >= args.speed
+            reached = clock.speed >= SPEED
             row.append(f"{clock.seconds:.0f}" if reached else f"> {clock.seconds:.0f} ({clock.speed:.1f} cm/s)")
             steps.append(f"{1e-3 * clock.steps:.0f}")
             print(f"{name}, seed {seed}: {row[-1]} s", file=sys.stderr, flush=True)
         rows.append([*row, ", ".join(steps)])
     note = (
-        f"Processor time, without evaluations, until the mean speed on validation plants is {args.speed:g} cm/s; > "
+        f"Processor time, without evaluations, until the mean speed on validation plants is {SPEED:g} cm/s; > "
         f"where it was not, with the last speed. Direct torque, PPO, one thread of torch. {machine()}."
     )
     args.report(COMMAND, rows, note)

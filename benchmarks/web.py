@@ -6,28 +6,26 @@ processor times, so that other processes have little effect.
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from shutil import which
 
 import numpy as np
 
 import capsule_gym
-from benchmarks.measurement import OutputArgs, machine, rates
-from capsule_gym.command_line import Count, parse, refuse
+from benchmarks.measurement import TurnArgs, machine, rates
+from capsule_gym.command_line import parse, refuse
 from capsule_gym.task import EPISODE_STEPS
 from web import build
 from web.episodes import drivers
 
 COMMAND = "python -m benchmarks.web"
-# A law, and a network.
-CONTROLLERS = ("adaptive", "direct-ppo")
 # Runs episodes of a driver and prints the seconds of each.
 SCRIPT = """
 const [path, name, episodes] = process.argv.slice(1);
@@ -44,53 +42,42 @@ for (let n = 0; n < episodes; n++) {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Args(OutputArgs):
+class Args(TurnArgs):
     """Speed of one capsule in node, compared with the native environment.
 
     Examples:
         python -m benchmarks.web --markdown web.md
     """
 
-    turns: Count = 30
-    """Episodes of every controller, native and in node."""
-
 
 def native_episode(name: str) -> float:
     """Runs a nominal episode in Python's environment, as a user does; returns its seconds."""
     policy = drivers()[name]
     env = capsule_gym.CapsuleEnv(**policy.env_kwargs)
-    nothing, nominal = np.zeros(1, np.float32), {"M": env.simulation.capsule.M, "mu": env.simulation.capsule.mu}
     start = time.process_time()
-    observation, _ = env.reset(options=nominal)
-    act = policy.start([0]) if isinstance(policy, capsule_gym.Policy) else None
+    observation, _ = env.reset(options={"M": env.simulation.capsule.M, "mu": env.simulation.capsule.mu})
+    act = policy.start([0]) if isinstance(policy, capsule_gym.Policy) else lambda _: np.zeros(1, np.float32)
     for _ in range(EPISODE_STEPS):
-        observation, *_ = env.step(act(observation) if act else nothing)
+        observation, *_ = env.step(act(observation))
     return time.process_time() - start
-
-
-def node_episodes(module: Path, name: str, count: int) -> Iterator[float]:
-    """The seconds of nominal episodes in node."""
-    command = ["node", "--input-type=module", "--eval", SCRIPT, module.as_uri(), name, str(count)]
-    return map(float, subprocess.run(command, check=True, capture_output=True, text=True).stdout.split())
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = parse(Args, COMMAND, arguments)
-    if shutil.which("node") is None:
+    if which("node") is None:
         refuse(COMMAND, "node must be installed")
     table = [["controller", "native, steps/s", "node, steps/s", "node over native"]]
     with tempfile.TemporaryDirectory() as folder:
         build.main(["--output", folder])
-        for name in CONTROLLERS:
-            node = node_episodes(Path(folder, "capsule.mjs"), name, args.turns)
-            found = rates({"native": partial(native_episode, name), "node": node.__next__}, args.turns)
+        for name in ("adaptive", "direct-ppo"):
+            module = Path(folder, "capsule.mjs").as_uri()
+            command = ["node", "--input-type=module", "--eval", SCRIPT, module, name, str(args.turns)]
+            node = map(float, subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout.split())
+            found = rates({"native": partial(native_episode, name), "node": partial(next, node)}, args.turns)
             native, browser = (EPISODE_STEPS * rate for rate in found.values())
             table.append([name, f"{native:,.0f}", f"{browser:,.0f}", f"{browser / native:.3f}"])
-    note = (
-        "Agent steps, of 20 ms each, of one capsule in closed loop per second of the processor; 10th percentile of the "
-        f"times of {args.turns} episodes. {machine()}."
-    )
+    note = f"Agent steps of one capsule in closed loop per second of processor time, 10th percentile. {machine()}."
     args.report(COMMAND, table, note)
     return 0
 
