@@ -12,11 +12,9 @@ from capsule_gym import task
 from capsule_gym.parameters import Capsule
 
 XML = Path(__file__).with_name("capsule.xml").read_text(encoding="utf-8")
-# Friction of the joint x, or of a sphere on a plane with one or more settings that MuJoCo documents against slip: the
-# ratio of friction-to-normal impedance, the no-slip solver, the smallest time constant (in steps) and the largest
-# impedance of a contact that it accepts, and the discrete integrator.
+# Friction of the joint x, or of a sphere on a plane with settings that MuJoCo documents against slip; `stiff` has the
+# smallest time constant, in steps, and the largest impedance of a contact that it accepts.
 FRICTIONS = ("frictionloss", "contact", "impratio", "no-slip", "stiff", "no-slip, discrete")
-IMPRATIO, NO_SLIP_ITERATIONS, STIFF_STEPS, STIFF_IMPEDANCE = 100.0, 50, 2.0, (0.9999, 0.9999, 0.001, 0.5, 2.0)
 
 
 def build(friction: str, timestep: float, capsule: Capsule) -> tuple[Any, Any]:
@@ -27,19 +25,17 @@ def build(friction: str, timestep: float, capsule: Capsule) -> tuple[Any, Any]:
     coulomb = 0.0 if contact else capsule.mu * (capsule.M + capsule.m) * capsule.g
     spec = mujoco.MjSpec.from_string(Template(XML).substitute(vars(capsule), coulomb=coulomb))
     spec.option.timestep = timestep
-    spec.option.integrator = getattr(
-        mujoco.mjtIntegrator, f"mjINT_{'DISCRETE' if 'discrete' in friction else 'IMPLICITFAST'}"
-    )
-    spec.option.impratio = IMPRATIO if friction == "impratio" else 1.0
-    spec.option.noslip_iterations = NO_SLIP_ITERATIONS if "no-slip" in friction else 0
+    kinds = mujoco.mjtIntegrator
+    spec.option.integrator = kinds.mjINT_DISCRETE if "discrete" in friction else kinds.mjINT_IMPLICITFAST
+    spec.option.impratio = 100.0 if friction == "impratio" else 1.0
+    spec.option.noslip_iterations = 50 if "no-slip" in friction else 0
     if not contact:
         spec.delete(spec.joint("y"))
         spec.delete(spec.joint("z"))
         spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     for geom in spec.geoms if friction == "stiff" else ():
-        geom.solref, geom.solimp = (STIFF_STEPS * timestep, 1.0), STIFF_IMPEDANCE
-    model = spec.compile()
-    data = mujoco.MjData(model)
+        geom.solref, geom.solimp = (2.0 * timestep, 1.0), (0.9999, 0.9999, 0.001, 0.5, 2.0)
+    data = mujoco.MjData(model := spec.compile())
     for settling in range(1 + (round(1.0 / timestep) if contact else 0)):
         if settling:
             mujoco.mj_step(model, data)

@@ -155,7 +155,7 @@ def train_loop(seed: int, clock: Clock) -> None:
 CONTENDERS: dict[str, Callable[[int, Clock], None]] = {
     "train.py": partial(train_model, ""),
     "SB3, make_vec_env": partial(train_model, "stable_baselines3"),
-    "SBX, make_vec_env": partial(train_model, "sbx"),
+    **({"SBX, make_vec_env": partial(train_model, "sbx")} if find_spec("sbx") else {}),
     "CleanRL's loop": train_loop,
 }
 
@@ -184,9 +184,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     torch.set_num_threads(1)
     rows = [["trainer", *(f"seed {seed}, s" for seed in range(args.seeds)), "thousands of steps"]]
     for name, train in CONTENDERS.items():
-        if name.startswith("SBX") and find_spec("sbx") is None:
-            print("SBX is skipped: pip install sbx-rl", file=sys.stderr)
-            continue
         row, steps = [name], []
         for seed in range(args.seeds):
             clock = Clock(validation_plants(replace(CONFIG, seed=seed)), args.seconds)
