@@ -12,6 +12,8 @@ from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 
+from tqdm import tqdm
+
 from agents.evaluation.criteria import CRITERIA
 from agents.training.config import BEST, CONFIG, EVALUATIONS, Config, RunError, read_config
 from agents.training.presets import row_settings
@@ -120,7 +122,10 @@ def _train_on_ray(jobs: Sequence[Job]) -> list[str]:
     try:
         # Ray starts as many as it has processors.
         task = ray.remote(num_cpus=1, max_retries=-1)(train_job)
-        found: list[str] = ray.get([task.remote(job) for job in jobs])
+        references = running = [task.remote(job) for job in jobs]
+        for _ in tqdm(jobs, unit=" runs", disable=None):
+            _, running = ray.wait(running)
+        found: list[str] = ray.get(references)
         return found
     finally:
         ray.shutdown()
