@@ -53,9 +53,7 @@ def clearly(board, faster, slower, on):
 def test_the_message_is_true_of_the_committed_board():
     board = read(ROOT)
     assert clearly(board, "open-loop", "adaptive", "paper") and clearly(board, "pd", "open-loop", "paper")
-    # With perfect sensors; the seeds of direct-ppo differ by more than its distance to the PD.
-    perfect = [name for name in page.PERFECT if name != "direct-ppo"]
-    assert all(clearly(board, name, "pd", "paper") for name in perfect)
+    assert all(clearly(board, name, "pd", "paper") for name in page.PERFECT)
     # With real sensors all of these but LQR fall below the PD.
     assert [name for name in page.PERFECT if not clearly(board, "pd", name, "real")] == ["lqr"]
     assert all(clearly(board, name, "pd", "real") for name in page.KEPT)
