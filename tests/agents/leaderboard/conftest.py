@@ -28,6 +28,6 @@ def world(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def short_repr(world):
+def written(world):
     write_all(world)
     return world
