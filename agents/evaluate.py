@@ -103,9 +103,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     count = f"{len(evaluation_set.plants)} episodes, {evaluation_set.hash[:12]}"
     print(f"{candidate.name} on the set {evaluation_set.name} ({count})\n")
     print(comparison_table(candidate.name, episodes, reference.name, others))
-    print(
-        "\nInterquartile means unless stated, of shares means; intervals of 95 % for other training runs and other plants."
-    )
+    print("\nInterquartile means unless stated, of shares means; the intervals of 95 % are")
+    print("for other training runs and other plants.")
     print(f"Differences to {reference.name} are taken episode by episode.")
     return 0
 
