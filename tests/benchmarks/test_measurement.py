@@ -1,7 +1,5 @@
 """Rates, ratios, tables, files and error messages of the benchmarks. These tests measure no time."""
 
-from __future__ import annotations
-
 import importlib
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Helpers for several tests of the environment: laws, rollouts, the layout of an info."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from capsule_gym import Controller

@@ -3,8 +3,6 @@
 `make fuzz` runs these tests with many examples, and with another seed each time.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from collections.abc import Callable

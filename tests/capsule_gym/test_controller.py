@@ -1,7 +1,5 @@
 """The contract of control laws: errors of invalid laws, and calls of a user's own law."""
 
-from __future__ import annotations
-
 import math
 import pickle
 import re

@@ -1,7 +1,5 @@
 """The demo: names of policies, episodes equal to the environment's, files, keys and error messages."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

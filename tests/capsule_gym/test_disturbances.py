@@ -1,7 +1,5 @@
 """Disturbances and varied plants: the sensors err as documented, nothing else changes, and every contract holds."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise

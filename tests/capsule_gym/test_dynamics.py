@@ -1,7 +1,5 @@
 """The plant's physics: conservation, exact stick, located events and order of convergence."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """The single environment: contract, determinism, info, options, pickling, workers."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import math

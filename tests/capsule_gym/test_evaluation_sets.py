@@ -1,7 +1,5 @@
 """Evaluation sets: valid files, their hash, and the plant that comes first."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """Exported policies and laws: the bits of the package in double, small errors in float, on a Cortex-M4, and in ONNX."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import re

@@ -1,7 +1,5 @@
 """Identification: the predictor is the environment, the intervals contain the truth, invalid logs raise errors."""
 
-from __future__ import annotations
-
 import csv
 import importlib
 import subprocess

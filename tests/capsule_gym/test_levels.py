@@ -1,7 +1,5 @@
 """One core: the same bits at every level of instructions, in batches of every size, and on any number of threads."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """The plant's constants, their ranges and the options of an environment: invalid values and their errors."""
 
-from __future__ import annotations
-
 import dataclasses
 import inspect
 import json

@@ -1,7 +1,5 @@
 """Policy files: saving and loading, names, and hostile files, which have no effect."""
 
-from __future__ import annotations
-
 import json
 import pickle
 import struct

@@ -1,7 +1,5 @@
 """The canvas, the frames, the window and the GIF: their content, and frames without a display."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

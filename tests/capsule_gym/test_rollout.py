@@ -1,7 +1,5 @@
 """Whole episodes in one call of the core: the same bits as stepping the batch, also with jumps and failures."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """A batch of environments: the plants and steps that it accepts, and the draws at the start of an episode."""
 
-from __future__ import annotations
-
 import pickle
 import re
 

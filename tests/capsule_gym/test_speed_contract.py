@@ -1,7 +1,5 @@
 """Stepping does not grow memory."""
 
-from __future__ import annotations
-
 import gc
 import tracemalloc
 from collections.abc import Callable

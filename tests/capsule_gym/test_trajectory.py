@@ -1,7 +1,5 @@
 """Derivatives of trajectories: against differences through events, and the values' bits."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Laws that users write in Python: compiled by numba or called by Python, the same torques, and their exceptions."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

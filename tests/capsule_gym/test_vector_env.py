@@ -1,7 +1,5 @@
 """The native batch: the same episodes as single environments bit for bit, autoreset, infos, threads."""
 
-from __future__ import annotations
-
 import copy
 import hashlib
 import itertools

@@ -3,8 +3,6 @@
 `make test` runs the examples of Stable-Baselines3; the others need minutes and run if EXAMPLES is set.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

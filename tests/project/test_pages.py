@@ -1,7 +1,5 @@
 """Pages and docstrings work as printed: Python blocks and examples run, commands, options and modules exist."""
 
-from __future__ import annotations
-
 import ast
 import contextlib
 import doctest

@@ -1,7 +1,5 @@
 """No command unpickles a file or folder that it is given, unless an option allows it."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import importlib

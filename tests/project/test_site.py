@@ -1,7 +1,5 @@
 """The site: rankings and scenes link to the live page."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Installation and imports: packages and data, light imports, import contracts."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The module for browsers in node: Python's bits, the module's interface, and its errors."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """The live page in a browser: controls by mouse and keyboard, links, and the layout on screens of any width."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """The core as WebAssembly: the fused multiply-add, which WebAssembly lacks, and the bytes of the module."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

@@ -1,7 +1,5 @@
 """Agents: policy files and archives act like the agent; environments of training, and wrappers."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import pickle

@@ -1,7 +1,5 @@
 """Logs of a training run."""
 
-from __future__ import annotations
-
 import io
 import sys
 from functools import partial

@@ -1,7 +1,5 @@
 """The training loop: determinism, content of a run's folder, interruption and resumption."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import json

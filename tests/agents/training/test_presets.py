@@ -1,7 +1,5 @@
 """The hyperparameters of training: options shared with the environment have its descriptions and defaults."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

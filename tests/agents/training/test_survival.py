@@ -1,7 +1,5 @@
 """Resuming: a killed and resumed run ends like an undisturbed run; errors name damaged and broken files."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """The stored results, the command that computes them, and the policies."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Grid, transitions and solver, compared with the environment, closed forms and value iteration in numpy."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

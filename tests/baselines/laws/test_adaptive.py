@@ -1,7 +1,5 @@
 """The adaptive law (37) to (39): every term compared with the paper's equations and the plant's, and tracking."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

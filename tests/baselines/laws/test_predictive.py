@@ -1,7 +1,5 @@
 """The observer and the predictor: their estimates, and the performance of the law on late measurements."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -1,7 +1,5 @@
 """The profiles, the reference along them, and feedback linearisation."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The laws for the tasks `goal` and `velocity`: they reach the goal, follow the target and keep contact."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

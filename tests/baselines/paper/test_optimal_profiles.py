@@ -1,7 +1,5 @@
 """The optimised profiles: the assessment compared with independent code, the committed optima, the search itself."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The command: every published number and claim with its verdict, and figures of the same numbers."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
