@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import os
-import re
 import subprocess
 import sys
 import threading
@@ -39,13 +38,6 @@ def test_bad_options_are_named(arguments, message, capsys):
     assert message in " ".join(error.replace("│", " ").split())
 
 
-@pytest.mark.parametrize(("task", "algo"), list(PRESETS))
-def test_presets_are_the_defaults(task, algo):
-    options = train.read_args(["--algo", algo, "--task", task])
-    assert options.hyperparameters == PRESETS[task, algo]
-    assert (options.task, options.algo, options.run, options.resume) == (task, algo, None, None)
-
-
 def test_another_environment_has_settings_of_its_own():
     for env, tuned in ENV_PRESETS.items():
         options = train.read_args(["--env", env])
@@ -62,24 +54,6 @@ def test_a_rows_settings_are_defaults_that_options_change(row):
     options = train.read_args(["--row", row, "--seed", "3", "--gamma", "0.9"])
     assert options.hyperparameters == dataclasses.replace(ROWS[row], seed=3, gamma=0.9)
     assert (options.task, options.algo) == (ROWS[row].task, ROWS[row].algo)
-
-
-@pytest.mark.parametrize(("task", "algo"), list(PRESETS))
-def test_help_explains_every_hyperparameter_with_its_default(task, algo, capsys):
-    with pytest.raises(SystemExit) as stop:
-        train.main(["--task", task, "--algo", algo, "--help"])
-    assert stop.value.code == 0
-    description, *entries = re.split(r"\n\W (?=--)", capsys.readouterr().out)
-    assert "resume only runs of your own" in description
-    helps = {entry.split()[0]: " ".join(re.sub("[│|]", " ", entry).split()[1:]) for entry in entries}
-    for name, value in PRESETS[task, algo].to_dict().items():
-        option = "--" + name.replace("_", "-")
-        option = option.replace("--", "--no-") if value is True else option
-        text, _, default = helps[option].partition("(default: ")
-        written = " ".join(map(str, value)) if isinstance(value, tuple) else value
-        assert default.startswith(f"{written})") or name == "wrapper"
-        # The help states the accepted values and their meaning.
-        assert len(text.split()) >= 3, text
 
 
 def started(folder, task, algo, **changes):

@@ -1,14 +1,12 @@
 """Identification: the predictor is the environment, the intervals contain the truth, invalid logs raise errors."""
 
 import csv
-import importlib
 import subprocess
 import sys
 
 import numpy as np
 import pytest
 
-import capsule_gym
 from capsule_gym import Capsule, CapsuleEnv, Disturbances, Excitation, identify, record
 from capsule_gym.identification import OTHERS
 from capsule_gym.parameters import REAL
@@ -104,11 +102,6 @@ def test_what_is_not_determined_is_named(fit):
     # The masses and the length follow from the torque's scale and g alone.
     assert np.corrcoef(fit.samples.T)[list(fit.estimates).index("m"), list(fit.estimates).index("l")] < -0.9
     assert fit.widths["static_ratio"] > 0.9 and "not determined: the prior's" in fit.table()
-
-
-def test_report(fit, tmp_path):
-    fit.report(tmp_path / "fit.png")
-    assert (tmp_path / "fit.png").stat().st_size > 20_000
 
 
 def test_command_and_lost_readings(log, tmp_path):
@@ -211,9 +204,3 @@ def test_record_writes_what_happens(tmp_path):
         record(CapsuleEnv(controller="baselines:gait"), policy)
     late = CapsuleEnv(**{**OPTIONS, "disturbances": Disturbances(latency=0.01, unmeasured=("x_dot",))})
     assert list(record(late, seconds=0.1, seed=0)) == ["t", "torque", "theta", "theta_dot"]
-
-
-def test_an_import_of_the_command_does_not_hide_the_function():
-    importlib.import_module("capsule_gym.identify")
-    with pytest.raises(ValueError, match="'t' and 'torque'"):
-        capsule_gym.identify({"theta": [0.0, 0.1]})

@@ -1,17 +1,14 @@
 """The plant's constants, their ranges and the options of an environment: invalid values and their errors."""
 
 import dataclasses
-import inspect
-import json
 import math
 import re
 
 import numpy as np
 import pytest
 
-from capsule_gym import CapsuleEnv, CapsuleVectorEnv, dynamics
+from capsule_gym import CapsuleVectorEnv, dynamics
 from capsule_gym.config import EnvConfig
-from capsule_gym.env import DOCS
 from capsule_gym.parameters import RANDOMIZATIONS, Capsule, Plant, Randomization
 from capsule_gym.simulation import Simulation
 
@@ -154,18 +151,6 @@ def test_every_corner_of_the_ranges_is_checked():
 
 FIELDS = {field.name: field for field in dataclasses.fields(EnvConfig)}
 NUMBERS = [name for name, field in FIELDS.items() if field.type in ("float", "float | None")]
-
-
-def test_the_page_of_the_environment_lists_the_options_and_their_defaults():
-    assert list(DOCS) == list(FIELDS)
-    page = inspect.getdoc(CapsuleEnv)
-    for name, field in FIELDS.items():
-        if field.default is not None:
-            default = json.dumps(field.default) if isinstance(field.default, str) else f"{field.default:g}"
-            default = str(field.default) if isinstance(field.default, bool) else default
-            assert f"| `{name}` | `{default}` |" in page, name
-    for name, ranges in RANDOMIZATIONS.items():
-        assert name == "none" or f'"{name}": {ranges};' in DOCS["randomization"]
 
 
 OPTIONS = [*NUMBERS, "initial_range", "observe_parameters", "capsule", "randomization", "threads"]

@@ -231,29 +231,6 @@ def test_what_is_wrong_in_a_link_is_shown(open_page: Open) -> None:
         assert page.locator("#trouble").is_visible()
 
 
-def test_a_reader_who_follows_the_light_moves_forwards_and_the_distance_is_kept(open_page: Open) -> None:
-    page = open_page("#driver=yourself&speed=0.5", accept_downloads=True)
-    page.focus("#stage")
-    lit = "() => document.querySelector('.push.now').dataset.key"
-    key = page.evaluate(lit)
-    page.keyboard.down(key)
-    while figure(page, "time") < 4.0:
-        page.wait_for_function("key => document.querySelector('.push.now').dataset.key !== key", arg=key)
-        page.keyboard.up(key)
-        key = page.evaluate(lit)
-        page.keyboard.down(key)
-    assert page.locator("#banner").is_hidden() and figure(page, "x") > 10.0
-    page.keyboard.up(key)
-    page.click("#play")
-    with page.expect_download() as download:
-        page.click("#share")
-    assert download.value.suggested_filename == "capsule.png"
-    best = page.locator("#best").text_content()
-    assert float(best.removesuffix(" cm")) >= figure(page, "x")
-    page.reload()
-    shows(page, "best", best)
-
-
 def test_check_replays_the_committed_episodes(open_page: Open) -> None:
     page = open_page(PAUSED)
     page.press("#check", "Enter")

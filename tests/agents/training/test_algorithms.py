@@ -106,15 +106,6 @@ def test_an_archive_loads_without_this_checkout(algo, tmp_path, monkeypatch):
     assert action.shape == (2, 1)
 
 
-def test_fixed_factors_stay_as_they_are():
-    env = make_env(small("direct", "sac", observation_scale=(2.0, 0.25, 6.0)), 0)
-    shown = env.reset()
-    for _ in range(20):
-        factors = (2.0, 0.25, 6.0, 1.0, 1.0)
-        np.testing.assert_allclose(shown, env.get_original_obs() * np.float32(factors), rtol=1e-6)
-        shown = env.step(np.full((env.num_envs, 1), 0.3, np.float32))[0]
-
-
 @pytest.mark.parametrize("noise_time", [0.0, 0.1])
 def test_action_noise_has_its_deviation_and_correlation_time(noise_time):
     np.random.seed(0)

@@ -1,7 +1,6 @@
 """Resuming: a killed and resumed run ends like an undisturbed run; errors name damaged and broken files."""
 
 import dataclasses
-import hashlib
 import json
 import multiprocessing
 import os
@@ -18,12 +17,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from stable_baselines3 import PPO
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import train as command_line
 from agents.training import callbacks, checkpoint, loop
-from agents.training.algorithms import make_env
 from agents.training.checkpoint import locked
 from agents.training.config import Config, RunError, read_config
 from agents.training.loop import begin, train
@@ -155,14 +152,6 @@ def test_a_folder_that_has_been_changed_is_not_trained_further(tmp_path, capsys,
     error = capsys.readouterr().err
     assert re.match(f"train.py: error: .*{message}", error) and error.count("\n") == 1
     assert (run / "model.zip").read_bytes() == before
-
-
-def test_a_checkpoint_that_cannot_be_understood_is_named(tmp_path):
-    path = tmp_path / "checkpoint-000000000001"
-    path.write_bytes(hashlib.sha256(b"no pickle").digest() + b"no pickle")
-    assert checkpoint.newest_whole(tmp_path) == path
-    with pytest.raises(RunError, match=f"{path} cannot be read"):
-        checkpoint.restore(path, PPO, make_env(small("ppo"), 0))
 
 
 def test_two_processes_cannot_train_one_run(tmp_path, capsys, whole):
