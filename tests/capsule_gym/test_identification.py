@@ -143,18 +143,13 @@ def changed(**columns):
     ("change", "text"),
     [
         (changed(t=lambda t: t**1.1), "column 't' must increase in equal steps"),
-        (changed(t=lambda t: 1e3 * t), "column 't' must span .* in steps of"),
         (changed(torque=lambda u: 0.0 * u + 0.3), r"column 'torque' must vary \(N m\), got 0.3 in every row"),
-        (changed(torque=lambda u: 1e3 * u), "column 'torque' must be in N m"),
         (changed(torque=lambda u: np.where(u > 0.5, np.nan, u)), "column 'torque' must contain finite numbers"),
         (changed(theta=np.degrees), "column 'theta' must be in rad"),
         (changed(theta_dot=lambda w: 0.1 * w), "column 'theta_dot' must be the derivative of column 'theta'"),
-        (changed(theta_dot=np.degrees), "column 'theta_dot' must be in rad/s"),
-        (changed(x_dot=lambda v: 100.0 * v), "column 'x_dot' must be in m/s"),
         (changed(x_dot=lambda v: v[:-1]), "column 'x_dot' must have one number for each row"),
         (lambda log: {name: column[:50] for name, column in log.items()}, "column 't' must span at least 2 s"),
         (lambda log: {**log, "speed": log["x_dot"]}, "log must have columns out of"),
-        (lambda log: {name: log[name] for name in ("t", "torque", "x_dot")}, "log must have a column 'theta' or"),
         (lambda log: {name: log[name] for name in ("t", "theta")}, "log must have the columns 't' and 'torque'"),
     ],
 )
@@ -169,7 +164,6 @@ def test_invalid_logs_name_the_column(log, change, text):
         ({"known": {"latancy": 0.01}}, ValueError, "did you mean 'latency'"),
         ({"known": {"latency": -1.0}}, ValueError, r"known\['latency'\] must be"),
         ({"prior": "narrow"}, ValueError, "must be a Randomization or one of"),
-        ({"physics_dt": 1.0}, ValueError, "physics_dt must be"),
     ],
 )
 def test_invalid_arguments(log, arguments, error, text):

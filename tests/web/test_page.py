@@ -203,11 +203,7 @@ SCENES = [
 ]
 WRONG = [
     ("#driver=nobody", 'driver must be one of .* got "nobody"'),
-    ("#driver=goal-pulses&rival=epc", 'rival must be one of .* got "epc"'),
-    ("#driver=epc&disturbances=all", 'disturbances must be real, got "all"'),
-    ("#driver=epc&latency=1", 'latency must be a number from 0 to 0.03, got "1"'),
     ("#driver=epc&set=moon", 'set must be one of .* got "moon"'),
-    ("#driver=epc&M=heavy", 'M must be a number from .* got "heavy"'),
     ("#driver=epc&jumps=1:2", 'jumps must be t:M:mu.* got "1:2"'),
     ("#driver=epc&t=99", 'a number from 0 to 33, got "99"'),
     ("#driver=yourself&hand=!", "hand must be letters"),

@@ -164,10 +164,8 @@ def test_finished_rows_survive_an_interruption(main, world, monkeypatch, capsys)
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--jobs", "0"], "--jobs"),
         (["--check", "--plants", "0"], "--plants"),
         (["--plants", "5"], "--plants"),
-        (["--jobs", "two"], "--jobs"),
         (["lernt"], "got lernt; did you mean 'learnt'?"),
         (["pd", "--from-results"], "--from-results must be given without names, got pd"),
         (["pd"], "adaptive: no results in adaptive.npz; `python -m agents.leaderboard NAME` writes them"),
