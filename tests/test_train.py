@@ -1,5 +1,3 @@
-"""The command line of train.py."""
-
 import dataclasses
 import json
 import os

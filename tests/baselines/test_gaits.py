@@ -1,5 +1,3 @@
-"""The search for the parameters of the gait law."""
-
 import json
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Sampling model-predictive control."""
-
 import numpy as np
 
 from baselines import mpc

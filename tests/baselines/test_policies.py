@@ -1,5 +1,3 @@
-"""The named scripted policies."""
-
 import pickle
 
 import numpy as np

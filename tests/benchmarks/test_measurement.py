@@ -27,9 +27,6 @@ def test_a_ratio_below_its_floor_fails(tmp_path, monkeypatch) -> None:
         assert "|other|1||||" in page.read_text(encoding="utf-8")
 
 
-# --- plain C ---------------------------------------------------------------------------------------------------------
-
-
 # Without the end of episodes, and with it.
 @pytest.mark.parametrize("scale", [throughput.ACTION_SCALE, 1.0])
 def test_plain_c_does_the_work_of_the_core(scale, monkeypatch) -> None:
@@ -48,9 +45,6 @@ def test_plain_c_does_the_work_of_the_core(scale, monkeypatch) -> None:
         assert np.abs(world[whole] - rows[whole]).max() < 1e-6
     assert (world[:, Row.stuck] > 0.0).any() and (world[:, Row.backward] > 0.0).any()
     assert (world[:, Row.termination] != 0.0).any() == (scale == 1.0)
-
-
-# --- MuJoCo ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("friction", [None, *mujoco.FRICTIONS])

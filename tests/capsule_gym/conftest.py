@@ -1,5 +1,3 @@
-"""Fixtures of the tests of the package."""
-
 import pytest
 
 from capsule_gym import _core, native

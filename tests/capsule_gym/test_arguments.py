@@ -210,8 +210,6 @@ def test_a_short_episode(batch, data, drive, steps):
     env.close()
 
 
-# What is refused, and the message that says why
-
 PARADOX = Randomization(M=(0.001, 0.5), mu=(5.0, 20.0))
 TASK = r"^task must be a Task or one of \[.*'speed'.*\], got "
 

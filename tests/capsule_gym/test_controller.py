@@ -124,8 +124,6 @@ def test_what_is_no_controller_is_named(given, error, said):
         find_controller(given)
 
 
-# Laws of the core
-
 LINEARISING = {**plant_constants(NOMINAL.plant()), "K_p": 400.0, "K_v": 40.0}
 
 

@@ -112,9 +112,6 @@ def test_the_fastest_rate_bounds_every_eigenvalue_closely(normal_force, close):
         assert capsule.fastest_rate(capsule.M, 0.9 * capsule.mu) < rate
 
 
-# Randomization
-
-
 BAD_RANGES = [
     ({"M": (0.2, 0.1)}, ValueError, r"M.* a pair \(low, high\) of finite numbers with"),
     ({"mu": (True, 2.0)}, TypeError, r"mu.* a pair \(low, high\)"),
@@ -143,9 +140,6 @@ def test_every_corner_of_the_ranges_is_checked():
             randomization.corners(capsule)
     for randomization in (*RANDOMIZATIONS.values(), Randomization(M=(0.05, 1.0)), Randomization(mu=(0.0, 2.0))):
         randomization.corners(Capsule())
-
-
-# Options
 
 
 FIELDS = {field.name: field for field in dataclasses.fields(EnvConfig)}

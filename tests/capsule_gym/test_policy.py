@@ -99,9 +99,6 @@ def test_what_is_no_observation_is_refused(observation):
         make_policy()(observation)
 
 
-# Pretrained policies.
-
-
 @pytest.mark.parametrize("name", policy_names())
 def test_every_pretrained_policy_loads_and_drives_its_environment(name):
     for run in (run for run in policy_names(seeds=True) if run.startswith(f"{name}/")):
@@ -159,9 +156,6 @@ def test_a_run_folder_means_its_best_policy(tmp_path):
     for path, seed in ((run, 2), (str(run), 2), (run / POLICY, 1), (run / "best", 2), (run / "best" / POLICY, 2)):
         loaded = load_policy(path)
         assert (loaded.name, loaded.training_seed) == ("my-run", seed)
-
-
-# Files from other sources.
 
 
 def test_another_law_asks_for_consent(tmp_path):

@@ -98,8 +98,6 @@ def test_a_jump_that_a_reset_cancels_never_comes():
     assert simulation.row(Row.M).tolist() == [0.6, M]
 
 
-# The start of an episode
-
 SEEDS = (0, 1, 12345, 2**63, 2**64 - 1, 2**64, 2**100 + 7, 2**128 - 1, 2**128 + 1)
 RANDOMIZATIONS = ("none", "paper", "wide", Randomization(mu=(0.01, 0.2), log_mu=True), Randomization(M=(0.4, 0.5)))
 

@@ -2,9 +2,7 @@
 
 import os
 import signal
-import subprocess
 import sys
-import textwrap
 import threading
 from dataclasses import replace
 from functools import partial
@@ -72,18 +70,6 @@ def test_python_gives_the_torques_of_numba_up_to_rounding(n, disturbances, monke
     # The motion amplifies the rounding.
     np.testing.assert_allclose(called, compiled, rtol=0.0, atol=1e-7)
     assert np.ptp(compiled) > 0.1
-
-
-def test_a_second_process_compiles_the_law_again_to_the_same_torques():
-    script = LAW + textwrap.dedent("""
-        from capsule_gym import CapsuleEnv
-        env = CapsuleEnv(controller=make())
-        env.reset(seed=0)
-        print(env.step(np.zeros(1, np.float32))[4]["law_torque"])
-    """)
-    command = [sys.executable, "-c", script]
-    one, other = (subprocess.run(command, capture_output=True, text=True, check=True).stdout for _ in "ab")
-    assert one == other and float(one) != 0.0
 
 
 def test_an_edited_helper_is_noticed_by_the_next_controller(either_way):

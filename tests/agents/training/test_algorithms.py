@@ -33,9 +33,6 @@ AGREEMENT = 2e-6
 PLANTS = EvaluationSet("two", (PlantSpec(M=0.5, mu=0.01, seed=0), PlantSpec(M=0.46, mu=0.01, seed=1)))
 
 
-# --- policy files and archives ---------------------------------------------------------------------------------------
-
-
 def agent(kind: type[BaseAlgorithm], **policy_kwargs: Any) -> BaseAlgorithm:
     """An agent with weights large enough to reach the bounds of the actions, and with nontrivial statistics."""
     rng = np.random.default_rng(1)
@@ -88,9 +85,6 @@ def test_policy_file_and_archive_act_as_the_agent(kind, policy_kwargs, labels, t
     assert (loaded.env_kwargs, loaded.training_seed, loaded.revision) == (config.env_kwargs(), 4, "abc")
 
 
-# --- environments and agents of training ------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("algo", CLASSES)
 def test_an_archive_loads_without_this_checkout(algo, tmp_path, monkeypatch):
     changes = {"n_steps": 3, "action_noise": 0.2} if algo in ("sac", "td3", "tqc") else {}
@@ -140,9 +134,6 @@ def test_an_agent_with_an_lstm_is_evaluated_with_its_memory(tmp_path):
         assert np.array_equal(actions, expected)
         begun = np.zeros(2, bool)
     assert np.abs(found[0] - found[1]).min() > 1e-4
-
-
-# --- wrappers --------------------------------------------------------------------------------------------------------
 
 
 WRAPPERS = "tests.agents.training.wrappers"

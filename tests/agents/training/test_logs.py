@@ -1,5 +1,3 @@
-"""Logs of a training run."""
-
 import io
 import sys
 from functools import partial

@@ -8,7 +8,6 @@ import pytest
 
 import train
 from agents.distillation.config import STUDENTS
-from agents.distillation.dagger import HIDDEN
 from agents.training.config import RANGES
 from agents.training.presets import PRESETS, ROWS
 from baselines.evaluation.policies import CHECKPOINTS, checkpoint_names, find_candidate
@@ -46,14 +45,6 @@ def test_a_committed_policy_acts_as_its_rows_settings_say(name):
         assert found == expected
         assert policy.algorithm == settings.algo
         assert [bias.size for _, bias in policy.layers] == [settings.hidden, settings.hidden, 1]
-
-
-@pytest.mark.parametrize("name", [name for name in STUDENTS if name in checkpoint_names()])
-def test_a_student_of_the_optimum_acts_as_it_was_taught(name):
-    for policy in find_candidate(name).policies:
-        assert policy.env_kwargs == STUDENTS[name].env_kwargs
-        assert policy.algorithm == "dagger"
-        assert [bias.size for _, bias in policy.layers] == [HIDDEN, HIDDEN, 1]
 
 
 def test_the_table_of_commands_names_every_row_and_its_seeds():

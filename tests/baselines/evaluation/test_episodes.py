@@ -41,18 +41,6 @@ def test_episodes_start_at_the_angle_of_the_set():
     assert "theta" not in rest and upright["theta"] == 0.0
 
 
-def test_compiled_policies_give_the_bits_of_stepped_ones(monkeypatch):
-    policy = make_policy(seed=3)
-    compiled = evaluate(policy, TINY, horizon=2.0)
-    assert {episode.pop("training_seed") for episode in compiled} == {3}
-    monkeypatch.setattr("capsule_gym.network.rollout", None)
-
-    class Stepped:
-        name, env_kwargs, start = policy.name, policy.env_kwargs, policy.start
-
-    assert evaluate(Stepped(), TINY, horizon=2.0) == compiled
-
-
 def test_failed_episodes_end_early_and_are_counted():
     # Full torque swings the ball into the platform at once.
     episodes = evaluate(Sine(1.5, period=10.0), TINY, horizon=4.0)

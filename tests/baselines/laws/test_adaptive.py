@@ -172,9 +172,6 @@ def test_plant_without_friction_or_spring_has_bounds_too():
     assert after[2] != memory[2] and after[7] != memory[7]
 
 
-# The controllers
-
-
 @pytest.mark.parametrize(
     ("error", "make", "message"),
     [

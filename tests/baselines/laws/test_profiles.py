@@ -1,5 +1,3 @@
-"""The profiles, the reference along them, and feedback linearisation."""
-
 import math
 
 import numpy as np
