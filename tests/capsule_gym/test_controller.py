@@ -35,12 +35,7 @@ REFUSED = [
 ]
 TABLES = [np.zeros(3), np.zeros((0, 2)), np.zeros((4, 1)), np.full((2, 2), np.nan), np.zeros((2, 257)), HUGE]
 TABLES += [[[0.0, 10**400]], [["a", "b"]], [[1.0], [1.0, 2.0]], None]
-MEMORIES = [
-    ((), ValueError),
-    ((10**400,), ValueError),
-    (0.0, TypeError),
-    (("a",), TypeError),
-]
+MEMORIES = [((), ValueError), ((10**400,), ValueError), (0.0, TypeError), (("a",), TypeError)]
 
 
 @pytest.mark.parametrize(

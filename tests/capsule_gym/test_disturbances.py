@@ -43,12 +43,7 @@ EXACT = replace(CLEAN, x_noise=0.0)
 
 @pytest.mark.parametrize(
     ("task", "controller", "clean"),
-    [
-        ("speed", None, CLEAN),
-        ("speed", "baselines:gait", CLEAN),
-        ("goal", None, EXACT),
-        ("velocity", None, EXACT),
-    ],
+    [("speed", None, CLEAN), ("speed", "baselines:gait", CLEAN), ("goal", None, EXACT), ("velocity", None, EXACT)],
 )
 def test_disturbances_of_size_zero_change_no_bit(task, controller, clean):
     plain, disturbed = (CapsuleEnv(task=task, controller=controller, disturbances=each) for each in ("none", clean))

@@ -60,12 +60,7 @@ def test_malformed_files_raise_an_error(row, world):
 
 
 def test_the_base_of_a_residual_is_the_policy_of_its_law():
-    bases = {
-        "adaptive": None,
-        "residual-ppo": "adaptive",
-        "residual-real": "gait-predictive",
-        "direct-ppo": None,
-    }
+    bases = {"adaptive": None, "residual-ppo": "adaptive", "residual-real": "gait-predictive", "direct-ppo": None}
     assert {name: static_header(find_candidate(name))["base"] for name in bases} == bases
 
 
