@@ -1,5 +1,3 @@
-"""Small policies and training runs for the tests of the evaluation."""
-
 from dataclasses import dataclass, field
 
 import numpy as np

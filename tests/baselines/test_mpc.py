@@ -12,7 +12,6 @@ def run(count, steps=150):
         taken.append(act(observations))
         observations, *_ = env.step(taken[-1])
     metrics = env.episode_metrics()
-    env.close()
     return np.array(taken), metrics
 
 

@@ -1,5 +1,3 @@
-"""Helpers for several tests of the environment: laws, rollouts, the layout of an info."""
-
 import numpy as np
 
 from capsule_gym import Controller

@@ -1,5 +1,3 @@
-"""Command lines from dataclasses: valid arguments and error messages."""
-
 from dataclasses import dataclass
 
 import pytest

@@ -1,5 +1,3 @@
-"""The contract of control laws: errors of invalid laws, and calls of a user's own law."""
-
 import math
 import pickle
 import re

@@ -40,7 +40,6 @@ def episode(n: int, threads: int, **kwargs: Any) -> list[bytes]:
         columns = env.simulation.columns(np.arange(n))
         world = columns[[*EPISODE_ROWS, *range(ROWS, env.simulation.task_end)]].T
         shown.append(np.concatenate([observations, rewards[:, None], terminated[:, None], world], axis=1))
-    env.close()
     return [np.array(shown)[:, i].tobytes() for i in range(n)]
 
 

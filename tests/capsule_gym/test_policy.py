@@ -117,7 +117,6 @@ def test_every_pretrained_policy_loads_and_drives_its_environment(name):
         assert not terminated
     # The laws alone reach 1.4 cm/s.
     assert env.unwrapped.episode_metrics(1650)["mean_speed"] > 3.0 or policy.env_kwargs.get("task", "speed") != "speed"
-    env.close()
 
 
 @pytest.mark.parametrize(

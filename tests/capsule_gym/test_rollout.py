@@ -83,8 +83,6 @@ def test_a_rollout_gives_the_bits_of_a_loop_in_python_and_of_environments_alone(
             observation, _, terminated, _, _ = alone.step(act(observation))
             step += 1
         assert observation.tobytes() == rolled.simulation.observations[i].tobytes()
-    looped.close()
-    rolled.close()
 
 
 def falling() -> Policy:

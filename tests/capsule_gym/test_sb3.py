@@ -55,7 +55,6 @@ def test_interface_of_the_vec_env():
     with pytest.raises(AttributeError, match="attribute `batch`"):
         env.env_method("episode_metrics")
     assert [image.shape[2] for image in env.get_images()] == [3, 3, 3]
-    env.close()
 
 
 def test_options_of_the_next_reset_reach_each_environment_and_only_that_reset():

@@ -1,5 +1,3 @@
-"""The tasks other than speed: draws, options, rewards and metrics."""
-
 import math
 
 import numpy as np

@@ -45,7 +45,6 @@ def torques(controller: Controller, n: int, disturbances: object = "none", **kwa
     for actions in np.random.default_rng(0).uniform(-1.0, 1.0, (70, 60)).astype(np.float32)[:n].T:
         env.step(actions[:, None])
         rows.append(env.simulation.row(Row.law_torque))
-    env.close()
     return np.array(rows)
 
 

@@ -1,5 +1,3 @@
-"""The site: rankings and scenes link to the live page."""
-
 import importlib.util
 import re
 from collections.abc import Sequence

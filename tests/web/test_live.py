@@ -108,7 +108,6 @@ def world(policy: Any, steps: int, **options: Any) -> str:
     act = policy.start([0])
     for _ in range(steps):
         observation, *_ = env.step(act(observation[None])[0])
-    env.close()
     return env.simulation.world[0, :, 0].tobytes().hex()
 
 
@@ -144,7 +143,6 @@ def test_an_episode_ends_as_pythons(node: Node) -> None:
     """
     ended = ["none", "pendulum", "contact", "diverged"][int(info["termination"])]
     metrics = env.episode_metrics(1650)
-    env.close()
     message = "the episode has ended: reset() first"
     assert node(code) == [steps, reward, False, ended, message, metrics["mean_speed"]]
 
@@ -166,7 +164,6 @@ def test_disturbances_are_drawn_and_set_as_in_python(node: Node) -> None:
         for n in range(80):
             env.step(np.array([0.02 * (n % 7 - 3)], np.float32))
         worlds.append(env.simulation.world[0, :, 0].tobytes().hex())
-    env.close()
     code = f"""
         const capsule = await live.load("adaptive", {{ disturbances: {json.dumps(given)} }});
         const [worlds, drawn] = [[], []];
@@ -199,7 +196,6 @@ def test_tasks_have_pythons_observations_and_metrics(
     for _ in range(300):
         observation, _, _, _, info = env.step(np.zeros(1, np.float32))
     metrics = env.episode_metrics(None)
-    env.close()
     given = {"M": 0.5, "mu": 0.2, "seed": 3, "disturbances": disturbances or "none", **options}
     code = f"""
         const episode = await live.drive("{task}-pulses", {json.dumps(given)});

@@ -44,7 +44,6 @@ def test_a_transition_is_a_step_of_the_environment_bit_for_bit():
         _, reward, terminated, _, info = env.step(action[None])
         assert (ends[:, i] == info["state"][[0, 1, 3]]).all()
         assert (rewards[i], failed[i]) == (reward, terminated)
-    env.close()
 
 
 def test_lost_contact_the_end_of_the_swing_and_the_edge_of_the_grid_fail():

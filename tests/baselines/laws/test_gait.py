@@ -1,5 +1,3 @@
-"""The gait as a law: its torque, the guard of the contact, and its speed without observing the plant."""
-
 import math
 
 import numpy as np
