@@ -1,4 +1,3 @@
-import csv
 import re
 
 import numpy as np
@@ -15,24 +14,14 @@ from capsule_gym.parameters import REAL, Disturbances
 from tests.agents.fakes import Sine
 
 
-def write_evaluations(folder, seed, speeds):
-    path = folder / f"seed-{seed}" / "evaluations.csv"
-    path.parent.mkdir(parents=True)
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, ["steps", "mean_speed_cm_s", "failed"])
-        writer.writeheader()
-        writer.writerows({"steps": 100 * (n + 1), "mean_speed_cm_s": v, "failed": 0.0} for n, v in enumerate(speeds))
-
-
 def cells(table):
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines() if line[:1] == "|"]
 
 
 def test_the_last_of_two_evaluations_at_the_same_step_counts(tmp_path):
-    write_evaluations(tmp_path, 3, [1.0, 2.0])
     path = tmp_path / "seed-3" / "evaluations.csv"
-    with path.open("a") as file:
-        file.write("200,5.0,0.0\n")
+    path.parent.mkdir()
+    path.write_text("steps,mean_speed_cm_s,failed\n100,1.0,0.0\n200,2.0,0.0\n200,5.0,0.0\n")
     steps, speeds = read_learning(tmp_path)[3]
     assert (steps.tolist(), speeds.tolist()) == ([100, 200], [1.0, 5.0])
     path.write_text("steps,mean_speed_cm_s\n")

@@ -193,13 +193,7 @@ def test_a_broken_configuration_is_named(tmp_path, capsys, content):
 
 
 # The last one takes 9 PiB.
-REFUSED = [
-    "--controller baselines:adaptve",
-    "--gamma 2",
-    "--learning-rate nan",
-    "--seed 5000000000",
-    "--torque-limit 0",
-]
+REFUSED = ["--controller baselines:adaptve", "--gamma 2", "--learning-rate nan", "--seed 5000000000"]
 REFUSED += ["--n-steps 1 --num-envs 1", "--algo sac --tau 0", "--algo tqc --dropped-quantiles 25"]
 REFUSED += ["--algo sac --buffer-size 100_000_000_000_000"]
 
