@@ -1,7 +1,5 @@
 """The single environment: contract, determinism, info, options, pickling, workers."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import math
@@ -76,8 +74,7 @@ def test_the_checkers_are_silent_and_every_info_has_the_form_of_the_first(kwargs
 
 
 @pytest.mark.parametrize(
-    "kwargs",
-    [{"randomization": Randomization(M=(0.3, 9.0), mu=(0.001, 3.0))}, {"capsule": Capsule(M=0.1, mu=0.7)}],
+    "kwargs", [{"randomization": Randomization(M=(0.3, 9.0), mu=(0.001, 3.0))}, {"capsule": Capsule(M=0.1, mu=0.7)}]
 )
 def test_every_plant_that_can_occur_lies_in_the_observation_space(kwargs):
     env = CapsuleEnv(observe_parameters=True, **kwargs)

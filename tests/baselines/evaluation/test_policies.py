@@ -71,21 +71,6 @@ def test_malformed_checkpoints_raise_an_error(world):
         all_candidates()
 
 
-@pytest.mark.parametrize(
-    ("name", "senses", "told"),
-    [
-        ("open-loop", "nothing", "nothing"),
-        ("pd", "theta, theta_dot", "nothing"),
-        ("dp-oracle", "state", "nominal plant, M, mu"),
-        ("direct-ppo", "state, stick", "nothing"),
-        ("residual-ppo", "state, stick, law", "nominal plant"),
-        ("dp-distilled-wide", "state, stick, estimates of M, mu", "nominal pendulum"),
-    ],
-)
-def test_the_inputs_of_a_policy(name, senses, told):
-    assert find_candidate(name).inputs == (senses, told)
-
-
 def test_a_module_is_imported_only_if_trusted(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my_rules.py").write_text(MODULE)
