@@ -1,10 +1,8 @@
 """The single environment: contract, determinism, info, options, pickling, workers."""
 
-import copy
 import dataclasses
 import math
 import multiprocessing
-import pickle
 import warnings
 from functools import partial
 
@@ -16,13 +14,13 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_sb3
 
 import baselines
-from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Controller, Disturbances, Randomization
+from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Disturbances, Randomization
 from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.layout import Row
 from capsule_gym.parameters import NOMINAL
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import ENV_ID, METRICS, TASKS, Termination
-from tests.capsule_gym.fakes import flatten, layout, picky_controller
+from tests.capsule_gym.fakes import flatten, layout
 
 VARIANTS = [
     {},
@@ -252,17 +250,6 @@ def test_observation_entries():
         np.testing.assert_allclose(
             observation, [*expected, info["law_torque"], info["M"], info["mu"]], rtol=1e-6, atol=1e-6
         )
-
-
-def test_a_law_that_cannot_be_pickled_is_picklings_error_and_no_obstacle_to_deepcopy():
-    def make() -> Controller:
-        return picky_controller()
-
-    env = CapsuleEnv(controller=make)
-    env.reset(seed=0)
-    with pytest.raises((AttributeError, pickle.PicklingError), match="local object"):
-        pickle.dumps(env)
-    assert copy.deepcopy(env).simulation.controller is env.simulation.controller
 
 
 def first_mass() -> float:

@@ -37,9 +37,6 @@ def test_policies_are_found_by_name_and_path(world):
         assert seeds(name) == [2]
     assert find_candidate("learnt/seed-2").name == "learnt/seed-2"
     assert find_candidate("bold").trained == []
-    # A run is evaluated by its best policy.
-    write_run(folder / "seed-2" / "best", 7)
-    assert seeds(folder / "seed-2") == [7]
 
 
 def test_unknown_policies_raise_an_error_that_lists_the_known_ones(world):
