@@ -6,8 +6,6 @@ A hash covers all observations, rewards and states of a batch over a whole episo
 environments also run alone: the bits must be equal.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re
@@ -15,7 +13,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
@@ -23,13 +21,10 @@ from gymnasium.vector import AutoresetMode
 import baselines
 import capsule_gym
 from baselines.policies import SCRIPTED
-from capsule_gym import Capsule, Disturbances, policy_names
+from capsule_gym import Capsule, CapsuleVectorEnv, Disturbances, Policy, policy_names
 from capsule_gym.command_line import parse
 from capsule_gym.files import write_atomically
 from capsule_gym.task import CONTROL_DT, HORIZON
-
-if TYPE_CHECKING:
-    from capsule_gym import CapsuleVectorEnv, Policy
 
 FILE = Path(__file__).with_name("bits.json")
 # Two blocks of lanes, the second with one lane in use.
@@ -128,7 +123,8 @@ def batched(subject: Subject) -> tuple[list[np.ndarray], dict[str, np.ndarray]]:
     Returns:
         Observations, rewards and states, shape (steps, `NUM_ENVS`, ...); metrics.
     """
-    env = batch(subject)
+    kwargs = {**subject.env_kwargs, "max_episode_steps": subject.steps}
+    env = CapsuleVectorEnv(NUM_ENVS, autoreset_mode=AutoresetMode.DISABLED, **kwargs)
     observations, _ = env.reset(seed=0)
     act = subject.start(range(NUM_ENVS))
     shown = []
@@ -136,7 +132,6 @@ def batched(subject: Subject) -> tuple[list[np.ndarray], dict[str, np.ndarray]]:
         observations, rewards, _, _, info = env.step(act(observations))
         shown.append((observations, rewards, info["state"].copy()))
     metrics = env.episode_metrics()
-    env.close()
     return [np.array(column) for column in zip(*shown, strict=True)], metrics
 
 
@@ -151,14 +146,7 @@ def alone(subject: Subject, i: int) -> tuple[bytes, int]:
         rows.append((observation, np.array(reward), info["state"].copy()))
         if terminated:
             break
-    env.close()
     return b"".join(np.array(column).tobytes() for column in zip(*rows, strict=True)), len(rows)
-
-
-def batch(subject: Subject) -> CapsuleVectorEnv:
-    """The batch of a subject, without autoreset."""
-    kwargs = {**subject.env_kwargs, "max_episode_steps": subject.steps}
-    return capsule_gym.CapsuleVectorEnv(NUM_ENVS, autoreset_mode=AutoresetMode.DISABLED, **kwargs)
 
 
 def compute(subject: Subject) -> tuple[str, list[str]]:

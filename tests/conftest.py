@@ -1,7 +1,5 @@
 """Hypothesis: the same few examples in every test run; many, and other ones, with `--hypothesis-profile fuzz`."""
 
-from __future__ import annotations
-
 from hypothesis import HealthCheck, settings
 
 settings.register_profile("seeded", derandomize=True, deadline=None, database=None, max_examples=20)

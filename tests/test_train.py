@@ -1,9 +1,6 @@
-"""The command line of train.py."""
-
 import dataclasses
 import json
 import os
-import re
 import subprocess
 import sys
 import threading
@@ -20,15 +17,11 @@ ROOT = Path(train.__file__).parent
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--task", "sideways"], "--task"),
         (["--total-steps", "inf"], "--total-steps: must be an integer >= 0, got 'inf'"),
         (["--tota", "4"], "--tota"),
-        (["--observe-parameters", "perhaps"], "perhaps"),
         (["--resume", "nowhere"], "nowhere"),
         (["--row", "fastest"], "--row: a row must be one of residual-ppo, "),
         (["--row", "direct-ppo", "--task", "residual"], "--task must stay direct with --row direct-ppo, got residual"),
-        (["--row", "direct-ppo", "--env", "CapsuleGoal-v0"], "--env must stay CapsuleStickSlip-v0 with --row"),
-        (["--row", "direct-sac", "--algo", "ppo"], "--algo must stay sac with --row direct-sac, got ppo"),
     ],
 )
 def test_bad_options_are_named(arguments, message, capsys):
@@ -37,13 +30,6 @@ def test_bad_options_are_named(arguments, message, capsys):
     assert stop.value.code == 2
     error = capsys.readouterr().err
     assert message in " ".join(error.replace("│", " ").split())
-
-
-@pytest.mark.parametrize(("task", "algo"), list(PRESETS))
-def test_presets_are_the_defaults(task, algo):
-    options = train.read_args(["--algo", algo, "--task", task])
-    assert options.hyperparameters == PRESETS[task, algo]
-    assert (options.task, options.algo, options.run, options.resume) == (task, algo, None, None)
 
 
 def test_another_environment_has_settings_of_its_own():
@@ -62,24 +48,6 @@ def test_a_rows_settings_are_defaults_that_options_change(row):
     options = train.read_args(["--row", row, "--seed", "3", "--gamma", "0.9"])
     assert options.hyperparameters == dataclasses.replace(ROWS[row], seed=3, gamma=0.9)
     assert (options.task, options.algo) == (ROWS[row].task, ROWS[row].algo)
-
-
-@pytest.mark.parametrize(("task", "algo"), list(PRESETS))
-def test_help_explains_every_hyperparameter_with_its_default(task, algo, capsys):
-    with pytest.raises(SystemExit) as stop:
-        train.main(["--task", task, "--algo", algo, "--help"])
-    assert stop.value.code == 0
-    description, *entries = re.split(r"\n\W (?=--)", capsys.readouterr().out)
-    assert "resume only runs of your own" in description
-    helps = {entry.split()[0]: " ".join(re.sub("[│|]", " ", entry).split()[1:]) for entry in entries}
-    for name, value in PRESETS[task, algo].to_dict().items():
-        option = "--" + name.replace("_", "-")
-        option = option.replace("--", "--no-") if value is True else option
-        text, _, default = helps[option].partition("(default: ")
-        written = " ".join(map(str, value)) if isinstance(value, tuple) else value
-        assert default.startswith(f"{written})") or name == "wrapper"
-        # The help states the accepted values and their meaning.
-        assert len(text.split()) >= 3, text
 
 
 def started(folder, task, algo, **changes):
@@ -117,8 +85,6 @@ def test_resume_asks_before_it_runs_code_from_elsewhere(name, code, tmp_path, ca
     ("words", "message"),
     [
         (["--seed", "6"], "--seed must stay 5 with --resume, got 6; only --total-steps may be changed"),
-        (["--task", "residual"], "--task must stay direct with --resume, got residual"),
-        (["--learning-rate", "0.1"], f"--learning-rate must stay {PRESETS['direct', 'sac'].learning_rate}"),
         (["--row", "direct-ppo"], "--row must not be given with --resume, got 'direct-ppo'"),
         (["--n-epochs", "3"], "Unrecognized options: --n-epochs, 3"),
     ],

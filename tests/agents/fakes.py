@@ -1,5 +1,3 @@
-"""Small policies and training runs for the tests of the evaluation."""
-
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -43,16 +41,8 @@ class Sine:
         return act
 
 
-@dataclass
-class Twitch:
+class Twitch(Sine):
     """A torque whose sign depends on the last digits of the rate: chaotic from its second step on."""
-
-    amplitude: float = 0.4
-    name: str = "twitch"
-    description: str = "Chaos."
-    env_kwargs: dict = field(default_factory=dict)
-    senses: str = "nothing"
-    told: str = "nothing"
 
     def start(self, seeds):
         return lambda observations: (self.amplitude * np.sign(np.sin(1e6 * observations[:, 1:2]))).astype(np.float32)

@@ -1,87 +1,27 @@
-"""Analysis: statistics of the leaderboard, sensitivity, and the bound of the goal task."""
-
-import csv
 import re
 
 import numpy as np
 import pytest
 
 from agents.analysis import __main__ as analysis
-from agents.analysis import goal, limit_cycle, sensitivity, statistics
-from agents.analysis.data import rank, read_learning
-from agents.leaderboard.rows import COLUMNS, Row
-from baselines import drawing
+from agents.analysis import goal, limit_cycle, sensitivity
+from agents.analysis.data import read_learning
 from baselines.evaluation.episodes import evaluate
 from baselines.evaluation.policies import Candidate
 from capsule_gym import Capsule, dynamics
 from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec
 from capsule_gym.parameters import REAL, Disturbances
 from tests.agents.fakes import Sine
-from tests.agents.leaderboard.world import make_set
-
-SETS = tuple(make_set(name, *[(0.5, 0.01)] * 4) for name in ("nominal", "paper", "wide"))
-
-
-def make_row(name, seeds=(), speed=1.0, base=None, failed=0):
-    """A row with known speeds: each seed is half a centimetre per second faster than the one before."""
-    count = max(1, len(seeds))
-    values = np.ones((len(COLUMNS), count, 4))
-    values[COLUMNS.index("mean_speed")] = speed + 0.5 * np.arange(count)[:, None]
-    values[COLUMNS.index("failed")] = 0.0
-    values[COLUMNS.index("failed"), -1, :failed] = 1.0
-    header = {"policy": name, "training_seeds": list(seeds), "base": base, "metrics": list(COLUMNS)}
-    sets = {each.name: each.hash for each in SETS}
-    return Row({**header, "sets": sets}, {each.name: values.copy() for each in SETS})
-
-
-def write_evaluations(folder, seed, speeds):
-    path = folder / f"seed-{seed}" / "evaluations.csv"
-    path.parent.mkdir(parents=True)
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, ["steps", "mean_speed_cm_s", "failed"])
-        writer.writeheader()
-        writer.writerows({"steps": 100 * (n + 1), "mean_speed_cm_s": v, "failed": 0.0} for n, v in enumerate(speeds))
-
-
-ROWS = [
-    make_row("adaptive", speed=1.0),
-    make_row("direct-ppo", (0, 1, 2), speed=17.0, failed=2),
-    make_row("residual", (0, 1), speed=9.0, base="adaptive"),
-    make_row("still", speed=0.0),
-]
-ROWS[-1].scores["nominal"][COLUMNS.index("cost_of_transport")] = np.inf
 
 
 def cells(table):
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines() if line[:1] == "|"]
 
 
-def test_the_statistics_of_ranked_rows(tmp_path, monkeypatch):
-    monkeypatch.setattr(drawing, "DPI", 50)
-    for seed, end in ((0, 9.0), (1, 10.0)):
-        write_evaluations(tmp_path / "residual", seed, [1.0, end - 1.0, end])
-    monkeypatch.setattr(statistics, "CHECKPOINTS", tmp_path)
-    monkeypatch.setattr(statistics, "load_rows", lambda *arguments: ROWS)
-    monkeypatch.setattr(statistics, "SET_NAMES", SETS)
-    monkeypatch.setattr(statistics, "load_set", lambda each: each)
-    document = statistics.document()
-    learning = document.sections["learning"]
-    assert cells(learning)[2:] == [["residual", "2", "300", "9.50 [3.15, 15.85]", "300"]]
-    assert "Without committed evaluations: direct-ppo." in learning
-    assert [name.partition("_")[2] for name in document.figures] == ["transport", "profiles", "learning"]
-    for name, write in document.figures.items():
-        for path in write(tmp_path / name):
-            assert path.stat().st_size > 5000
-    assert [row.name for row in rank(ROWS, SETS)] == ["direct-ppo", "residual", "adaptive", "still"]
-    with pytest.raises(ValueError, match="the hash of the set paper"):
-        rank(ROWS, [*SETS[:1], make_set("paper", (0.5, 0.02))])
-
-
 def test_the_last_of_two_evaluations_at_the_same_step_counts(tmp_path):
-    write_evaluations(tmp_path, 3, [1.0, 2.0])
     path = tmp_path / "seed-3" / "evaluations.csv"
-    with path.open("a") as file:
-        file.write("200,5.0,0.0\n")
+    path.parent.mkdir()
+    path.write_text("steps,mean_speed_cm_s,failed\n100,1.0,0.0\n200,2.0,0.0\n200,5.0,0.0\n")
     steps, speeds = read_learning(tmp_path)[3]
     assert (steps.tolist(), speeds.tolist()) == ([100, 200], [1.0, 5.0])
     path.write_text("steps,mean_speed_cm_s\n")
@@ -115,8 +55,6 @@ def test_a_limit_cycle_is_the_steady_one_from_its_smallest_angle_on():
 
 
 def test_stale_tables_are_found(tmp_path, capsys):
-    """The committed tables match the committed results."""
-    assert analysis.main(["statistics", "--check"]) == 0
     assert analysis.main(["statistics", "--check", "--output", str(tmp_path)]) == 1
     assert re.search(r"statistics_tables\.md is not up to date: run `python -m", capsys.readouterr().out)
 

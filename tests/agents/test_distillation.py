@@ -50,12 +50,6 @@ def test_the_loss_is_linear_between_the_torques_of_the_expert(dataset):
     assert interpolated_regret(torch.from_numpy(dataset.regrets), best).max() < 1e-6 < 0.1 < dataset.regrets.max()
 
 
-def test_the_data_hide_the_plant_and_hold_the_regret_of_every_torque(dataset):
-    assert len(dataset.inputs) == len(dataset.regrets) and dataset.inputs.shape[1] == 9
-    assert dataset.regrets.dtype == np.float32
-    assert (dataset.regrets.min(axis=1) == 0.0).all() and dataset.regrets.max() == STUDENTS[NAME].max_regret
-
-
 def test_a_student_is_given_the_estimates():
     assert STUDENTS[NAME].change_rate > 0.0
     data = collected(steps=150)

@@ -1,5 +1,3 @@
-"""The comparison at the end of a training."""
-
 import dataclasses
 import json
 from pathlib import Path

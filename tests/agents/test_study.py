@@ -129,13 +129,10 @@ def test_a_revision_that_cannot_be_checked_out_is_not_published(finished, tmp_pa
     with pytest.raises(RunError, match="committed code") as error:
         publish(finished, tmp_path / "checkpoints")
     assert repr(revision) in str(error.value)
-    assert not (tmp_path / "checkpoints").exists()
-
-
-def test_unfinished_runs_are_not_published(finished, tmp_path):
     (finished.run / FINISHED).unlink()
     with pytest.raises(RunError, match="not finished"):
         publish(finished, tmp_path / "checkpoints")
+    assert not (tmp_path / "checkpoints").exists()
 
 
 @pytest.mark.parametrize(

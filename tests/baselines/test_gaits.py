@@ -1,7 +1,3 @@
-"""The search for the parameters of the gait law."""
-
-from __future__ import annotations
-
 import json
 
 import numpy as np

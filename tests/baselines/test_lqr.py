@@ -1,5 +1,3 @@
-"""The regulator about a limit cycle: its gains, the committed cycle, and its policy."""
-
 import json
 
 import numpy as np
@@ -48,5 +46,4 @@ def test_the_policy_follows_the_cycle_and_an_episode_does_not_depend_on_others()
         for _ in range(500):
             observations, *_ = env.step(act(observations))
         speeds.append(env.episode_metrics()["distance"] / 10.0)
-        env.close()
     assert speeds[0][0] == speeds[1][0] > 0.09

@@ -1,5 +1,3 @@
-"""Sampling model-predictive control."""
-
 import numpy as np
 
 from baselines import mpc
@@ -14,7 +12,6 @@ def run(count, steps=150):
         taken.append(act(observations))
         observations, *_ = env.step(taken[-1])
     metrics = env.episode_metrics()
-    env.close()
     return np.array(taken), metrics
 
 
@@ -23,9 +20,3 @@ def test_it_moves_and_an_episode_does_not_depend_on_others():
     assert metrics["distance"][0] > 0.2 and metrics["failed"][0] == 0.0
     assert alone.dtype == np.float32 and (np.abs(alone) <= 1.0).all()
     assert np.array_equal(alone[:, 0], among[:, 0])
-
-
-def test_the_command_prints_the_processor_time(monkeypatch, capsys):
-    monkeypatch.setattr(mpc, "EPISODE_STEPS", 5)
-    assert mpc.main(["--plants", "2"]) == 0
-    assert "us per decision" in capsys.readouterr().out

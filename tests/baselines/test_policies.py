@@ -1,7 +1,3 @@
-"""The named scripted policies."""
-
-from __future__ import annotations
-
 import pickle
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""The mean speed under a sine torque."""
-
 import numpy as np
 
 from baselines import sine_sweep

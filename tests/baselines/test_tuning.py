@@ -1,5 +1,3 @@
-"""The search of the parameters of periodic laws."""
-
 import json
 
 import pytest

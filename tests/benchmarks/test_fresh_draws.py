@@ -1,5 +1,3 @@
-"""The comparison of the leaderboard with new plants."""
-
 from dataclasses import replace
 
 from benchmarks import fresh_draws

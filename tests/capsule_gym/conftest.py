@@ -1,7 +1,3 @@
-"""Fixtures of the tests of the package."""
-
-from __future__ import annotations
-
 import pytest
 
 from capsule_gym import _core, native

@@ -1,7 +1,3 @@
-"""Helpers for several tests of the environment: laws, rollouts, the layout of an info."""
-
-from __future__ import annotations
-
 import numpy as np
 
 from capsule_gym import Controller
@@ -15,17 +11,6 @@ SCRATCH = {"action", "active", "mass_ratio", "before_x", "read_before_x", "slip"
 
 
 EPISODE_ROWS = [row for name, row in vars(Row).items() if name not in SCRATCH]
-
-
-def helper(value):
-    return 2.0 * value
-
-
-def make_law(gain, function=helper):
-    def law(theta, theta_dot, x, x_dot, memory, reference):
-        return gain * function(theta), memory
-
-    return law
 
 
 def picky(theta, theta_dot, x, x_dot, memory, reference):

@@ -3,8 +3,6 @@
 `make fuzz` runs these tests with many examples, and with another seed each time.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from collections.abc import Callable
@@ -212,8 +210,6 @@ def test_a_short_episode(batch, data, drive, steps):
     env.close()
 
 
-# What is refused, and the message that says why
-
 PARADOX = Randomization(M=(0.001, 0.5), mu=(5.0, 20.0))
 TASK = r"^task must be a Task or one of \[.*'speed'.*\], got "
 
@@ -221,19 +217,13 @@ TASK = r"^task must be a Task or one of \[.*'speed'.*\], got "
 @pytest.mark.parametrize(
     ("kind", "kwargs", "error", "message"),
     [
-        (CapsuleEnv, {"residual_limit": 0.0}, ValueError, "residual_limit must be > 0 .*, got 0.0: the action would"),
         (CapsuleEnv, {"randomization": PARADOX}, ValueError, "Painleve"),
-        (CapsuleEnv, {"physics_dt": 0.003}, ValueError, "physics_dt must divide"),
-        (CapsuleEnv, {"controller": "baselines:adaptive", "control_dt": 0.0015}, ValueError, "dt must divide"),
         (CapsuleEnv, {"render_mode": np.array(["human", "human"])}, ValueError, "render_mode must be"),
         (CapsuleEnv, {"tusk": "goal"}, TypeError, "unexpected keyword argument 'tusk'; did you mean 'task'"),
         (CapsuleEnv, {"mu": 0.1}, TypeError, r"'mu'; every reset draws it from randomization=Randomization\(mu="),
-        (CapsuleEnv, {"l": 0.2}, TypeError, r"'l'; it is set with capsule=Capsule\(l=\.\.\)"),
-        (CapsuleEnv, {"lag": 0.1}, TypeError, r"'lag'; it is set with disturbances=Disturbances\(lag=\.\.\)"),
         (CapsuleEnv, {"capsule": {"wheels": 4}}, ValueError, r"^capsule must have fields out of .*, got 'wheels'"),
         (CapsuleEnv, {"randomization": {"M": 0.5}}, TypeError, r"^randomization: Randomization.M must be a pair"),
         *((CapsuleEnv, {"task": value}, error, TASK) for value, error in (("fast", ValueError), (1, TypeError))),
-        (CapsuleVectorEnv, {"autoreset_mode": "LATER"}, ValueError, "autoreset_mode"),
     ],
 )
 def test_bad_arguments_are_named(kind, kwargs, error, message):
@@ -249,22 +239,15 @@ BAD_OPTIONS: dict[str, list[tuple[Any, type[Exception], str]]] = {
     "speed": [
         ({"mass": 1.0}, ValueError, "mass"),
         ([1.0], TypeError, "options must be a dict"),
-        ({"M": 0.0}, ValueError, "M must be"),
-        ({"state": "here"}, TypeError, "state"),
         ({"state": [0.3, 1e120, 0.0, 0.0]}, ValueError, r"\|theta_dot\| <= 1000 rad/s"),
-        ({"changes": [1.0]}, TypeError, r"options\['changes'\]\[0\].*, got 1.0"),
         ({"changes": [{"t": 1.0, "M": 0.5}]}, ValueError, r"options\['changes'\]\[0\] must have the keys"),
         ({"changes": [JUMP, {**JUMP, "t": 0.5}]}, ValueError, r"\[1\]\['t'\] must be later .*, 1 s, got 0.5 s"),
         ({"changes": [{"t": 1.0, "M": 0.001, "mu": 2.0}]}, ValueError, r"options\['changes'\]\[0\]: .*Painleve"),
-        ({"commands": [COMMAND]}, ValueError, "options must have keys out of"),
         ({"capsule": {"l": 0.3}}, ValueError, r"options\['capsule'\] needs an environment with disturbances"),
     ],
     "velocity": [
-        ({"commands": 0.05}, TypeError, r"^options\['commands'\] must be a list"),
         ({"commands": [COMMAND] * 9}, ValueError, "must be a list of 1 to 8 .* got 9"),
-        ({"commands": [0.05]}, TypeError, r"^options\['commands'\]\[0\] must be a dict"),
         ({"commands": [{**COMMAND, "t": 1.0}]}, ValueError, r"^options\['commands'\]\[0\]\['t'\] must be 0 s for the"),
-        ({"commands": [COMMAND] * 2}, ValueError, r"\[1\]\['t'\] must be later than the one before, 0 s"),
         ({"commands": [{**COMMAND, "v": 0.3}]}, ValueError, r"\['v'\] must be a number of m/s within 0.2 of 0"),
     ],
     "goal": [
@@ -272,10 +255,7 @@ BAD_OPTIONS: dict[str, list[tuple[Any, type[Exception], str]]] = {
         *(({"goal": goal}, TypeError, NO_GOAL) for goal in ("far", [0.1])),
     ],
     "batch": [
-        ({"M": [0.5]}, ValueError, r"options\['M'\] must have one entry per environment \(2\), got 1"),
         ({"changes": 1.0}, TypeError, r"options\['changes'\] must have one entry per environment .*, got 1.0"),
-        ({"state": np.zeros((3, 4))}, ValueError, "state"),
-        ({"reset_mask": [True, False]}, TypeError, "reset_mask"),
         ({"reset_mask": np.array([False, False])}, ValueError, "reset_mask"),
     ],
 }

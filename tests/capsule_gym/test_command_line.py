@@ -1,7 +1,3 @@
-"""Command lines from dataclasses: valid arguments and error messages."""
-
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import pytest

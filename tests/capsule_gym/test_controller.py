@@ -1,7 +1,3 @@
-"""The contract of control laws: errors of invalid laws, and calls of a user's own law."""
-
-from __future__ import annotations
-
 import math
 import pickle
 import re
@@ -31,20 +27,13 @@ MEMORY = r"^Controller\.memory must be a tuple of 1 to 256 finite numbers"
 HUGE = np.broadcast_to(np.zeros(2), (10**12, 2))
 REFUSED = [
     (lambda theta: 0.0, TypeError),
-    (lambda *state: 0.0, TypeError),
     (lambda *state: (0.0, (1.0, 2.0)), ValueError),
     (lambda *state: (math.nan, state[4]), ValueError),
     ("law", TypeError),
 ]
 TABLES = [np.zeros(3), np.zeros((0, 2)), np.zeros((4, 1)), np.full((2, 2), np.nan), np.zeros((2, 257)), HUGE]
 TABLES += [[[0.0, 10**400]], [["a", "b"]], [[1.0], [1.0, 2.0]], None]
-MEMORIES = [
-    ((), ValueError),
-    ((0.0,) * 257, ValueError),
-    ((10**400,), ValueError),
-    (0.0, TypeError),
-    (("a",), TypeError),
-]
+MEMORIES = [((), ValueError), ((10**400,), ValueError), (0.0, TypeError), (("a",), TypeError)]
 
 
 @pytest.mark.parametrize(
@@ -117,8 +106,6 @@ def test_a_controller_is_found_in_every_form():
 NONE = [
     ("baselines", TypeError, "module:attribute"),
     ("nowhere.at_all:law", ValueError, "No module named 'nowhere'"),
-    ("baselines:nothing", ValueError, "has no attribute 'nothing'"),
-    (3, TypeError, "controller must be None, a Controller"),
     ("math:sin", TypeError, "whose call fails: math.sin() takes"),
     (lambda: Controller("odd", print, [[]]), ValueError, "controller must be None, a Controller"),
 ]
@@ -129,8 +116,6 @@ def test_what_is_no_controller_is_named(given, error, said):
     with pytest.raises(error, match=re.escape(said)):
         find_controller(given)
 
-
-# Laws of the core
 
 LINEARISING = {**plant_constants(NOMINAL.plant()), "K_p": 400.0, "K_v": 40.0}
 
@@ -159,7 +144,6 @@ CONSTANTS = "'gait_candidate' takes the constants torque_limit, got $"
         (ValueError, lambda: CoreLaw("odd"), "name must be one of none, adaptive, .*, got 'odd'"),
         (TypeError, lambda: CoreLaw("gait_candidate"), CONSTANTS),
         (TypeError, lambda: CoreLaw("feedback_linearising", **LINEARISING, K=1.0), "the constants .*, got .*, K$"),
-        (ValueError, lambda: CoreLaw("gait_candidate", torque_limit=math.nan), "must be 1 numbers, got nan"),
         (ValueError, lambda: CoreLaw("none")(0.0, 0.0, 0.0, 0.0, (0.0, 0.0), (0.0, 0.0)), "must have the shapes"),
     ],
 )

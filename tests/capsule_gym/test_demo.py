@@ -1,7 +1,5 @@
 """The demo: names of policies, episodes equal to the environment's, files, keys and error messages."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -88,16 +86,9 @@ def test_held_keys_apply_torque_and_cancel_each_other(monkeypatch):
     held: set[int] = set()
     monkeypatch.setattr(pygame.key, "get_pressed", lambda: {key: key in held for key in KEYS})
     episode = Episode(Keyboard(), PAPER, PLANT)
-    for keys, action in (
-        (KEYS[:1], 1.0),
-        (KEYS[1:2], 1.0),
-        (KEYS[2:3], -1.0),
-        (KEYS[3:], -1.0),
-        (KEYS, 0.0),
-        ((), 0.0),
-    ):
+    for keys, action in (*((key, 1.0 - index // 2 * 2.0) for index, key in enumerate(KEYS)), (KEYS, 0.0), ((), 0.0)):
         held.clear()
-        held.update(keys)
+        held.update(np.atleast_1d(keys).tolist())
         episode.advance(episode.time + 0.02)
         assert state(episode)["torque"] == pytest.approx(1.5 * STRENGTH * action)
 
@@ -108,11 +99,7 @@ def test_held_keys_apply_torque_and_cancel_each_other(monkeypatch):
         (["direct-po"], "did you mean 'direct-ppo'?"),
         (["adaptive", "--set", "papr"], "got 'papr'; did you mean 'paper'?"),
         (["adaptive", "--seed", "400"], "--seed must be one of the set's, 0 to 399, got 400"),
-        (["adaptive", "--seed", "-1"], "must be an integer >= 0, got '-1'"),
-        (["adaptive", "--M", "0"], "M must be a finite number"),
-        (["adaptive", "--seconds", "0"], "--seconds"),
         (["adaptive", "--speed", "0"], "--speed must be a number from 0.1 to 20"),
-        (["adaptive", "-o", "out.mp4"], "--output must name a GIF"),
         (["adaptive", "--rival", "keyboard", "-o", "out.gif"], "'keyboard' with --output"),
     ],
 )

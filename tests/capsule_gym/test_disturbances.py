@@ -1,7 +1,5 @@
 """Disturbances and varied plants: the sensors err as documented, nothing else changes, and every contract holds."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise
@@ -45,12 +43,7 @@ EXACT = replace(CLEAN, x_noise=0.0)
 
 @pytest.mark.parametrize(
     ("task", "controller", "clean"),
-    [
-        ("speed", None, CLEAN),
-        ("speed", "baselines:gait", CLEAN),
-        ("goal", None, EXACT),
-        ("velocity", None, EXACT),
-    ],
+    [("speed", None, CLEAN), ("speed", "baselines:gait", CLEAN), ("goal", None, EXACT), ("velocity", None, EXACT)],
 )
 def test_disturbances_of_size_zero_change_no_bit(task, controller, clean):
     plain, disturbed = (CapsuleEnv(task=task, controller=controller, disturbances=each) for each in ("none", clean))
@@ -273,11 +266,7 @@ def reset(**options: object) -> None:
             r"Disturbances\.latency must be a number from 0 to 0\.5, or a pair .*-1\.0",
         ),
         (lambda: Disturbances(unmeasured=("x",)), r"Disturbances\.unmeasured must be .* got \('x',\)"),
-        (lambda: Disturbances(controls="all"), r"Disturbances\.controls must be 'both', 'law' or 'agent', got 'all'"),
-        (lambda: Disturbances(x_noise=-1.0), r"Disturbances\.x_noise must be None or a number of m .*, got -1\.0"),
-        (lambda: CapsuleEnv(disturbances="some"), r"disturbances must be a Disturbances or one of .*, got 'some'"),
         (lambda: CapsuleEnv(randomization=Randomization(m=(0.1, 40.0), mu=(0.5, 9.0))), r"Painleve"),
-        (lambda: CapsuleEnv(randomization=Randomization(c=(0.1, 900.0))), r"physics_dt must be at most"),
         (lambda: reset(disturbances={"latency": 0.1}), r"\['latency'\] must be a number from 0 to 0\.016, got 0\.1"),
         (lambda: reset(disturbances={"speed": 0.1}), r"options\['disturbances'\] must be a dict with keys out of"),
     ],

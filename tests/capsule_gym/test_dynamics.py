@@ -1,7 +1,5 @@
 """The plant's physics: conservation, exact stick, located events and order of convergence."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -126,9 +124,6 @@ def torque_for_load(ratio: np.ndarray, theta: np.ndarray, theta_dot: np.ndarray,
     return p.m * p.l**2 * wanted / (c + rough * s) - p.m * p.g * p.l * s + p.k * theta + p.c * theta_dot
 
 
-# Equations of motion
-
-
 def test_accelerations_satisfy_both_rows_of_equation_1():
     rng, n = np.random.default_rng(1), 100
     phases = set()
@@ -155,9 +150,6 @@ def test_accelerations_satisfy_both_rows_of_equation_1():
     assert len(phases) == 12
 
 
-# Energy and momentum
-
-
 BALANCED = {
     "0.01": (Capsule(mu=0.01), random_torque(1.0, 1)),
     "0.3": (Capsule(mu=0.3), random_torque(1.0, 3)),
@@ -175,9 +167,6 @@ def test_energy_and_momentum_balance_over_ten_seconds(capsule, torques):
     exchanged = all_work + damper + friction
     assert abs(energy(final, p) - energy(START, p) - (work - damper - friction)) < 1e-9 * exchanged
     assert abs(momentum(final, p) - momentum(START, p) + impulse) < 1e-9 * all_impulse
-
-
-# Stick
 
 
 def test_a_load_below_the_threshold_never_moves_the_platform():
@@ -198,9 +187,6 @@ def test_a_load_below_the_threshold_never_moves_the_platform():
         theta, theta_dot = motion.theta, motion.theta_dot
         assert not motion.x_dot.any() and (motion.x == at).all()
     assert (np.abs(theta + 0.6) < 0.5).all()
-
-
-# Against the reference
 
 
 ALL = {"static_ratio": 1.3, "stribeck_speed": 0.1, "viscous": 0.2, "slope": -0.02, "motor_friction": 0.1}
@@ -280,9 +266,6 @@ def test_fourth_order_through_dozens_of_events():
     assert min(orders) >= 3.5, orders
 
 
-# Events inside one step
-
-
 def test_a_load_at_the_limit_to_the_last_bit_neither_hangs_nor_chatters():
     rng, n = np.random.default_rng(43), 20_000
     nearly = 1.0 + np.array([0.0, 0.0, 2.3e-16, -1.2e-16, 1e-15, -1e-15, 1e-12, -1e-12, 1e-6])
@@ -299,9 +282,6 @@ def test_a_load_at_the_limit_to_the_last_bit_neither_hangs_nor_chatters():
     assert (np.abs(motion.theta - theta - h * theta_dot) < 400.0 * h**2).all()
     turning = np.abs(theta_dot) > 1.0
     assert (motion.swept[turning] > 0.3 * h[turning]).all()
-
-
-# Contact
 
 
 def test_friction_never_pushes_a_platform_that_has_lost_contact():

@@ -1,7 +1,5 @@
 """The elementary functions: errors compared with 40 digits, and the same bits at every level of instructions."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,12 +1,8 @@
 """The single environment: contract, determinism, info, options, pickling, workers."""
 
-from __future__ import annotations
-
-import copy
 import dataclasses
 import math
 import multiprocessing
-import pickle
 import warnings
 from functools import partial
 
@@ -18,13 +14,13 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_sb3
 
 import baselines
-from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Controller, Disturbances, Randomization
+from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Disturbances, Randomization
 from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.layout import Row
 from capsule_gym.parameters import NOMINAL
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import ENV_ID, METRICS, TASKS, Termination
-from tests.capsule_gym.fakes import flatten, layout, picky_controller
+from tests.capsule_gym.fakes import flatten, layout
 
 VARIANTS = [
     {},
@@ -76,8 +72,7 @@ def test_the_checkers_are_silent_and_every_info_has_the_form_of_the_first(kwargs
 
 
 @pytest.mark.parametrize(
-    "kwargs",
-    [{"randomization": Randomization(M=(0.3, 9.0), mu=(0.001, 3.0))}, {"capsule": Capsule(M=0.1, mu=0.7)}],
+    "kwargs", [{"randomization": Randomization(M=(0.3, 9.0), mu=(0.001, 3.0))}, {"capsule": Capsule(M=0.1, mu=0.7)}]
 )
 def test_every_plant_that_can_occur_lies_in_the_observation_space(kwargs):
     env = CapsuleEnv(observe_parameters=True, **kwargs)
@@ -255,17 +250,6 @@ def test_observation_entries():
         np.testing.assert_allclose(
             observation, [*expected, info["law_torque"], info["M"], info["mu"]], rtol=1e-6, atol=1e-6
         )
-
-
-def test_a_law_that_cannot_be_pickled_is_picklings_error_and_no_obstacle_to_deepcopy():
-    def make() -> Controller:
-        return picky_controller()
-
-    env = CapsuleEnv(controller=make)
-    env.reset(seed=0)
-    with pytest.raises((AttributeError, pickle.PicklingError), match="local object"):
-        pickle.dumps(env)
-    assert copy.deepcopy(env).simulation.controller is env.simulation.controller
 
 
 def first_mass() -> float:

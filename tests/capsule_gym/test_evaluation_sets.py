@@ -1,7 +1,5 @@
 """Evaluation sets: valid files, their hash, and the plant that comes first."""
 
-from __future__ import annotations
-
 import json
 
 import pytest
@@ -56,16 +54,12 @@ ONE_GOAL = {"name": "x", "task": "goal", "plants": [*plant()["plants"], *plant(g
     [
         ([], r"set must be an object with the fields name, plants and optionally .*disturbances, got \[\]"),
         (plant(M="heavy"), r"set.plants\[0\]: M must be a finite number from 1e-12 to 1e\+12, got 'heavy'"),
-        (plant(M=0.01, mu=1.0), r"set.plants\[0\]: .*Painleve"),
         (plant(theta=1.58), r"theta must be an angle in rad within 1\.571 of 0, got 1\.58"),
         (plant(colour="red"), "fields M, mu, seed and optionally theta, changes, capsule, got .*colour"),
-        ({**plant(), "task": "tow"}, r"set.task must be one of \['goal', 'speed', 'velocity'\], got 'tow'"),
         ({**plant(goal=2e6), "task": "goal"}, r"\[0\].goal must be a number of m within 1e\+06 of 0, got 2000000.0"),
         (ONE_GOAL, "set.plants must have a goal each, or none must have one"),
         ({**plant(), "capsule": {"weight": 1.0}}, "set.capsule must be an object with the fields .*mu.*, got .*weight"),
-        ({**plant(), "capsule": {"static_ratio": 0.5}}, "Capsule.static_ratio must be a finite number from 1 to"),
         (change((33.0, 0.5, 0.01)), r"changes\[0\]\['t'\] must be a number of seconds within \(0, 33\).*got 33.0"),
-        (change((5.0, 0.5, 0.01), (5.0, 0.5, 0.01)), r"\[1\]\['t'\] must be later than the one before, 5 s, got 5 s"),
     ],
 )
 def test_malformed_sets_name_the_field_and_what_is_accepted(tmp_path, content, message):

@@ -1,7 +1,5 @@
 """Files are written atomically, JSON contains finite numbers only, and hashes depend on the content alone."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """`goal_env`: observations and rewards as learners of goals expect them."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 

@@ -1,19 +1,14 @@
 """Identification: the predictor is the environment, the intervals contain the truth, invalid logs raise errors."""
 
-from __future__ import annotations
-
 import csv
-import importlib
 import subprocess
 import sys
 
 import numpy as np
 import pytest
 
-import capsule_gym
 from capsule_gym import Capsule, CapsuleEnv, Disturbances, Excitation, identify, record
 from capsule_gym.identification import OTHERS
-from capsule_gym.parameters import REAL
 from capsule_gym.recording import read_log
 from capsule_gym.shooting import Problem
 
@@ -108,11 +103,6 @@ def test_what_is_not_determined_is_named(fit):
     assert fit.widths["static_ratio"] > 0.9 and "not determined: the prior's" in fit.table()
 
 
-def test_report(fit, tmp_path):
-    fit.report(tmp_path / "fit.png")
-    assert (tmp_path / "fit.png").stat().st_size > 20_000
-
-
 def test_command_and_lost_readings(log, tmp_path):
     path = tmp_path / "log.csv"
     generator = np.random.default_rng(0)
@@ -136,14 +126,6 @@ def test_a_wrong_model_warns():
     assert any("chi2 is" in str(warning.message) for warning in caught)
 
 
-def test_a_weak_excitation_warns():
-    log = record(CapsuleEnv(**OPTIONS, disturbances=REAL), Excitation(amplitude=0.02), seconds=4.0, options=STATE)
-    # An estimate that the log does not determine may also end at the end of its range, on some processors.
-    with pytest.warns(UserWarning) as caught:
-        identify(log)
-    assert any("the log does not determine" in str(warning.message) for warning in caught)
-
-
 def changed(**columns):
     return lambda log: {**log, **{name: change(log[name]) for name, change in columns.items()}}
 
@@ -152,18 +134,13 @@ def changed(**columns):
     ("change", "text"),
     [
         (changed(t=lambda t: t**1.1), "column 't' must increase in equal steps"),
-        (changed(t=lambda t: 1e3 * t), "column 't' must span .* in steps of"),
         (changed(torque=lambda u: 0.0 * u + 0.3), r"column 'torque' must vary \(N m\), got 0.3 in every row"),
-        (changed(torque=lambda u: 1e3 * u), "column 'torque' must be in N m"),
         (changed(torque=lambda u: np.where(u > 0.5, np.nan, u)), "column 'torque' must contain finite numbers"),
         (changed(theta=np.degrees), "column 'theta' must be in rad"),
         (changed(theta_dot=lambda w: 0.1 * w), "column 'theta_dot' must be the derivative of column 'theta'"),
-        (changed(theta_dot=np.degrees), "column 'theta_dot' must be in rad/s"),
-        (changed(x_dot=lambda v: 100.0 * v), "column 'x_dot' must be in m/s"),
         (changed(x_dot=lambda v: v[:-1]), "column 'x_dot' must have one number for each row"),
         (lambda log: {name: column[:50] for name, column in log.items()}, "column 't' must span at least 2 s"),
         (lambda log: {**log, "speed": log["x_dot"]}, "log must have columns out of"),
-        (lambda log: {name: log[name] for name in ("t", "torque", "x_dot")}, "log must have a column 'theta' or"),
         (lambda log: {name: log[name] for name in ("t", "theta")}, "log must have the columns 't' and 'torque'"),
     ],
 )
@@ -178,7 +155,6 @@ def test_invalid_logs_name_the_column(log, change, text):
         ({"known": {"latancy": 0.01}}, ValueError, "did you mean 'latency'"),
         ({"known": {"latency": -1.0}}, ValueError, r"known\['latency'\] must be"),
         ({"prior": "narrow"}, ValueError, "must be a Randomization or one of"),
-        ({"physics_dt": 1.0}, ValueError, "physics_dt must be"),
     ],
 )
 def test_invalid_arguments(log, arguments, error, text):
@@ -213,9 +189,3 @@ def test_record_writes_what_happens(tmp_path):
         record(CapsuleEnv(controller="baselines:gait"), policy)
     late = CapsuleEnv(**{**OPTIONS, "disturbances": Disturbances(latency=0.01, unmeasured=("x_dot",))})
     assert list(record(late, seconds=0.1, seed=0)) == ["t", "torque", "theta", "theta_dot"]
-
-
-def test_an_import_of_the_command_does_not_hide_the_function():
-    importlib.import_module("capsule_gym.identify")
-    with pytest.raises(ValueError, match="'t' and 'torque'"):
-        capsule_gym.identify({"theta": [0.0, 0.1]})

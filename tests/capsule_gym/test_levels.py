@@ -1,8 +1,5 @@
 """One core: the same bits at every level of instructions, in batches of every size, and on any number of threads."""
 
-from __future__ import annotations
-
-import json
 import os
 import subprocess
 import sys
@@ -43,7 +40,6 @@ def episode(n: int, threads: int, **kwargs: Any) -> list[bytes]:
         columns = env.simulation.columns(np.arange(n))
         world = columns[[*EPISODE_ROWS, *range(ROWS, env.simulation.task_end)]].T
         shown.append(np.concatenate([observations, rewards[:, None], terminated[:, None], world], axis=1))
-    env.close()
     return [np.array(shown)[:, i].tobytes() for i in range(n)]
 
 
@@ -81,48 +77,3 @@ def test_an_unknown_level_is_named(select_level):
 @pytest.mark.parametrize("n", [1, 65])
 def test_the_world_begins_a_cache_line(n):
     assert CapsuleVectorEnv(n).simulation.world.ctypes.data % 64 == 0
-
-
-# Without optional packages, makes each environment with each law of the package and steps it; prints the files that are
-# opened for writing, and the compilers that are imported.
-BARE = """
-import json, os, pwd, sys
-
-for name in ("agents", "torch", "stable_baselines3", "pygame", "PIL", "matplotlib", "tyro", "tqdm", "scipy"):
-    sys.modules[name] = None
-
-def getpwuid(uid):
-    raise KeyError(f"getpwuid(): uid not found: {uid}")
-
-pwd.getpwuid, written = getpwuid, []
-
-def note(event, arguments):
-    if event == "open" and arguments[2] & (os.O_WRONLY | os.O_RDWR | os.O_CREAT):
-        written.append(str(arguments[0]))
-
-sys.addaudithook(note)
-import gymnasium as gym, numpy as np
-import capsule_gym
-assert not {"numba", "baselines"} & set(sys.modules)
-import baselines
-from capsule_gym.task import TASKS
-
-for task, (env_id, _) in TASKS.items():
-    for made in (None, *(getattr(baselines, name)() for name in baselines.__all__)):
-        if made is None or made.task in (None, task):
-            for env in (gym.make(env_id, controller=made), gym.make_vec(env_id, num_envs=2, controller=made)):
-                env.reset(seed=0)
-                env.step(np.zeros(env.action_space.shape, np.float32))
-capsule_gym.load_policy("direct-ppo")
-print(json.dumps(written + sorted({"numba", "llvmlite"} & set(sys.modules))))
-"""
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="without users in a file")
-def test_the_environment_needs_no_optional_package_no_compiler_no_home_and_no_writable_folder():
-    """The package's own laws are in the core: no variable of numba's has an effect on them."""
-    environment = {name: value for name, value in os.environ.items() if name not in ("HOME", "PYTHONPATH")}
-    environment |= {"NUMBA_DISABLE_JIT": "1", "NUMBA_CPU_NAME": "x"}
-    done = subprocess.run([sys.executable, "-B", "-c", BARE], env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == []

@@ -1,7 +1,5 @@
 """The network in C++: its outputs, and their equality in any batch."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Estimates of M and mu from slip: accurate for exact physics, uncertain after jumps, constant in stick."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

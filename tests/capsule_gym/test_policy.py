@@ -1,7 +1,5 @@
 """Policy files: saving and loading, names, and hostile files, which have no effect."""
 
-from __future__ import annotations
-
 import json
 import pickle
 import struct
@@ -101,9 +99,6 @@ def test_what_is_no_observation_is_refused(observation):
         make_policy()(observation)
 
 
-# Pretrained policies.
-
-
 @pytest.mark.parametrize("name", policy_names())
 def test_every_pretrained_policy_loads_and_drives_its_environment(name):
     for run in (run for run in policy_names(seeds=True) if run.startswith(f"{name}/")):
@@ -122,7 +117,6 @@ def test_every_pretrained_policy_loads_and_drives_its_environment(name):
         assert not terminated
     # The laws alone reach 1.4 cm/s.
     assert env.unwrapped.episode_metrics(1650)["mean_speed"] > 3.0 or policy.env_kwargs.get("task", "speed") != "speed"
-    env.close()
 
 
 @pytest.mark.parametrize(
@@ -133,7 +127,6 @@ def test_every_pretrained_policy_loads_and_drives_its_environment(name):
         *((each, ValueError, r"did you mean 'direct-ppo'\?") for each in ("direct_ppo", "Direct-PPO", "direct-pp")),
         ("adaptive", ValueError, r"a control law: gym\.make\(\.\., controller='baselines:adaptive'\)"),
         ("residual-ppo/../direct-ppo", ValueError, r"got 'residual-ppo/\.\./direct-ppo'"),
-        ("residual-ppo/seed-00", ValueError, "got 'residual-ppo/seed-00'"),
         ("a" * 10_000, ValueError, r"got 'a{499} \.\. a{499}'"),
         (3, TypeError, "name_or_path must be a policy's name or a path, got 3"),
     ],
@@ -164,9 +157,6 @@ def test_a_run_folder_means_its_best_policy(tmp_path):
         assert (loaded.name, loaded.training_seed) == ("my-run", seed)
 
 
-# Files from other sources.
-
-
 def test_another_law_asks_for_consent(tmp_path):
     for controller in (
         "os:getcwd",
@@ -188,9 +178,7 @@ TWICE = b'{"a":{"dtype":"F32","shape":[2],"data_offsets":[0,8]},"b":{"dtype":"F3
 HEADERS = {
     "no JSON": b"{'a': 1}",
     "deep JSON": b'{"a":' + b"[" * 100_000,
-    "no tensors": b"{}",
     "huge shape": HUGE % (b"1099511627776,1099511627776", b"0"),
-    "more than there is": HUGE % (b"1000000000", b"4000000000"),
     "overlapping tensors": TWICE,
 }
 HOSTILE_BYTES = {
@@ -240,34 +228,23 @@ DEEP = {f"layers.{n}.{kind}": ones(*shape) for n in range(2, 7) for kind, shape 
 # Tensors and entries of the metadata that replace those of a valid file (None removes one), and the error message.
 HOSTILE_TENSORS: list[tuple[dict[str, np.ndarray | None], str]] = [
     ({"layers.0.weight": np.full((8, 5), np.nan, np.float32)}, "layers.0.weight must be finite"),
-    ({"inputs.variance": np.full(5, -1.0)}, "inputs.variance must be >= 0"),
-    ({"layers.0.weight": np.ones((8, 5))}, "layers.0.weight must be float32 of shape (8, 5)"),
     ({"layers.1.weight": ones(2, 8), "layers.1.bias": ones(2)}, "and one in the last"),
     ({"inputs.mean": np.zeros(6)}, "of shape (5,), one for each input"),
-    ({"../../secret": ones(1)}, "it must contain the tensors"),
     ({"layers.0.bias": None}, "it must contain the tensors"),
     ({**DEEP}, "1 to 6 layers, got 7"),
-    ({**layers_of(0)}, "1 to 1024 units"),
     ({**layers_of(2000)}, "1 to 1024 units"),
 ]
 HOSTILE_METADATA: list[tuple[dict[str, str | None], str]] = [
     ({"format": "pt"}, "must be 'capsule_gym policy' and '2', got ('pt', '2')"),
-    ({"format_version": "1"}, "must be 'capsule_gym policy' and '2', got ('capsule_gym policy', '1')"),
     ({"output": "torque"}, "output must be 'action' in its metadata, got 'torque'"),
     ({"told_energy_weight": "true"}, "told_energy_weight must be 'false' in its metadata, got 'true'"),
     ({"squashing": None}, "squashing must be text in its metadata, got None"),
     ({"identifies": "true"}, "of shape (9,), one for each input"),
-    ({"identifies": "True"}, "identifies must be JSON in its metadata, got 'True'"),
     ({"activation": "gelu"}, "activation must be one of"),
-    ({"clip": "1e300"}, "clip must be a number in (0, 1e+06]"),
-    ({"training_seed": "-1"}, "training_seed must be an integer from 0"),
-    ({"revision": ""}, "revision must be a string that is not empty"),
     ({"env_kwargs": '{"capsule":' + "[" * 60_000}, "is not a policy file: "),
     ({"env_kwargs": '{"torque_limit": NaN}'}, "torque_limit must be a finite number > 0"),
     ({"env_kwargs": '{"threads": 1000000000}'}, "env_kwargs must have keys out of"),
-    ({"env_kwargs": '{"controller": ["os", "system"]}'}, "must be None or an import string"),
     ({"env_kwargs": '{"controller": "baselines:adaptive"}'}, "of shape (10,), one for each input"),
-    ({"env_kwargs": '{"capsule": {"M": -1.0}}'}, "Capsule.M must be"),
     ({"env_kwargs": '{"capsule": {"wheels": 4}}'}, "env_kwargs['capsule'] must have fields out of"),
     *(({name: "x" * 100_000}, "xxx") for name in ("format", "activation", "clip")),
 ]

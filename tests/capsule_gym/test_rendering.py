@@ -1,7 +1,5 @@
 """The canvas, the frames, the window and the GIF: their content, and frames without a display."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from capsule_gym.parameters import Capsule
-from capsule_gym.rendering import FLOOR, GHOST, HEADER, HEIGHT, WIDTH, Renderer, write_gif
+from capsule_gym.rendering import FLOOR, HEADER, HEIGHT, WIDTH, Renderer, write_gif
 
 pygame = pytest.importorskip("pygame")
 Image = pytest.importorskip("PIL.Image")
@@ -66,14 +64,6 @@ def test_a_frame_holds_nothing_of_the_frames_before_it() -> None:
         state |= {"x_dot": 0.0} if n % 3 == 0 else {}
         state |= {"ghost": ("rival", 0.4, state["x"] + 0.3)} if n % 4 == 1 else {}
         np.testing.assert_array_equal(renderer.draw(**state), frame(**state))
-
-
-def test_another_robot_out_of_the_picture_is_only_named() -> None:
-    for lead, shown in ((-0.2, True), (1.2, True), (-1.2, True), (1e9, False), (-1e9, False)):
-        pixels = frame(x=1.0, ghost=("rival", 0.9, 1.0 + lead))
-        assert (pixels[STAGE] == GHOST).all(axis=2).any() == shown
-        corner = slice(HEADER, HEADER + 40), slice(WIDTH - 200, WIDTH)
-        assert (pixels[corner] != frame(x=1.0)[corner]).any()
 
 
 def test_frames_need_no_display_and_importing_needs_no_pygame() -> None:

@@ -1,7 +1,5 @@
 """Whole episodes in one call of the core: the same bits as stepping the batch, also with jumps and failures."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -85,8 +83,6 @@ def test_a_rollout_gives_the_bits_of_a_loop_in_python_and_of_environments_alone(
             observation, _, terminated, _, _ = alone.step(act(observation))
             step += 1
         assert observation.tobytes() == rolled.simulation.observations[i].tobytes()
-    looped.close()
-    rolled.close()
 
 
 def falling() -> Policy:

@@ -1,7 +1,5 @@
 """A batch of environments: the plants and steps that it accepts, and the draws at the start of an episode."""
 
-from __future__ import annotations
-
 import pickle
 import re
 
@@ -99,8 +97,6 @@ def test_a_jump_that_a_reset_cancels_never_comes():
         simulation.step(np.zeros(2))
     assert simulation.row(Row.M).tolist() == [0.6, M]
 
-
-# The start of an episode
 
 SEEDS = (0, 1, 12345, 2**63, 2**64 - 1, 2**64, 2**100 + 7, 2**128 - 1, 2**128 + 1)
 RANDOMIZATIONS = ("none", "paper", "wide", Randomization(mu=(0.01, 0.2), log_mu=True), Randomization(M=(0.4, 0.5)))

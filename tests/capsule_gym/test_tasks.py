@@ -1,7 +1,3 @@
-"""The tasks other than speed: draws, options, rewards and metrics."""
-
-from __future__ import annotations
-
 import math
 
 import numpy as np

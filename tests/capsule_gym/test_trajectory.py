@@ -1,7 +1,5 @@
 """Derivatives of trajectories: against differences through events, and the values' bits."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -85,10 +83,7 @@ def test_stick_has_no_derivative_by_friction():
     [
         ({"wrt": ("nu",)}, ValueError, "wrt must contain names out of .* got 'nu'"),
         ({"wrt": ("stribeck_speed",)}, ValueError, "wrt may contain 'stribeck_speed' only where"),
-        ({"torques": [math.nan]}, ValueError, "torques must be a sequence of numbers"),
         ({"torques": [9.0] * 20}, ValueError, r"torques must keep .* in torques\[\d+\]"),
-        ({"state": [0.0]}, ValueError, "state must be"),
-        ({"control_dt": 3e-3}, ValueError, "physics_dt must divide control_dt"),
         ({"capsule": Capsule(c=20.0)}, ValueError, "physics_dt must be at most"),
     ],
 )

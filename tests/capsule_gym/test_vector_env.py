@@ -1,7 +1,5 @@
 """The native batch: the same episodes as single environments bit for bit, autoreset, infos, threads."""
 
-from __future__ import annotations
-
 import copy
 import hashlib
 import itertools
@@ -97,8 +95,6 @@ def test_batch_equals_single_environments_across_resets(mode, kwargs, n, threads
             assert set(METRICS) <= set(metrics) <= set(b[4]["metrics"])
             assert_same_infos(metrics, b[4]["metrics"], rows)
     assert resets.min() >= 3
-    reference.close()
-    batch.close()
 
 
 @pytest.mark.parametrize("env_id", [env_id for env_id, _ in TASKS.values()])
@@ -223,7 +219,6 @@ def test_a_copy_goes_on_with_the_episodes_bit_for_bit_and_on_its_own(make_copy, 
             assert play(each, 1, 70) == expected
             each.close()
         env.reset(seed=5)
-    env.close()
 
 
 def test_options_per_environment():
@@ -271,8 +266,6 @@ def test_one_environment_that_diverges_ends_alone(mode):
             assert (info["termination"][lost] == Termination.diverged).all()
             assert (info["state"][lost] == states[lost]).all() and np.isfinite(info["normal_force"]).all()
             assert (found[1][lost] == -10.0).all()
-    env.close()
-    calm.close()
 
 
 def digest(env: CapsuleVectorEnv) -> str:

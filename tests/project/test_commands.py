@@ -1,7 +1,5 @@
 """Properties of all commands: fast help with examples and without heavy imports, and errors that name the argument."""
 
-from __future__ import annotations
-
 import ast
 import json
 import os

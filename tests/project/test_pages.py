@@ -1,7 +1,5 @@
 """Pages and docstrings work as printed: Python blocks and examples run, commands, options and modules exist."""
 
-from __future__ import annotations
-
 import ast
 import contextlib
 import doctest
@@ -124,11 +122,3 @@ def test_commands_and_their_options_exist(line: str) -> None:
         assert {each for each in options if each not in help_of("train", *chosen)} == set()
     else:
         assert (ROOT / rest[0]).exists()
-
-
-def test_mentioned_modules_exist() -> None:
-    pages = [path for path in (*PAGES, *MODULES) if path.name != "CHANGELOG.md"]
-    named = {
-        name for path in pages for _, text in texts(path) for name in re.findall(r"python -m ([a-z][\w.]*\w)", text)
-    }
-    assert {name for name in named - MODULES_ELSEWHERE if importlib.util.find_spec(name) is None} == set()

@@ -1,7 +1,5 @@
 """No command unpickles a file or folder that it is given, unless an option allows it."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import importlib
@@ -97,10 +95,7 @@ READERS = {
     "train": [["--run", "run"], ["--run", "lstm", "--task", "direct", "--algo", "recurrent-ppo"]],
 }
 # The commands with an option that trusts the path.
-TRUSTING = (
-    ["agents.study", "direct-ppo", "--runs", "study", "--seeds", "0", "--resume"],
-    ["train", "--resume", "run"],
-)
+TRUSTING = (["agents.study", "direct-ppo", "--runs", "study", "--seeds", "0", "--resume"], ["train", "--resume", "run"])
 
 
 def main_of(command: str) -> Callable[[list[str]], int]:

@@ -1,7 +1,5 @@
 """The built site, which the tests of the module and of the page share."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The module for browsers in node: Python's bits, the module's interface, and its errors."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -110,7 +108,6 @@ def world(policy: Any, steps: int, **options: Any) -> str:
     act = policy.start([0])
     for _ in range(steps):
         observation, *_ = env.step(act(observation[None])[0])
-    env.close()
     return env.simulation.world[0, :, 0].tobytes().hex()
 
 
@@ -146,7 +143,6 @@ def test_an_episode_ends_as_pythons(node: Node) -> None:
     """
     ended = ["none", "pendulum", "contact", "diverged"][int(info["termination"])]
     metrics = env.episode_metrics(1650)
-    env.close()
     message = "the episode has ended: reset() first"
     assert node(code) == [steps, reward, False, ended, message, metrics["mean_speed"]]
 
@@ -168,7 +164,6 @@ def test_disturbances_are_drawn_and_set_as_in_python(node: Node) -> None:
         for n in range(80):
             env.step(np.array([0.02 * (n % 7 - 3)], np.float32))
         worlds.append(env.simulation.world[0, :, 0].tobytes().hex())
-    env.close()
     code = f"""
         const capsule = await live.load("adaptive", {{ disturbances: {json.dumps(given)} }});
         const [worlds, drawn] = [[], []];
@@ -201,7 +196,6 @@ def test_tasks_have_pythons_observations_and_metrics(
     for _ in range(300):
         observation, _, _, _, info = env.step(np.zeros(1, np.float32))
     metrics = env.episode_metrics(None)
-    env.close()
     given = {"M": 0.5, "mu": 0.2, "seed": 3, "disturbances": disturbances or "none", **options}
     code = f"""
         const episode = await live.drive("{task}-pulses", {json.dumps(given)});
@@ -223,20 +217,13 @@ def test_types_declare_what_there_is(node: Node) -> None:
 # Calls, and the errors that they raise.
 BAD = {
     'await live.load("sliding")': "RangeError: controller must be one of direct, adaptive,.*, got sliding",
-    'await live.load("goal_pulses", { task: "speed" })': "RangeError: task must be one of goal with .*, got speed",
-    'await live.load("direct", { disturbances: "some" })': "RangeError: none, real or an object, got some",
     'await live.load("direct", { disturbances: { lag: [2, 1] } })': "RangeError: disturbances.lag must be .* got 2,1",
-    'await live.drive("pd", { disturbances: { gain: 1 } })': "RangeError: disturbances must be .* got gain",
     'await live.drive("pd", { set: "goal", plant: 0 })': "RangeError: set must be one of the task speed, got goal",
     "capsule.reset({ seed: 1 })": "RangeError: seed must be left out: nothing is drawn",
-    "capsule.reset({ disturbances: {} })": "RangeError: reset takes .*, got disturbances",
     'await live.drive("dp-oracle")': "RangeError: set and plant must be given: what dp-oracle does",
     'await live.drive("epc", { set: "paper", plant: 100 })': "RangeError: plant must be .* 0 to 99, got 100",
     "capsule.reset({ M: 0 })": r"RangeError: M must be a finite number in \[0.2, 2\], got 0",
-    'capsule.reset({ mu: "0.1" })': r"TypeError: mu must be a finite number in \[0, 1\], got 0.1",
-    "capsule.reset({ speed: 2 })": "RangeError: reset takes M, mu, .*, got speed",
     "capsule.reset({ changes: [{ t: -1, M: 0.5, mu: 0 }] })": r"RangeError: changes\[0\].t must be .*, got -1",
-    "capsule.setPlant({ M: 0.5 })": "TypeError: mu must be .*, got undefined",
     "capsule.step(NaN)": "RangeError: action must be a finite number, got NaN",
     'capsule.restore((await live.load("epc")).snapshot())': "RangeError: snapshot must be one of",
 }

@@ -14,7 +14,7 @@ def world(tmp_path, monkeypatch):
     names = {name for names, _ in page.SECTIONS.values() for name in names}.union(*page.GROUPS.values())
     known = {name: Sine(0.05 + 0.02 * n, name=name) for n, name in enumerate(sorted(names))}
     known["wild"] = Sine(1.5, period=10.0, name="wild")
-    known["twitch"] = Twitch()
+    known["twitch"] = Twitch(0.4, name="twitch")
     monkeypatch.setattr(policies, "SCRIPTED", known)
     monkeypatch.setattr(policies, "TASK_SCRIPTED", {"stay": Sine(0.1, name="stay", env_kwargs={"task": "goal"})})
     monkeypatch.setattr(policies, "CHECKPOINTS", tmp_path / "checkpoints")

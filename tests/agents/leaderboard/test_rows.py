@@ -46,14 +46,6 @@ def test_malformed_files_raise_an_error(row, world):
         archive.writestr("header.npy", array.getvalue())
     with pytest.raises(ValueError, match="contains no results"):
         load_row(path)
-    for arrays in ({}, {"header": np.frombuffer(b"[]", np.uint8)}, {"header": np.frombuffer(b"{}", np.uint8)}):
-        np.savez_compressed(path, **arrays)
-        with pytest.raises(ValueError, match="contains no results"):
-            load_row(path)
-    path.write_bytes(whole)
-    path.rename(folder / "other.npz")
-    with pytest.raises(ValueError, match="does not match its name"):
-        load_row(folder / "other.npz")
     row.header["training_seeds"] = [0]
     save_row(folder, row)
     with pytest.raises(ValueError, match="does not match its name or arrays"):
@@ -64,12 +56,7 @@ def test_malformed_files_raise_an_error(row, world):
 
 
 def test_the_base_of_a_residual_is_the_policy_of_its_law():
-    bases = {
-        "adaptive": None,
-        "residual-ppo": "adaptive",
-        "residual-real": "gait-predictive",
-        "direct-ppo": None,
-    }
+    bases = {"adaptive": None, "residual-ppo": "adaptive", "residual-real": "gait-predictive", "direct-ppo": None}
     assert {name: static_header(find_candidate(name))["base"] for name in bases} == bases
 
 

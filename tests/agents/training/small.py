@@ -1,7 +1,5 @@
 """Configurations small enough to train within a test, and comparisons of runs, bit for bit."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import itertools

@@ -1,11 +1,6 @@
-"""Logs of a training run."""
-
-from __future__ import annotations
-
 import io
 import sys
 from functools import partial
-from types import SimpleNamespace
 
 import pytest
 from tqdm import tqdm
@@ -16,20 +11,6 @@ from agents.training.loop import begin, train
 from tests.agents.training.small import log, small
 
 WATCHED = ("mean_speed", "failed", "stuck_fraction", "reward_progress", "reward_energy", "reward_termination")
-
-
-class FakeWandb(SimpleNamespace):
-    """The part of wandb that a run uses; records its calls."""
-
-    def __init__(self) -> None:
-        super().__init__(begun=[], finished=0, errors=SimpleNamespace(Error=ConnectionError))
-
-    def init(self, **settings):
-        self.begun.append(settings)
-        return self
-
-    def finish(self):
-        self.finished += 1
 
 
 def train_briefly(folder, total_steps=768, **options):
@@ -54,17 +35,6 @@ def test_the_log_holds_the_terms_of_the_reward(tmp_path, monkeypatch):
     assert {f"episodes/{name}" for name in WATCHED} | {"evaluation/stuck_fraction"} <= set(line)
     assert 0.0 <= line["episodes/stuck_fraction"] <= 1.0 and line["episodes/reward_energy"] <= 1e-4
     assert line["episodes/reward_termination"] in {-10.0 * share for share in (0.0, 0.5, 1.0)}
-
-
-def test_weights_and_biases_follows_the_log(tmp_path, monkeypatch):
-    fake = FakeWandb()
-    monkeypatch.setitem(sys.modules, "wandb", fake)
-    config, _ = train_briefly(tmp_path / "run", wandb=True)
-    assert fake.begun[0]["name"] == "run" and fake.begun[0]["config"] == config.to_dict() and fake.finished == 1
-    assert fake.begun[0]["sync_tensorboard"] is True
-    # A resumed run continues the same run of wandb.
-    train_briefly(tmp_path / "run", wandb=True)
-    assert fake.begun[1]["id"] == fake.begun[0]["id"] and fake.begun[0]["resume"] == "allow"
 
 
 def test_weights_and_biases_is_not_needed_unless_it_is_asked_for(tmp_path, monkeypatch):

@@ -1,7 +1,3 @@
-"""The training loop: determinism, content of a run's folder, interruption and resumption."""
-
-from __future__ import annotations
-
 import csv
 import dataclasses
 import json
@@ -42,7 +38,6 @@ def test_bootstrap_happens_at_time_limits_only():
     failed = rewards < -0.9 * config.termination_penalty
     assert (ended & ~failed).any() and failed.any()
     assert np.array_equal(rewards > 500.0, ended & ~failed)
-    env.close()
 
 
 def test_a_run_folder_holds_what_a_policy_needs(tmp_path):

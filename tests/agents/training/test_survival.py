@@ -1,9 +1,6 @@
 """Resuming: a killed and resumed run ends like an undisturbed run; errors name damaged and broken files."""
 
-from __future__ import annotations
-
 import dataclasses
-import hashlib
 import json
 import multiprocessing
 import os
@@ -20,12 +17,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from stable_baselines3 import PPO
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import train as command_line
 from agents.training import callbacks, checkpoint, loop
-from agents.training.algorithms import make_env
 from agents.training.checkpoint import locked
 from agents.training.config import Config, RunError, read_config
 from agents.training.loop import begin, train
@@ -159,14 +154,6 @@ def test_a_folder_that_has_been_changed_is_not_trained_further(tmp_path, capsys,
     assert (run / "model.zip").read_bytes() == before
 
 
-def test_a_checkpoint_that_cannot_be_understood_is_named(tmp_path):
-    path = tmp_path / "checkpoint-000000000001"
-    path.write_bytes(hashlib.sha256(b"no pickle").digest() + b"no pickle")
-    assert checkpoint.newest_whole(tmp_path) == path
-    with pytest.raises(RunError, match=f"{path} cannot be read"):
-        checkpoint.restore(path, PPO, make_env(small("ppo"), 0))
-
-
 def test_two_processes_cannot_train_one_run(tmp_path, capsys, whole):
     run = copy_of(whole["ppo"], tmp_path / "run")
     code = "import sys, time; from pathlib import Path; from agents.training.checkpoint import locked\n"
@@ -189,12 +176,8 @@ def test_two_processes_cannot_train_one_run(tmp_path, capsys, whole):
 BROKEN = {
     "half": '{"algo": "ppo", ',
     "deeply nested": "[" * 100_000,
-    "no object": "[]",
     "unknown task": '{"task": "walk", "algo": "ppo", "hyperparameters": {}}',
-    "unknown algorithm": '{"task": "direct", "algo": "dqn", "hyperparameters": {}}',
-    "hyperparameters of another kind": '{"task": "direct", "algo": "ppo", "hyperparameters": 3}',
     "unknown hyperparameter": '{"task": "direct", "algo": "ppo", "hyperparameters": {"colour": 1}}',
-    "hyperparameter out of range": '{"task": "direct", "algo": "ppo", "hyperparameters": {"gamma": 2.0}}',
 }
 
 
@@ -210,13 +193,7 @@ def test_a_broken_configuration_is_named(tmp_path, capsys, content):
 
 
 # The last one takes 9 PiB.
-REFUSED = [
-    "--controller baselines:adaptve",
-    "--gamma 2",
-    "--learning-rate nan",
-    "--seed 5000000000",
-    "--torque-limit 0",
-]
+REFUSED = ["--controller baselines:adaptve", "--gamma 2", "--learning-rate nan", "--seed 5000000000"]
 REFUSED += ["--n-steps 1 --num-envs 1", "--algo sac --tau 0", "--algo tqc --dropped-quantiles 25"]
 REFUSED += ["--algo sac --buffer-size 100_000_000_000_000"]
 

@@ -1,5 +1,3 @@
-"""A user's wrappers, for the tests of train.py."""
-
 import gymnasium as gym
 import numpy as np
 

@@ -1,8 +1,5 @@
 """The stored results, the command that computes them, and the policies."""
 
-from __future__ import annotations
-
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,12 +7,11 @@ import numpy as np
 import pytest
 
 from baselines.archive import GRID, STICKY_GRID, find_grid
-from baselines.dynamic_programming import FOLDER, archive, solver
 from baselines.dynamic_programming import __main__ as command
+from baselines.dynamic_programming import archive, solver
 from baselines.dynamic_programming import problem as module
 from baselines.dynamic_programming.archive import (
     Archive,
-    cycle,
     known_results,
     load_archive,
     optimal_speed,
@@ -29,7 +25,7 @@ from baselines.dynamic_programming.solver import Solution, solve_on_grids
 from baselines.evaluation.episodes import evaluate
 from baselines.policies import SCRIPTED
 from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec
-from capsule_gym.parameters import NOMINAL, Capsule
+from capsule_gym.parameters import Capsule
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -82,19 +78,6 @@ def test_static_friction_that_is_planned_with_makes_the_optimum_faster():
         assert aware["stuck_fraction"] > 0.3 and aware["share_of_optimum"] > 0.95
 
 
-def test_the_cycle_is_periodic():
-    found = cycle()
-    speed = 100.0 * found["x"][-1] / found["time"][-1]
-    assert speed == pytest.approx(known_results().results[Problem().key].steady[-1], rel=0.03)
-    assert found["normal_force"].min() > 0.0
-    assert np.abs(found["torque"]).max() == 1.5
-    assert found["theta"][0] == pytest.approx(found["theta"][-1], abs=0.05)
-    # The centre of mass gains no momentum over a cycle.
-    arm = NOMINAL.m * NOMINAL.l / (NOMINAL.M + NOMINAL.m)
-    centre = found["x_dot"] - arm * np.cos(found["theta"]) * found["theta_dot"]
-    assert centre[-1] == pytest.approx(centre[0], abs=0.01)
-
-
 def test_results_survive_the_file(tmp_path, monkeypatch):
     values = np.random.default_rng(0).uniform(-50.0, 80.0, (5, 6, 7)).astype(np.float32)
     solution = Solution(Problem(), Grid((5, 6, 7), (-3.0, 9.0), (-1.0, 4.0), 0.5), values, 0.4, 20.0)
@@ -110,23 +93,6 @@ def test_results_survive_the_file(tmp_path, monkeypatch):
     again = read.solution(Problem())
     np.testing.assert_allclose(again.values, values, atol=0.003)
     assert (again.grid, again.curvature, again.gain) == (solution.grid, 0.4, 20.0)
-
-
-@pytest.mark.parametrize(
-    ("name", "content"),
-    [
-        ("archive.json", b'{"results": [{"M": 0.5}]}'),
-        ("archive.json", b"\xff"),
-        ("arrays.npz", b"PK\x03\x04" + bytes(40)),
-        ("arrays.npz", b""),
-    ],
-)
-def test_malformed_files_raise_an_error(tmp_path, name, content):
-    for each in ("archive.json", "arrays.npz"):
-        shutil.copy(FOLDER / each, tmp_path)
-    (tmp_path / name).write_bytes(content)
-    with pytest.raises(ValueError, match=r"must hold an archive for `python -m baselines\.dynamic_programming`"):
-        load_archive(tmp_path)
 
 
 def test_the_command_solves_what_is_missing_and_keeps_it(tmp_path, monkeypatch, capsys):

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 from baselines.dynamic_programming.archive import optimal_speed
-from baselines.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, TableMetric, evaluate, failures, summarise
-from baselines.evaluation.statistics import estimate
+from baselines.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, TableMetric, evaluate, failures
 from capsule_gym import Capsule, CapsuleVectorEnv
 from capsule_gym.evaluation_sets import parse_set
 from capsule_gym.task import METRICS
-from tests.agents.fakes import PLANTS, Sine, make_policy, write_run
+from tests.agents.fakes import PLANTS, Sine, make_policy
 
 TINY = parse_set(PLANTS)
 SPEED = TableMetric("speed", "speed (cm/s)", 2)
@@ -42,26 +41,6 @@ def test_episodes_start_at_the_angle_of_the_set():
     assert "theta" not in rest and upright["theta"] == 0.0
 
 
-def test_compiled_policies_give_the_bits_of_stepped_ones(monkeypatch):
-    policy = make_policy(seed=3)
-    compiled = evaluate(policy, TINY, horizon=2.0)
-    assert {episode.pop("training_seed") for episode in compiled} == {3}
-    monkeypatch.setattr("capsule_gym.network.rollout", None)
-
-    class Stepped:
-        name, env_kwargs, start = policy.name, policy.env_kwargs, policy.start
-
-    assert evaluate(Stepped(), TINY, horizon=2.0) == compiled
-
-
-def test_a_name_or_path_means_all_training_seeds(world):
-    write_run(world / "mine" / "seed-3", 3)
-    assert [episode["training_seed"] for episode in evaluate(world / "mine", TINY, horizon=0.2)] == [3, 3, 3]
-    assert len(evaluate("learnt", TINY, horizon=0.2)) == 6
-    with pytest.raises(TypeError, match="must not be given with a policy's name"):
-        evaluate("learnt", TINY, env_kwargs={})
-
-
 def test_failed_episodes_end_early_and_are_counted():
     # Full torque swings the ball into the platform at once.
     episodes = evaluate(Sine(1.5, period=10.0), TINY, horizon=4.0)
@@ -90,26 +69,6 @@ def test_shares_of_the_optimum_stand_where_it_is_known():
     for change in ({"mu": 0.6}, {"theta": 0.0}, {"changes": [{"t": 0.3, "M": 0.5, "mu": 0.02}]}):
         unknown = parse_set({"name": "x", "plants": [known, known | change]})
         assert not any("share_of_optimum" in each for each in evaluate(Sine(0.3), unknown, horizon=0.02))
-
-
-def episodes_of(speeds, **fields):
-    return [{"M": 0.5, "mu": 0.01, "seed": i, "mean_speed": v, "failed": 0.0, **fields} for i, v in enumerate(speeds)]
-
-
-def test_summary():
-    rng = np.random.default_rng(0)
-    speeds = rng.normal(size=(2, 20))
-    learned = [e for seed in (0, 1) for e in episodes_of(speeds[seed].tolist(), training_seed=seed)]
-    learned[3]["failed"] = 1.0
-    summary = summarise(learned)
-    mean, low, high = estimate(speeds, mean=True).to_dict().values()
-    means = {"mean": mean, "mean_low": low, "mean_high": high, "seeds": speeds.mean(axis=1).tolist()}
-    assert summary["mean_speed"] == estimate(speeds).to_dict() | means
-    assert (summary["failures"], summary["episodes"]) == (1, 40)
-    assert summary["training_seeds"] == [0, 1]
-    assert set(summary) == {"mean_speed", "episodes", "failures", "training_seeds"}
-    scripted = episodes_of(rng.normal(size=20).tolist())
-    assert summarise(scripted)["training_seeds"] == []
 
 
 def test_numbers_in_tables():

@@ -37,9 +37,6 @@ def test_policies_are_found_by_name_and_path(world):
         assert seeds(name) == [2]
     assert find_candidate("learnt/seed-2").name == "learnt/seed-2"
     assert find_candidate("bold").trained == []
-    # A run is evaluated by its best policy.
-    write_run(folder / "seed-2" / "best", 7)
-    assert seeds(folder / "seed-2") == [7]
 
 
 def test_unknown_policies_raise_an_error_that_lists_the_known_ones(world):
@@ -69,21 +66,6 @@ def test_malformed_checkpoints_raise_an_error(world):
         write_run(run.with_name(f"seed-{seed}"), seed, env_kwargs={"torque_limit": 1.0})
     with pytest.raises(ValueError, match=r"must act under a torque_limit of 1\.5 N m as all others, got 1\.0"):
         all_candidates()
-
-
-@pytest.mark.parametrize(
-    ("name", "senses", "told"),
-    [
-        ("open-loop", "nothing", "nothing"),
-        ("pd", "theta, theta_dot", "nothing"),
-        ("dp-oracle", "state", "nominal plant, M, mu"),
-        ("direct-ppo", "state, stick", "nothing"),
-        ("residual-ppo", "state, stick, law", "nominal plant"),
-        ("dp-distilled-wide", "state, stick, estimates of M, mu", "nominal pendulum"),
-    ],
-)
-def test_the_inputs_of_a_policy(name, senses, told):
-    assert find_candidate(name).inputs == (senses, told)
 
 
 def test_a_module_is_imported_only_if_trusted(tmp_path, monkeypatch):

@@ -1,15 +1,12 @@
 """The adaptive law (37) to (39): every term compared with the paper's equations and the plant's, and tracking."""
 
-from __future__ import annotations
-
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from baselines.laws.adaptive import MEMORY, adaptive, constants_of, eta_of, nominal_estimates, sliding_variables
-from baselines.laws.gains import K_P, K_V, PUBLISHED, REGULARISED, UNREGULARISED, Gains
+from baselines.laws.gains import PUBLISHED, REGULARISED, UNREGULARISED, Gains
 from baselines.laws.profiles import PROPOSED
 from baselines.laws.reference import COLUMNS, reference_table
 from capsule_gym import Capsule, dynamics
@@ -175,18 +172,11 @@ def test_plant_without_friction_or_spring_has_bounds_too():
     assert after[2] != memory[2] and after[7] != memory[7]
 
 
-# The controllers
-
-
 @pytest.mark.parametrize(
     ("error", "make", "message"),
     [
         (ValueError, lambda: adaptive(K1=-1.0), "K1 must be"),
-        (ValueError, lambda: adaptive(beta=0.0), "beta must be"),
-        (ValueError, lambda: adaptive(n=0), "n must be"),
-        (ValueError, lambda: adaptive(eta_0=0.0), "eta_0 must be"),
         (ValueError, lambda: adaptive(eta_0=10.1), "eta_0 must be a number > 0 and <= 10, got 10.1"),
-        (ValueError, lambda: adaptive(dt=0.0), "dt must be"),
         (ValueError, lambda: adaptive(dt=7e-4), "multiple"),
         (TypeError, lambda: adaptive(regularised=1), "regularised must be True or False, got 1"),
     ],
@@ -205,13 +195,3 @@ def test_choices_reach_the_law(regularised):
         assert eta_of(np.array(controller.memory), choices.n) == pytest.approx(choices.eta_0)
         constants = constants_of(PUBLISHED, choices, NOMINAL.plant(), controller.reference, controller.dt)
         assert controller.law == CoreLaw("adaptive", **constants)
-
-
-def test_the_page_prints_the_constants_of_the_laws():
-    page = (Path(__file__).resolve().parents[3] / "docs" / "controllers.md").read_text(encoding="utf-8")
-    cells = [[cell.strip() for cell in line.split("|")[1:4]] for line in page.splitlines() if line.startswith("|`")]
-    for pair in ((PUBLISHED,), (REGULARISED, UNREGULARISED)):
-        for name, *values in zip(pair[0]._fields, *pair, strict=True):
-            shown = [str(value) if isinstance(value, bool) else f"{value:g}" for value in values]
-            assert any(row[: 1 + len(pair)] == [f"`{name}`", *shown] for row in cells)
-    assert f"`K_p` = {K_P:g} 1/s²" in page and f"`K_v` = {K_V:g} 1/s" in page

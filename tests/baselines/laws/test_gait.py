@@ -1,7 +1,3 @@
-"""The gait as a law: its torque, the guard of the contact, and its speed without observing the plant."""
-
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""The periodic laws: their series, and what they do without and with the state."""
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The observer and the predictor: their estimates, and the performance of the law on late measurements."""
 
-from __future__ import annotations
-
 import itertools
 import math
 
@@ -10,7 +8,7 @@ import pytest
 
 from baselines.laws.gains import plant_constants
 from baselines.laws.gait import LIGHTEST, PARAMETERS, gait
-from baselines.laws.predictive import ESTIMATE, gait_predictive
+from baselines.laws.predictive import gait_predictive
 from capsule_gym import CapsuleVectorEnv, Disturbances, dynamics
 from capsule_gym.config import LAW_DT
 from capsule_gym.controller import CoreLaw
@@ -152,11 +150,3 @@ def test_a_torque_that_would_lift_the_lightest_platform_is_reduced():
             assert after == pytest.approx(least, rel=1e-9) or kept == 0.0
     assert reduced > 0
     assert kept_of(1.5, 0.0, 20.0) == 1.5
-
-
-def test_the_memory_begins_with_the_first_measurement():
-    theta, theta_dot, x_dot = 0.3, -1.0, 0.1
-    queue = (0.0,) * LATENCY
-    start = (1.0, theta, theta_dot, x_dot, *ESTIMATE[4:])
-    first, known = (call(predictive_law(), (*begun, *queue), theta, theta_dot, x_dot) for begun in (ESTIMATE, start))
-    assert first == known

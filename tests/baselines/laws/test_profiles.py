@@ -1,7 +1,3 @@
-"""The profiles, the reference along them, and feedback linearisation."""
-
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -48,11 +44,8 @@ def test_profiles_have_the_published_swing_and_peak():
     [
         (lambda: seven_phases((0.1, 0.2), 7.8, 2.1), "t1 to t7"),
         (lambda: seven_phases((0.2, 0.1, 0.3, 0.9, 1.7, 5.8, 6.6), 7.8, 2.1), "must increase"),
-        (lambda: seven_phases((0.1, 0.2, 0.3, 0.9, 1.7, 5.8, 6.6), 2.0, 2.1), "P2 must be"),
         (lambda: six_phases((0.1, 0.33, 0.9, 1.4, 5.8, 6.6), 1.0, 1.4), "P2 must be"),
-        (lambda: six_phases((0.1, 0.33, 0.9, 1.4, 5.8, math.nan), 11.0, 1.4), "times must be"),
         (lambda: feedback_linearising(K_p=math.nan), "K_p must be"),
-        (lambda: feedback_linearising(K_v=-1.0), "K_v must be"),
         (lambda: feedback_linearising(seven_phases((0.1, 0.2, 0.3, 0.9, 1.7, 5.8, 6.60005), 7.8, 2.1)), "multiple"),
     ],
 )

@@ -1,7 +1,5 @@
 """The laws for the tasks `goal` and `velocity`: they reach the goal, follow the target and keep contact."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -61,10 +59,3 @@ def test_the_target_is_followed():
     assert metrics["failed"].sum() == 0.0 and metrics["unsettled"].mean() <= 0.01
     assert np.median(metrics["velocity_error"]) < 10.0
     assert np.mean([abs(info["error"]) for info in seen[75:]]) < 0.025
-
-
-def test_each_law_is_refused_in_another_task():
-    with pytest.raises(ValueError, match="controller must be a law for the task 'speed' or for any"):
-        CapsuleVectorEnv(1, controller="baselines:goal_pulses")
-    with pytest.raises(ValueError, match="controller must be a law for the task 'goal' or for any"):
-        CapsuleVectorEnv(1, task="goal", controller="baselines:velocity_pulses")

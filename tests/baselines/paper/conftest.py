@@ -1,7 +1,5 @@
 """Results that several modules test, computed once."""
 
-from __future__ import annotations
-
 import pytest
 
 from baselines.paper import adaptive

@@ -1,7 +1,5 @@
 """The adaptive law over ranges, open choices, rates and long runs, and the rise of its Lyapunov function."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

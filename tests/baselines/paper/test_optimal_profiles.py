@@ -1,16 +1,11 @@
 """The optimised profiles: the assessment compared with independent code, the committed optima, the search itself."""
 
-from __future__ import annotations
-
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from baselines.laws.profiles import P2, PROPOSED, TABLE_1, V1
 from baselines.laws.reference import reference_table
-from baselines.paper import optimal_profiles
-from baselines.paper.optimal_profiles import Problem, assess, load, main, problems, search
+from baselines.paper.optimal_profiles import Problem, assess, load, problems, search
 from capsule_gym.parameters import NOMINAL
 
 SOLUTIONS = {each.problem: each for each in load()}
@@ -64,19 +59,3 @@ def test_short_search_is_seeded_and_says_when_it_fails():
     assert first.mean_speed >= assess(Problem(1.5), TABLE_1, V1, P2).mean_speed * 0.999
     hopeless = search(Problem(0.001), seed=3, generations=1, members=1)
     assert not hopeless.feasible and hopeless.excess > 1.0
-
-
-def test_command_solves_and_exchanges(tmp_path, monkeypatch, capsys):
-    known = [SOLUTIONS[Problem(limit)] for limit in (1.0, 1.5)]
-    # The best profile of all searches is kept.
-    poor = replace(known[0], problem=Problem(1.5), mean_speed=0.0, found_by="poor")
-    monkeypatch.setattr(optimal_profiles, "problems", lambda: [each.problem for each in known])
-    monkeypatch.setattr(optimal_profiles, "search", lambda problem, found, **options: [known[0], poor][len(found)])
-    path = tmp_path / "found.json"
-    assert main(["--json", str(path)]) == 0
-    first, second = load(path)
-    assert first == known[0] and (second.problem, second.found_by) == (Problem(1.5), first.found_by)
-    assert second.mean_speed == pytest.approx(first.mean_speed)
-    with pytest.raises(SystemExit):
-        main(["--json", str(path)])
-    assert "--overwrite" in capsys.readouterr().err

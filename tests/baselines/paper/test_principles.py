@@ -1,7 +1,5 @@
 """Principles 1 to 4 and both Lemmas: values computed by hand, and implications between them."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

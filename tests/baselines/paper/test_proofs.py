@@ -1,7 +1,5 @@
 """Both proofs: bounds compared with brute force and closed forms, and the pages that print them."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

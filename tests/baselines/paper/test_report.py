@@ -1,7 +1,5 @@
 """The command: every published number and claim with its verdict, and figures of the same numbers."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
@@ -79,16 +77,3 @@ def test_figures_show_the_numbers_of_the_table(made):
     for row in made["proof_2"]:
         (printed,) = re.findall(rf"{row['torque']:g} N m: θ' stays below ([\d.]+)", texts["phase_plane"])
         assert row["from_start"] <= float(printed) < row["from_start"] + 0.001
-
-
-def test_every_figure_is_written_twice_and_identically_at_every_run(tmp_path, monkeypatch):
-    # Coarse pictures save time; the resolution does not change their content.
-    monkeypatch.setattr(drawing, "DPI", 60)
-    monkeypatch.setattr(figures, "FIGURES", {"fig4_displacement": figures.draw_displacement})
-    written = figures.draw_all(tmp_path / "made")
-    assert sorted(written) == sorted((tmp_path / "made").iterdir())
-    for path in written:
-        assert path.read_bytes().startswith({".svg": b"<?xml", ".png": b"\x89PNG"}[path.suffix])
-    with drawing.style():
-        for path in drawing.save(figures.draw_displacement(), tmp_path / "fig4_displacement"):
-            assert path.read_bytes() == (tmp_path / "made" / path.name).read_bytes()

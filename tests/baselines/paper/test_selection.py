@@ -1,7 +1,5 @@
 """The profile (9) as printed and the parameter selection (20) to (31), by hand and compared with Table 1."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """The certified upper bound on the mean speed: its bounds on accelerations, and the motions that it must exceed."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from baselines.dynamic_programming.archive import known_results

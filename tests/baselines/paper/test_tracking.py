@@ -1,7 +1,5 @@
 """Both profiles on the platform: exact tracking and the law (35), compared with each other and with closed forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
