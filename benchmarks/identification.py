@@ -9,7 +9,7 @@ import time
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from tqdm import tqdm
@@ -17,13 +17,16 @@ from tqdm import tqdm
 from capsule_gym import CapsuleEnv, Excitation, identify, record
 from capsule_gym.command_line import Count, parse
 from capsule_gym.identification import OTHERS, RANGES
-from capsule_gym.parameters import RANDOMIZATIONS, REAL, Capsule
+from capsule_gym.parameters import RANDOMIZATIONS, REAL, Capsule, Disturbances
 
 CONTROL_DT, PHYSICS_DT = 0.01, 2e-3
 FREE: dict[str, Any] = {name: RANGES[name] for name in RANGES if name not in OTHERS}
 DRAWN = replace(RANDOMIZATIONS["real-wide"], **FREE)
 # All of the prior's lags and latencies, which stay inside its range when they are rounded to the integrator's steps.
-DISTURBANCES = replace(REAL, latency=(0.002, 0.018), lag=RANGES["lag"], motor_friction=0.0)
+ALL = replace(REAL, latency=(0.002, 0.018), lag=RANGES["lag"], motor_friction=0.0)
+# White noise alone, or the noise, bias and drift of `real`.
+NONE: dict[str, Any] = {name: 0.0 for name in vars(REAL) if name.endswith(("_bias", "_drift"))}
+SENSORS = {"white": replace(ALL, **NONE), "real": ALL}
 
 
 @dataclass(frozen=True)
@@ -38,11 +41,15 @@ class Args:
     """Number of plants."""
     seed: Count = 0
     """Seed of the first plant."""
+    sensors: Literal["white", "real"] = "real"
+    """Errors of the sensors: white noise, or noise, bias and drift."""
 
 
-def make_logs(count: int, seed: int) -> Iterator[tuple[dict[str, np.ndarray], dict[str, float]]]:
+def make_logs(
+    count: int, seed: int, disturbances: Disturbances
+) -> Iterator[tuple[dict[str, np.ndarray], dict[str, float]]]:
     """Logs of random plants, and their quantities; plants on which the excitation ends the episode are left out."""
-    env = CapsuleEnv(randomization=DRAWN, disturbances=DISTURBANCES, control_dt=CONTROL_DT, physics_dt=PHYSICS_DT)
+    env = CapsuleEnv(randomization=DRAWN, disturbances=disturbances, control_dt=CONTROL_DT, physics_dt=PHYSICS_DT)
     while count:
         _, info = env.reset(seed=seed)
         log = record(env, Excitation(seed=seed), seed=seed)
@@ -57,7 +64,9 @@ def main() -> None:
     """Prints the table."""
     args = parse(Args, "python -m benchmarks.identification")
     rows, seconds, chi2 = [], [], list[float]()
-    for log, truth in tqdm(make_logs(args.plants, args.seed), total=args.plants, mininterval=10.0):
+    for log, truth in tqdm(
+        make_logs(args.plants, args.seed, SENSORS[args.sensors]), total=args.plants, mininterval=10.0
+    ):
         start = time.process_time()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
