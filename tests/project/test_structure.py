@@ -4,6 +4,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -20,3 +22,16 @@ def test_another_package_baselines_is_named(tmp_path: Path) -> None:
     command = [sys.executable, "-c", code, str(tmp_path / "baselines" / "__init__.py")]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert str(tmp_path) in done.stderr and "uninstall that one" in done.stderr
+
+
+def test_no_tracked_file_is_large_or_names_a_path_of_a_machine() -> None:
+    if not (ROOT / ".git").exists():
+        pytest.skip("not a git checkout")
+    command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    listing = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    files = [path for name in listing.split("\0") if name and (path := ROOT / name).is_file()]
+    assert [path for path in files if path.stat().st_size > 5_000_000] == []
+    # The strings are joined here, so that this file does not contain them.
+    paths = [("/work/" + "main").encode(), ("/ro" + "ot/").encode()]
+    texts = {path: text for path in files if b"\0" not in (text := path.read_bytes())}
+    assert [str(path) for path, text in texts.items() if any(each in text for each in paths)] == []
