@@ -1,4 +1,4 @@
-"""The grid of plants, the archive format and the search loop of dynamic programming.
+"""The grid of plants and the archive format of dynamic programming, and the loops of searches.
 
 An archive is a folder with `archive.json`, an object whose lists hold one result a line, and with `arrays.npz` where
 results have arrays.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import zipfile
 import zlib
 from bisect import bisect_right
@@ -15,6 +16,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -137,6 +139,12 @@ def write_archive(folder: Path, content: Mapping[str, Any], arrays: Mapping[str,
         lines = ",\n".join(f"  {json.dumps(each)}" for each in value) if isinstance(value, list) else ""
         parts.append(f' "{name}": ' + (f"[\n{lines}\n ]" if lines else json.dumps(value)))
     write_atomically(folder / ARCHIVE, "{\n" + ",\n".join(parts) + "\n}\n")
+
+
+def make_strategy(start: np.ndarray, step: float, population: int, rng: np.random.Generator) -> Any:
+    """A CMA-ES of the package `cma` that draws from `rng`; it would otherwise seed numpy's global generator."""
+    draws = {"seed": math.nan, "randn": lambda *shape: rng.standard_normal(shape)}
+    return import_module("cma").CMAEvolutionStrategy(start, step, {"popsize": population, "verbose": -9, **draws})
 
 
 def run_search(steps: Iterable[object], save: Callable[[], None]) -> bool:

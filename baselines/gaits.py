@@ -15,13 +15,12 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from baselines.archive import run_search
+from baselines.archive import make_strategy, run_search
 from baselines.laws.gait import FILE, LIGHTEST, NO_REFERENCE, PARAMETERS
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.command_line import Count, parse
@@ -142,10 +141,7 @@ def search_law(num_generations: int, seed: int) -> Iterator[None]:
     """Runs one generation per iteration; writes the mean of the distribution if it scores better than the file."""
     rng = np.random.default_rng([seed, 3])
     start = np.array([*START_COEFFICIENTS, *START_GUARD]) / UNITS
-    # The package would otherwise seed numpy's global generator.
-    draws = {"seed": math.nan, "randn": lambda *shape: rng.standard_normal(shape)}
-    options = {"popsize": POPULATION, "verbose": -9, **draws}
-    strategy = import_module("cma").CMAEvolutionStrategy(start, FIRST_STEP, options)
+    strategy = make_strategy(start, FIRST_STEP, POPULATION, rng)
     trials, tests = make_batch(POPULATION * PLANTS), make_batch(TEST_EPISODES)
     best = -math.inf
     if FILE.is_file():

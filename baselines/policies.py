@@ -11,7 +11,7 @@ import numpy as np
 from baselines import lqr, mpc
 from baselines.dynamic_programming import policy
 from baselines.laws import LAWS as _LAWS
-from baselines.laws import TASK_LAWS
+from baselines.laws import TASK_LAWS, Law
 
 Act = Callable[[np.ndarray], np.ndarray]
 Start = Callable[[Sequence[int]], Act]
@@ -45,18 +45,19 @@ class ScriptedPolicy:
     told: str = "nominal plant"
 
 
+def _of_law(name: str, law: Law) -> ScriptedPolicy:
+    """The policy that only runs a law of `baselines`."""
+    env_kwargs = {"controller": f"baselines:{name}"} | ({} if law.task == "speed" else {"task": law.task})
+    return ScriptedPolicy(law.policy, law.description, env_kwargs, senses=law.senses, told=law.told)
+
+
 # Values of the environment's argument `controller`, by the names of the laws' policies.
 LAWS = {law.policy: f"baselines:{name}" for name, law in _LAWS.items()}
 
 SCRIPTED = {
     each.name: each
     for each in (
-        *(
-            ScriptedPolicy(
-                law.policy, law.description, {"controller": LAWS[law.policy]}, senses=law.senses, told=law.told
-            )
-            for law in _LAWS.values()
-        ),
+        *(_of_law(name, law) for name, law in _LAWS.items()),
         ScriptedPolicy("lqr", "LQR with a gain for every phase of a limit cycle of dp-nominal", {}, lqr.start),
         ScriptedPolicy("mpc", "sampling MPC on the nominal plant with the values of dp-nominal", {}, mpc.start),
         ScriptedPolicy(
@@ -76,14 +77,5 @@ SCRIPTED = {
 }
 
 # Scripted policies of the other tasks.
-TASK_SCRIPTED = {
-    law.policy: ScriptedPolicy(
-        law.policy,
-        law.description,
-        {"task": law.task, "controller": f"baselines:{name}"},
-        senses=law.senses,
-        told=law.told,
-    )
-    for name, law in TASK_LAWS.items()
-}
+TASK_SCRIPTED = {law.policy: _of_law(name, law) for name, law in TASK_LAWS.items()}
 ALL_SCRIPTED = {**SCRIPTED, **TASK_SCRIPTED}

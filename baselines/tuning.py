@@ -13,12 +13,12 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from importlib import import_module
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from baselines import lqr
+from baselines.archive import make_strategy
 from baselines.dynamic_programming.archive import cycle
 from baselines.laws import periodic
 from baselines.policies import ScriptedPolicy
@@ -116,10 +116,7 @@ def tune(name: Name, generations: int, seed: int, first_step: float) -> None:
         kwargs = {"controller": own.make(parameters.tolist()), "control_dt": CONTROL_DT}
         return score(ScriptedPolicy(name, "", kwargs), own.env_kwargs, *arguments)
 
-    # The package would otherwise seed numpy's global generator.
-    draws = {"seed": math.nan, "randn": lambda *shape: rng.standard_normal(shape)}
-    options = {"popsize": POPULATION, "verbose": -9, **draws}
-    strategy = import_module("cma").CMAEvolutionStrategy(own.start / own.units, first_step, options)
+    strategy = make_strategy(own.start / own.units, first_step, POPULATION, rng)
     for generation in range(1, generations + 1):
         points, plants = strategy.ask(), FIRST_SEED + PLANTS * int(rng.integers(2**30))
         reached = [evaluate(point * own.units, plants, PLANTS, TRIAL)[0] for point in points]
