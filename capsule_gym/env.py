@@ -27,10 +27,6 @@ RESET_OPTIONS = ("M", "mu", "state", "changes", "capsule", "disturbances")
 # Constants: looking them up in `Row` takes a tenth of a step.
 _STATE, _X_DOT, _REWARD, _TERMINATION = slice(Row.theta, Row.M), Row.x_dot, Row.reward, Row.termination
 _SHOWN = slice(Row.M, Row.reward)
-_INFO = (
-    *("state", "stick", "M", "mu", "torque", "law_torque", "normal_force", "energy"),
-    *("reward_progress", "reward_energy", "reward_termination", "termination", "cost"),
-)
 _FIRST = np.zeros(1, np.int64)
 # Entries of a task's info that are places on the floor, m; renderings mark them.
 _PLACES = ("goal", "target")
@@ -380,7 +376,13 @@ def describe(values: Any, state: np.ndarray, termination: Any, cost: Any) -> dic
     `values` are the first rows of `Row`: a list of floats for one environment, shape (n, num_envs) for a batch, with the
     state of shape (num_envs, 4), the terminations, int64, and the costs.
     """
-    return dict(zip(_INFO, (state, values[_X_DOT] == 0.0, *values[_SHOWN], termination, cost), strict=True))
+    M, mu, torque, law_torque, normal_force, energy, progress, energy_cost, penalty = values[_SHOWN]
+    # A literal takes a third of the time of a dict from pairs: a step takes a sixth less.
+    return {
+        "state": state, "stick": values[_X_DOT] == 0.0, "M": M, "mu": mu, "torque": torque, "law_torque": law_torque,
+        "normal_force": normal_force, "energy": energy, "reward_progress": progress, "reward_energy": energy_cost,
+        "reward_termination": penalty, "termination": termination, "cost": cost,
+    }  # fmt: skip
 
 
 def add_task(info: dict[str, Any], current: task.Task, memory: Any) -> None:
