@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from agents.analysis import goal, limit_cycle, sensitivity, statistics
+from agents.analysis import limit_cycle, sensitivity, statistics
 from capsule_gym.command_line import Positional, arg, parse, refuse
 from capsule_gym.files import write_atomically
 
 COMMAND = "python -m agents.analysis"
 ROOT = Path(__file__).resolve().parents[2]
 # Each module has a function `document`.
-DOCUMENTS = {"limit_cycle": limit_cycle, "statistics": statistics, "goal": goal, "sensitivity": sensitivity}
+DOCUMENTS = {"limit_cycle": limit_cycle, "statistics": statistics, "sensitivity": sensitivity}
 
 
 @dataclass(frozen=True)

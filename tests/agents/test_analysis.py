@@ -4,12 +4,9 @@ import numpy as np
 import pytest
 
 from agents.analysis import __main__ as analysis
-from agents.analysis import goal, limit_cycle, sensitivity
+from agents.analysis import limit_cycle, sensitivity
 from agents.analysis.data import read_learning
-from baselines.evaluation.episodes import evaluate
 from baselines.evaluation.policies import Candidate
-from capsule_gym import Capsule, dynamics
-from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec
 from capsule_gym.parameters import REAL, Disturbances
 from tests.agents.fakes import Sine
 
@@ -57,34 +54,3 @@ def test_a_limit_cycle_is_the_steady_one_from_its_smallest_angle_on():
 def test_stale_tables_are_found(tmp_path, capsys):
     assert analysis.main(["statistics", "--check", "--output", str(tmp_path)]) == 1
     assert re.search(r"statistics_tables\.md is not up to date: run `python -m", capsys.readouterr().out)
-
-
-def test_friction_bounds_what_moves_the_centre_of_mass():
-    rng, n = np.random.default_rng(5), 2000
-    p = Capsule(static_ratio=1.3).plant()._replace(M=rng.uniform(0.4, 0.6, n), mu=rng.uniform(0.0, 0.5, n))
-    theta, theta_dot, u = rng.uniform(-1.5, 1.5, n), rng.uniform(-12.0, 12.0, n), rng.uniform(-1.5, 1.5, n)
-    slip = dynamics.contact_phase(theta, theta_dot, rng.choice([-0.1, 0.0, 0.1], n), u, p)
-    theta_ddot, x_ddot, normal = dynamics.accelerations(theta, theta_dot, 0.1 * slip, slip, u, p)
-    sin, cos, s = np.sin(theta), np.cos(theta), p.m * p.l / (p.M + p.m)
-    along = x_ddot - s * (cos * theta_ddot - sin * theta_dot**2)
-    up = -s * (sin * theta_ddot + cos * theta_dot**2)
-    assert ((normal == 0.0) | (np.abs(along) <= p.mu * p.static_ratio * (p.g + up) + 1e-9)).all()
-
-
-def test_the_least_time_to_a_goal_is_that_of_a_mass_without_a_ball():
-    # It accelerates by a = mu g and brakes to the velocity a / 2, which friction could remove within the final second.
-    plant, capsule = PlantSpec(0.5, 0.01, 0, goal=-0.302), Capsule(m=1e-9)
-    a = 0.01 * capsule.g
-    fastest = np.sqrt(0.3 * a + 0.5 * (0.5 * a) ** 2)
-    assert goal.least_time(plant, capsule) == pytest.approx((2.0 * fastest - 0.5 * a) / a + 1.0, abs=1e-3)
-
-
-def test_no_episode_is_faster_than_the_least_time_to_its_goal():
-    rng = np.random.default_rng(6)
-    for capsule, mus, ratio in ((Capsule(static_ratio=1.3), (0.05, 0.5), 4.0), (Capsule(), (0.009, 0.011), 1.5)):
-        drawn = [(rng.uniform(0.45, 0.55), rng.uniform(*mus), sign * rng.uniform(0.05, 0.5)) for sign in [-1, 1] * 50]
-        plants = tuple(PlantSpec(M, mu, n, goal=d) for n, (M, mu, d) in enumerate(drawn))
-        episodes = evaluate(goal.POLICY, EvaluationSet("own", plants, "goal", capsule))
-        times = np.array([episode["goal_time"] for episode in episodes])
-        bounds = np.array([goal.least_time(plant, capsule) for plant in plants])
-        assert (times >= bounds).all() and np.median(times / bounds) < ratio

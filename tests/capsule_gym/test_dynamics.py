@@ -303,3 +303,15 @@ def test_friction_never_pushes_a_platform_that_has_lost_contact():
     assert back.all() and (lifted > 200).all()
     # Once contact is back, friction dissipates energy.
     assert (energy(state, p) < start - 1e-3).all()
+
+
+def test_friction_bounds_what_moves_the_centre_of_mass():
+    rng, n = np.random.default_rng(5), 2000
+    p = Capsule(static_ratio=1.3).plant()._replace(M=rng.uniform(0.4, 0.6, n), mu=rng.uniform(0.0, 0.5, n))
+    theta, theta_dot, u = rng.uniform(-1.5, 1.5, n), rng.uniform(-12.0, 12.0, n), rng.uniform(-1.5, 1.5, n)
+    slip = dynamics.contact_phase(theta, theta_dot, rng.choice([-0.1, 0.0, 0.1], n), u, p)
+    theta_ddot, x_ddot, normal = dynamics.accelerations(theta, theta_dot, 0.1 * slip, slip, u, p)
+    sin, cos, s = np.sin(theta), np.cos(theta), p.m * p.l / (p.M + p.m)
+    along = x_ddot - s * (cos * theta_ddot - sin * theta_dot**2)
+    up = -s * (sin * theta_ddot + cos * theta_dot**2)
+    assert ((normal == 0.0) | (np.abs(along) <= p.mu * p.static_ratio * (p.g + up) + 1e-9)).all()
