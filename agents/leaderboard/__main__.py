@@ -3,8 +3,7 @@
 The episodes of all policies are written to agents/leaderboard/results; leaderboard.json, the pages and the chart depend
 only on these files.
 
-The check compares headers, pages and every bit of every episode with the results, but neither the sensitivity nor the
-versions of packages.
+The check compares headers, pages and every bit of every episode with the results, but not the versions of packages.
 """
 
 from __future__ import annotations
@@ -119,7 +118,7 @@ def main(arguments: Sequence[str] | None = None, *, root: Path = ROOT) -> int:
             stale = [*check(root, candidates, sets)]
             if not stale:
                 sets = [replace(each, plants=each.plants[: args.plants]) for each in sets]
-                stale += check_episodes(root, evaluate(chosen, sets, jobs=args.jobs, disturbed=False))
+                stale += check_episodes(root, evaluate(chosen, sets, jobs=args.jobs))
             print("The leaderboard is stale:" if stale else "The leaderboard is up to date.", *stale, sep="\n- ")
             return int(bool(stale))
         for line in uncommitted(chosen):

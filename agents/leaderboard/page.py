@@ -54,7 +54,7 @@ SECTIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 # The message: policies with perfect sensors, policies that keep their speed with real ones, and the learned of these.
 PERFECT = ("lqr", "mpc", "dp-nominal", "dp-oracle", "direct-ppo", "residual-ppo")
 KEPT, LEARNED = ("lqr", "gait-predictive", "direct-real", "residual-real"), ("direct-real", "residual-real")
-ENTRIES = ("policy", "description", "training_seeds", "revision", "files", "base", "disturbed", "versions")
+ENTRIES = ("policy", "description", "training_seeds", "revision", "files", "base", "versions")
 
 
 def build(rows: Sequence[Row], sets: Sequence[EvaluationSet]) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 `agents/leaderboard/results/NAME.npz` is a numpy archive without pickles. It contains a float64 array of shape (metrics,
 training seeds, episodes) for every set, and under `header` a JSON text in UTF-8: the policy, its description, training
 seeds, revisions, files (sha256) and base law; `metrics`, the first axis of the arrays; the `sets` (sha256); the
-`versions` that evaluated it; and `disturbed`, the range of the mean speed under small noise on the actions.
+`versions` that evaluated it.
 
 Distance, energy and share of the optimum are omitted, since they follow from speed, cost of transport and plant.
 """
@@ -24,7 +24,7 @@ import numpy as np
 from tqdm import tqdm
 
 from baselines.archive import UNREADABLE
-from baselines.evaluation.episodes import Episode, as_episodes, disturbed_range, versions
+from baselines.evaluation.episodes import Episode, as_episodes, versions
 from baselines.evaluation.episodes import evaluate as evaluate_policy
 from baselines.evaluation.policies import Candidate, Policy
 from capsule_gym.config import find_task
@@ -109,13 +109,13 @@ def columns(task: str) -> list[str]:
     return [*COLUMNS, *of_task.metrics(memory, np.zeros(1))]
 
 
-def _work(policy: Policy, sets: Sequence[EvaluationSet], horizon: float | None, disturbed: bool) -> Any:
-    """The metrics of one run by the set's name, each of shape (metrics, episodes), and its sensitivity if asked for."""
+def _work(policy: Policy, sets: Sequence[EvaluationSet], horizon: float | None) -> dict[str, np.ndarray]:
+    """The metrics of one run by the set's name, each of shape (metrics, episodes)."""
     found = {}
     for each in sets:
         episodes = evaluate_policy(policy, each, horizon=horizon)
         found[each.name] = np.array([[episode[name] for episode in episodes] for name in columns(each.task)])
-    return found, disturbed_range(policy, horizon) if disturbed else {}
+    return found
 
 
 def evaluate(
@@ -124,12 +124,10 @@ def evaluate(
     *,
     jobs: int = 1,
     horizon: float | None = None,
-    disturbed: bool = True,
 ) -> Iterator[Row]:
     """Evaluates policies on the sets of their task, with a progress bar; yields each row as soon as it is finished.
 
-    `jobs` is the number of processes, `horizon` the length of an episode in s. `disturbed` also evaluates the
-    sensitivity of policies of the speed task, which takes a third of the time; the widest range of all runs counts.
+    `jobs` is the number of processes, `horizon` the length of an episode in s.
     """
     # Imported here, since the import is slow and --help does not need it.
     from joblib import Parallel, delayed
@@ -139,18 +137,16 @@ def evaluate(
     if not work:
         return
     results = Parallel(jobs, return_as="generator")(
-        delayed(_work)(policy, own[candidate.name], horizon, disturbed and candidate.task == "speed")
-        for policy, candidate in work
+        delayed(_work)(policy, own[candidate.name], horizon) for policy, candidate in work
     )
     found = iter(tqdm(results, "evaluating", len(work), file=sys.stderr, disable=None))
     for candidate in candidates:
-        runs, ranges = zip(*(next(found) for _ in candidate.policies), strict=True)
+        runs = [next(found) for _ in candidate.policies]
         header = {
             **static_header(candidate),
             "metrics": columns(candidate.task),
             "sets": {each.name: each.hash for each in own[candidate.name]},
             "versions": versions(),
-            "disturbed": max(ranges, key=lambda ends: ends["high"] - ends["low"] if ends else 0.0),
         }
         yield Row(header, {name: np.stack([run[name] for run in runs], axis=1) for name in header["sets"]})
 

@@ -22,7 +22,7 @@ from baselines.evaluation.statistics import estimate
 from baselines.policies import ScriptedPolicy
 from capsule_gym import __version__
 from capsule_gym.config import find_task
-from capsule_gym.evaluation_sets import NOMINAL_PLANT, EvaluationSet, load_set
+from capsule_gym.evaluation_sets import EvaluationSet, load_set
 from capsule_gym.network import rollout
 from capsule_gym.parameters import NOMINAL
 from capsule_gym.task import CONTROL_DT, START_THETA, TORQUE_LIMIT
@@ -31,10 +31,6 @@ Episode = dict[str, Any]
 
 # Fields of an episode that are not metrics.
 LABELS = ("M", "mu", "seed", "theta", "goal", "changes", "capsule", "training_seed")
-NOISE_SEED = 1_000_000_007
-# Half width of the noise for the sensitivity, relative to the full action: the rounding error of a network in float32.
-NOISE = 1e-7
-COPIES = 200
 PACKAGES = ("numpy", "gymnasium", "stable-baselines3", "torch")
 
 
@@ -95,11 +91,10 @@ def evaluate(
     *,
     env_kwargs: Mapping[str, Any] | None = None,
     horizon: float | None = None,
-    action_noise: float = 0.0,
 ) -> list[Episode]:
     """Runs a policy once on every plant of a set, all plants at once, each from rest.
 
-    A trained policy without noise runs inside the core (`rollout`). Any other policy is called at every step.
+    A trained policy runs inside the core (`rollout`). Any other policy is called at every step.
 
     Args:
         policy: as for `wrap_policy`; or a candidate, or a name or path as for `find_candidate`, of which all training
@@ -107,7 +102,6 @@ def evaluate(
         evaluation_set: a set, the name of a frozen one, or the path of one.
         env_kwargs: as for `wrap_policy`.
         horizon: length of an episode in s; None takes that of the set's task.
-        action_noise: half width of uniform noise on every action, different in every episode.
 
     Returns:
         One dict per plant, in order: the fields of the plant, the metrics of `capsule_gym.task.Metrics`,
@@ -123,27 +117,15 @@ def evaluate(
             raise TypeError("env_kwargs must not be given with a policy's name or path, which has its own")
         policy = find_candidate(str(policy))
     if isinstance(policy, Candidate):
-        options: dict[str, Any] = {"horizon": horizon, "action_noise": action_noise}
-        return [episode for each in policy.policies for episode in evaluate(each, chosen, **options)]
+        return [episode for each in policy.policies for episode in evaluate(each, chosen, horizon=horizon)]
     policy = wrap_policy(policy, env_kwargs=env_kwargs)
     task = check_task(Candidate(policy.name, (policy,), ""), chosen)
     settings: dict[str, Any] = {**policy.env_kwargs, **chosen.env_kwargs}
     seconds = find_task(task).episode_steps * CONTROL_DT if horizon is None else horizon
-    metrics = _run(policy, settings, chosen, round(seconds / settings.get("control_dt", CONTROL_DT)), action_noise)
+    metrics = _run(policy, settings, chosen, round(seconds / settings.get("control_dt", CONTROL_DT)))
     limited = settings.get("torque_limit", TORQUE_LIMIT) == TORQUE_LIMIT
     seed = policy.training_seed if isinstance(policy, capsule_gym.Policy) else None
     return as_episodes(chosen, metrics, training_seed=seed, shared=limited)
-
-
-def disturbed_range(policy: Policy, horizon: float | None = None) -> dict[str, float]:
-    """The sensitivity of a policy to perturbations: the range of its mean speed (cm/s) under noise on its actions.
-
-    If a difference in the tenth digit makes trajectories diverge, the mean speed of a single episode is a sample from a
-    wide distribution.
-    """
-    copies = EvaluationSet("copies", (NOMINAL_PLANT,) * COPIES)
-    speeds = [episode["mean_speed"] for episode in evaluate(policy, copies, horizon=horizon, action_noise=NOISE)]
-    return {"low": min(speeds), "high": max(speeds)}
 
 
 def check_task(candidate: Candidate, evaluation_set: EvaluationSet) -> str:
@@ -192,7 +174,7 @@ def as_episodes(
 
 
 def _run(
-    policy: Policy, settings: Mapping[str, Any], evaluation_set: EvaluationSet, steps: int, action_noise: float
+    policy: Policy, settings: Mapping[str, Any], evaluation_set: EvaluationSet, steps: int
 ) -> dict[str, np.ndarray]:
     """Runs one episode per plant in one batch and returns their metrics, each of shape (plants,)."""
     plants = evaluation_set.plants
@@ -204,15 +186,12 @@ def _run(
         options = {key: [each[key] for each in resets] for key in resets[0]}
         arrays = {key: np.array(options[key]) for key in ("M", "mu", "state")}
         observations, _ = env.reset(seed=seeds, options={**options, **arrays})
-        if isinstance(policy, capsule_gym.Policy) and not action_noise:
+        if isinstance(policy, capsule_gym.Policy):
             return rollout(env.simulation, policy, steps)
-        act, rng = policy.start(seeds), np.random.default_rng(NOISE_SEED)
+        act = policy.start(seeds)
         for _ in range(steps):
-            actions = act(observations)
-            if action_noise:
-                actions = (actions + action_noise * (2.0 * rng.random(actions.shape) - 1.0)).astype(np.float32)
             # An environment whose episode has ended ignores its actions.
-            observations, _, terminated, truncated, _ = env.step(actions)
+            observations, _, terminated, truncated, _ = env.step(act(observations))
             if (terminated | truncated).all():
                 break
         return env.episode_metrics()

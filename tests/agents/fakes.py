@@ -41,13 +41,6 @@ class Sine:
         return act
 
 
-class Twitch(Sine):
-    """A torque whose sign depends on the last digits of the rate: chaotic from its second step on."""
-
-    def start(self, seeds):
-        return lambda observations: (self.amplitude * np.sign(np.sin(1e6 * observations[:, 1:2]))).astype(np.float32)
-
-
 def no_torque(theta, theta_dot, x, x_dot, memory, reference):
     return 0.0, memory
 

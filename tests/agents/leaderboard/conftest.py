@@ -1,8 +1,8 @@
 import pytest
 
 from agents.leaderboard import page
-from baselines.evaluation import episodes, policies
-from tests.agents.fakes import Sine, Twitch, write_run
+from baselines.evaluation import policies
+from tests.agents.fakes import Sine, write_run
 from tests.agents.leaderboard.world import write_all
 
 README = "# Title\n\n" + "\n\nBetween.\n\n".join(page._section(name, "") for name in ("message", "leaderboard")) + "\n"
@@ -10,15 +10,14 @@ README = "# Title\n\n" + "\n\nBetween.\n\n".join(page._section(name, "") for nam
 
 @pytest.fixture
 def world(tmp_path, monkeypatch):
-    """The rows of all tables as sines; a failing and a chaotic policy, one of another task; a checkpoint; a README."""
+    """The rows of all tables as sines; a failing policy, one of another task; a checkpoint; a README."""
     names = {name for names, _ in page.SECTIONS.values() for name in names}.union(*page.GROUPS.values())
     known = {name: Sine(0.05 + 0.02 * n, name=name) for n, name in enumerate(sorted(names))}
     known["wild"] = Sine(1.5, period=10.0, name="wild")
-    known["twitch"] = Twitch(0.4, name="twitch")
+    known["rocking"] = Sine(0.4, name="rocking")
     monkeypatch.setattr(policies, "SCRIPTED", known)
     monkeypatch.setattr(policies, "TASK_SCRIPTED", {"stay": Sine(0.1, name="stay", env_kwargs={"task": "goal"})})
     monkeypatch.setattr(policies, "CHECKPOINTS", tmp_path / "checkpoints")
-    monkeypatch.setattr(episodes, "COPIES", 20)
     for seed in (0, 1):
         write_run(tmp_path / "checkpoints" / "learnt" / f"seed-{seed}", seed)
     for folder in ("docs", "docs/media"):

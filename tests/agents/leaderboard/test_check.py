@@ -29,9 +29,9 @@ def test_check_names_changed_sets(written):
 def test_check_names_changed_rows(written):
     edit_row(written, "learnt", lambda row: row.header.update(revision="feed"))
     write_run(written / "checkpoints" / "learnt" / "seed-1", 1, clip=9.0)
-    policies.SCRIPTED.pop("twitch")
+    policies.SCRIPTED.pop("rocking")
     gone, revision, changed, *pages = checked(written)
-    assert gone == "twitch: has results and does not exist"
+    assert gone == "rocking: has results and does not exist"
     assert (revision, changed) == tuple(f"learnt: {field} differs from its results" for field in ("revision", "files"))
     assert all(line.endswith(" differs from the results") for line in pages)
     write_run(written / "checkpoints" / "fresh" / "seed-0", 0)
@@ -61,7 +61,7 @@ def test_the_chart_is_stale_if_a_drawn_number_changes(written):
     assert checked(written) == [f"{CHART} differs from the results"]
 
 
-@pytest.mark.parametrize("name", ["learnt", "twitch"])
+@pytest.mark.parametrize("name", ["learnt", "rocking"])
 def test_check_compares_the_last_bit_of_every_episode(written, name):
     def nudge(row):
         row.scores["paper"][0, -1, 1] *= 1.0 + 2.0**-51

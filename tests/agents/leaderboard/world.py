@@ -42,7 +42,7 @@ def checked(root, sets=SETS):
 
 def evaluated_again(root, *candidates, plants=None):
     sets = [dataclasses.replace(each, plants=each.plants[:plants]) for each in SETS]
-    return list(check_episodes(root, evaluate(candidates, sets, horizon=HORIZON, disturbed=False)))
+    return list(check_episodes(root, evaluate(candidates, sets, horizon=HORIZON)))
 
 
 def read(root):

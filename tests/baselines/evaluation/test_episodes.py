@@ -1,6 +1,5 @@
 import math
 
-import numpy as np
 import pytest
 
 from baselines.dynamic_programming.archive import optimal_speed
@@ -8,7 +7,7 @@ from baselines.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, Table
 from capsule_gym import Capsule, CapsuleVectorEnv
 from capsule_gym.evaluation_sets import parse_set
 from capsule_gym.task import METRICS
-from tests.agents.fakes import PLANTS, Sine, make_policy
+from tests.agents.fakes import PLANTS, Sine
 
 TINY = parse_set(PLANTS)
 SPEED = TableMetric("speed", "speed (cm/s)", 2)
@@ -78,26 +77,6 @@ def test_numbers_in_tables():
     assert SPEED.with_interval({"iqm": 1.0, "low": -0.5, "high": None}, sign=True) == "+1.00 [-0.50, -]"
     assert SPEED.with_interval({"iqm": 1.0, "low": None, "high": None}) == "1.00"
     assert set(TABLE_METRICS) <= set(METRICS) and SHARE_OF_OPTIMUM.name not in METRICS
-
-
-def test_noise_on_the_actions_is_the_same_every_time():
-    taken = []
-
-    class Noted(Sine):
-        def start(self, seeds):
-            return lambda observations: taken.append(observations) or np.zeros((len(seeds), 1), np.float32)
-
-    quiet = evaluate(Noted(0.0), TINY, horizon=1.0)
-    first, same = (evaluate(Noted(0.0), TINY, horizon=1.0, action_noise=1e-3) for _ in range(2))
-    assert first == same != quiet
-    # The noise is uniform, relative to the torque limit of 1.5 N m, and differs in every episode.
-    for episode in first:
-        assert 0.9e-3 < episode["peak_torque"] / 1.5 <= 1.0001e-3
-        assert episode["rms_torque"] / 1.5 == pytest.approx(1e-3 / np.sqrt(3.0), rel=0.2)
-    assert len({episode["rms_torque"] for episode in first}) == 3
-    # With noise, a trained policy is called at every step.
-    policy = make_policy()
-    assert evaluate(policy, TINY, horizon=0.5, action_noise=1e-3) != evaluate(policy, TINY, horizon=0.5)
 
 
 def test_a_set_says_which_capsule_its_episodes_have():
