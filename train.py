@@ -28,7 +28,6 @@ from agents.training.config import (  # noqa: E402
     Config,
     Environment,
     PPOConfig,
-    RecurrentPPOConfig,
     RunError,
     Task,
     read_config,
@@ -200,8 +199,7 @@ def _train(args: Args) -> int:
         if not loop.train(run, config.total_steps, wandb=args.wandb):
             print(f"\nStopped; saved. To resume: python train.py --resume {run}")
             return INTERRUPTED
-        has_file = not (isinstance(config, RecurrentPPOConfig) or config.wrapper)
-        print(f"Trained; the best policy on validation plants is {run / BEST / (POLICY if has_file else MODEL)}.")
+        print(f"Trained; the best policy on validation plants is {run / BEST / (MODEL if config.wrapper else POLICY)}.")
         if compared:
             QUIET_EXIT.message = "Stopped. The run is complete; its comparison is not."
             compare(run)

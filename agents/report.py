@@ -17,7 +17,7 @@ from agents.training.presets import ROWS
 from baselines.drawing import BLUE, DPI, MUTED, new_figure, style
 from baselines.evaluation.episodes import Episode, evaluate, scores
 from baselines.evaluation.policies import Policy, find_candidate
-from capsule_gym import CapsuleEnv
+from capsule_gym import CapsuleEnv, load_policy
 from capsule_gym.config import find_task
 from capsule_gym.evaluation_sets import NOMINAL_PLANT, EvaluationSet, PlantSpec, load_set
 from capsule_gym.files import replacing
@@ -39,10 +39,7 @@ def compare(run: Path, set_name: str | None = None) -> None:
     Also prints the published row of the same kind, if there is one and it was evaluated on the set. Writes
     comparison.png to the run's folder. The default set is the task's ranking set.
     """
-    # Imported here, since torch takes seconds to import.
-    from agents.training.export import load_best
-
-    policy = load_best(run)
+    policy = load_policy(run, trust_controller=True)
     criteria = CRITERIA[policy.env_kwargs.get("task", "speed")]
     evaluation_set, (baseline,) = load_set(set_name or criteria.ranking_set), find_candidate(criteria.baseline).policies
     own, theirs = (evaluate(each, evaluation_set) for each in (policy, baseline))

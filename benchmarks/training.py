@@ -23,6 +23,7 @@ from gymnasium import wrappers
 
 from agents.training.presets import PRESETS
 from baselines.evaluation.episodes import evaluate, scores
+from baselines.evaluation.policies import wrap_policy
 from benchmarks.measurement import OutputArgs, machine
 from capsule_gym.command_line import Count, parse
 from capsule_gym.evaluation_sets import EvaluationSet
@@ -67,7 +68,7 @@ def train_model(library: str, seed: int, clock: Clock) -> None:
     from stable_baselines3.common.vec_env import VecNormalize
 
     from agents.training.algorithms import make_env, make_model
-    from agents.training.export import export, recurrent_policy
+    from agents.training.export import export
 
     if library:
         env = VecNormalize(make_vec_env(ID, NUM_ENVS, seed, env_kwargs=ENV_KWARGS))
@@ -75,8 +76,12 @@ def train_model(library: str, seed: int, clock: Clock) -> None:
     else:
         env, config = make_env(CONFIG, seed), replace(CONFIG, seed=seed)
         model = make_model(config, env)
+
+    def act(observations: np.ndarray) -> np.ndarray:
+        return model.predict(env.normalize_obs(observations), deterministic=True)[0]
+
     networks = partial(export, "agent", model, CONFIG, "none")
-    policy = partial(recurrent_policy, "agent", model, env, ENV_KWARGS) if library == "sbx" else networks
+    policy = partial(wrap_policy, act, name="agent", env_kwargs=ENV_KWARGS) if library == "sbx" else networks
     steps = 10**9 if library else CONFIG.total_steps
     model.learn(steps, callback=lambda *_: clock.check(model.num_timesteps, policy))
 
@@ -86,8 +91,6 @@ def train_loop(seed: int, clock: Clock) -> None:
     import torch
     from torch import nn
     from torch.distributions import Normal
-
-    from baselines.evaluation.policies import wrap_policy
 
     steps, epochs, batch, gamma, decay, clip, total, rate = 2048, 10, 64, 0.99, 0.95, 0.2, 1_000_000, 3e-4
     rng = np.random.default_rng(seed)

@@ -13,7 +13,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from sb3_contrib import TQC, RecurrentPPO
+from sb3_contrib import TQC
 from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import NStepReplayBuffer
@@ -23,15 +23,7 @@ from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 from torch import nn
 
-from agents.training.config import (
-    Algorithm,
-    Config,
-    OffPolicyConfig,
-    OnPolicyConfig,
-    RunError,
-    SACConfig,
-    TQCConfig,
-)
+from agents.training.config import Algorithm, Config, OffPolicyConfig, PPOConfig, RunError, SACConfig, TQCConfig
 from capsule_gym.config import EnvConfig
 from capsule_gym.observation import observation_entries
 from capsule_gym.parameters import Disturbances
@@ -39,7 +31,6 @@ from capsule_gym.sb3 import AsymmetricPolicy, CapsuleSB3VecEnv, FixedScale
 from capsule_gym.tasks import velocity
 
 CLASSES: dict[Algorithm, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "td3": TD3, "tqc": TQC}
-CLASSES["recurrent-ppo"] = RecurrentPPO
 
 
 class EpisodeMetrics(gym.Wrapper[Any, Any, Any, Any]):
@@ -133,7 +124,7 @@ def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
     kwargs: dict[str, Any] = {"learning_rate": schedule(config), "device": "cpu"}
     names: tuple[str, ...] = ("batch_size", "gamma", "seed")
     policy: Any = "MlpPolicy"
-    if isinstance(config, OnPolicyConfig):
+    if isinstance(config, PPOConfig):
         network["log_std_init"] = config.log_std_init
         names += ("n_steps", "n_epochs", "gae_lambda", "ent_coef")
     else:
@@ -148,10 +139,7 @@ def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
             kwargs["replay_buffer_kwargs"] = {"n_steps": config.n_steps, "gamma": config.gamma}
         names += ("target_entropy",) if isinstance(config, SACConfig) else ()
     kwargs |= {name: getattr(config, name) for name in names}
-    if config.algo == "recurrent-ppo":
-        policy = "MlpLstmPolicy"
-        network |= {"lstm_hidden_size": config.hidden, "enable_critic_lstm": False}
-    elif config.asymmetric:
+    if config.asymmetric:
         policy = AsymmetricPolicy
     elif isinstance(config, TQCConfig):
         kwargs["top_quantiles_to_drop_per_net"] = config.dropped_quantiles

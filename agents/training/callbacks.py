@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from sb3_contrib import RecurrentPPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.evaluation import evaluate_policy
@@ -24,11 +23,11 @@ from agents.training import checkpoint
 from agents.training.algorithms import wrapped_env
 from agents.training.checkpoint import Progress
 from agents.training.config import BEST, EVALUATIONS, Config
-from agents.training.export import export, normalisation, recurrent_policy, save
+from agents.training.export import export, normalisation, save
 from agents.training.signals import Stop
 from baselines.evaluation.episodes import Episode, evaluate, scores
-from baselines.evaluation.policies import Policy
 from baselines.evaluation.statistics import interquartile_mean
+from capsule_gym import Policy
 from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, EvaluationSet
 from capsule_gym.files import write_atomically
@@ -135,11 +134,7 @@ class TrainingCallback(BaseCallback):
 
     def policy(self) -> Policy | None:
         """The current deterministic policy of the agent; None under wrappers."""
-        if self.config.wrapper:
-            return None
-        if isinstance(self.model, RecurrentPPO):
-            return recurrent_policy(self.run.name, self.model, normalisation(self.model), self.config.env_kwargs())
-        return export(self.run.name, self.model, self.config, self.revision)
+        return None if self.config.wrapper else export(self.run.name, self.model, self.config, self.revision)
 
     def evaluate(self) -> None:
         """Evaluates the deterministic policy; writes a line, a checkpoint, and the model if it is the best so far."""

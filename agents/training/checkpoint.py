@@ -1,7 +1,7 @@
 """The folder of a training run, its lock and its checkpoints.
 
     config.json          algorithm, hyperparameters, environment, seed, package versions, git revision
-    policy.safetensors   the last policy, for `capsule_gym.load_policy`; absent with an LSTM or wrappers
+    policy.safetensors   the last policy, for `capsule_gym.load_policy`; absent with wrappers
     model.zip            the last agent, for Stable-Baselines3's `PPO.load`
     vecnormalize.pkl     the observation normalisation, for `VecNormalize.load`
     best/                the same files for the best evaluation so far
@@ -141,8 +141,6 @@ def write(run: Path, model: BaseAlgorithm, progress: Progress, before: Path | No
             "actions": model.action_space.np_random.bit_generator.state,
             # SB3 resets the noise when training continues.
             "action_noise": getattr(model, "action_noise", None),
-            # RecurrentPPO.load clears these states.
-            "lstm_states": getattr(model, "_last_lstm_states", None),
             # Values that the log has not written yet.
             "log": (dict(log.name_to_value), dict(log.name_to_count), dict(log.name_to_excluded)),
         }
@@ -172,8 +170,6 @@ def restore(
         model = kind.load(io.BytesIO(state["model"]), env=env, device="cpu", force_reset=False)
         if isinstance(model, OffPolicyAlgorithm):
             model.replay_buffer = state["replay_buffer"]
-        if state["lstm_states"] is not None:
-            vars(model)["_last_lstm_states"] = state["lstm_states"]
         normalised: VecNormalize = state["normalize"]
         normalised.set_venv(state["venv"])
         normalised.returns = state["returns"]

@@ -31,7 +31,7 @@ LOGS, EVALUATIONS = "logs", "evaluations.csv"
 
 Task = Literal["residual", "direct"]
 Environment = Literal["CapsuleStickSlip-v0", "CapsuleGoal-v0", "CapsuleVelocity-v0"]
-Algorithm = Literal["ppo", "sac", "td3", "tqc", "recurrent-ppo"]
+Algorithm = Literal["ppo", "sac", "td3", "tqc"]
 
 
 def _option(name: str, more: str = "") -> Any:
@@ -112,7 +112,7 @@ class Config:
     gamma: float = 0.995
     """Discount factor per agent step."""
     hidden: Count = 64
-    """Units in each of the two hidden layers, and of an LSTM before them."""
+    """Units in each of the two hidden layers."""
     activation: Literal["tanh", "relu"] = "tanh"
     """Activation of the hidden layers."""
     observation_scale: tuple[float, float, float] | None = None
@@ -186,8 +186,10 @@ class Config:
 
 
 @dataclass(frozen=True, kw_only=True)
-class OnPolicyConfig(Config):
-    """Algorithms that learn from the last rollout of their present policy."""
+class PPOConfig(Config):
+    """Proximal policy optimisation."""
+
+    algo: ClassVar[Algorithm] = "ppo"
 
     n_steps: Count = 256
     """Steps of each environment between updates."""
@@ -199,14 +201,6 @@ class OnPolicyConfig(Config):
     """Weight of the entropy bonus."""
     log_std_init: float = -0.5
     """Logarithm of the initial standard deviation of the action."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class PPOConfig(OnPolicyConfig):
-    """Proximal policy optimisation."""
-
-    algo: ClassVar[Algorithm] = "ppo"
-
     privileged: bool = False
     """The critic also observes the true plant and, where sensors are disturbed, the true state; not under wrappers."""
 
@@ -214,13 +208,6 @@ class PPOConfig(OnPolicyConfig):
     def asymmetric(self) -> bool:
         """Whether the critic observes more than the actor."""
         return self.privileged and not self.wrapper
-
-
-@dataclass(frozen=True, kw_only=True)
-class RecurrentPPOConfig(OnPolicyConfig):
-    """Proximal policy optimisation of a policy with an LSTM."""
-
-    algo: ClassVar[Algorithm] = "recurrent-ppo"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -279,9 +266,7 @@ class TQCConfig(SACConfig):
             raise ValueError(f"dropped_quantiles must be an integer < {self.quantiles}, got {self.dropped_quantiles!r}")
 
 
-ALGORITHMS: dict[Algorithm, type[Config]] = {
-    kind.algo: kind for kind in (PPOConfig, SACConfig, TD3Config, TQCConfig, RecurrentPPOConfig)
-}
+ALGORITHMS: dict[Algorithm, type[Config]] = {kind.algo: kind for kind in (PPOConfig, SACConfig, TD3Config, TQCConfig)}
 
 
 def read_config(run: Path) -> Config:

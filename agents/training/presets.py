@@ -27,12 +27,6 @@ PPO: dict[str, Any] = {
     **{"learning_rate": 1e-3, "final_learning_rate": 0.0, "gae_lambda": 0.95, "ent_coef": 0.003},
     **{"initial_range": (1.047, 8.0), "termination_penalty": 10.0, "privileged": True, "evaluate_every": 400_000},
 }
-RECURRENT: dict[str, Any] = {"total_steps": 1_000_000, "n_steps": 128, "evaluate_every": 100_000}
-# From agents/study/data/direct-recurrent-ppo.json.
-DIRECT_RECURRENT: dict[str, Any] = {
-    **{**RECURRENT, "num_envs": 128, "n_steps": 64, "n_epochs": 8},
-    **{"learning_rate": 1.35e-3, "final_learning_rate": 1.35e-4, "gamma": 0.9946, "gae_lambda": 0.979},
-}
 SETTINGS: dict[tuple[Task, Algorithm], dict[str, Any]] = {
     ("residual", "ppo"): {**PPO, "total_torque": True},
     # From the default start, with a larger penalty, both tried seeds learnt wide swings; with wide starts, two of four.
@@ -43,8 +37,6 @@ SETTINGS: dict[tuple[Task, Algorithm], dict[str, Any]] = {
     ("direct", "td3"): DIRECT_OFF_POLICY,
     ("residual", "tqc"): OFF_POLICY,
     ("direct", "tqc"): {**DIRECT_OFF_POLICY, "target_entropy": -3.0, "quantiles": 10, "dropped_quantiles": 0},
-    ("residual", "recurrent-ppo"): RECURRENT,
-    ("direct", "recurrent-ppo"): DIRECT_RECURRENT,
 }
 LAWS: dict[Task, dict[str, Any]] = {"residual": {}, "direct": {"controller": None}}
 PRESETS = {(task, algo): ALGORITHMS[algo](task=task, **LAWS[task], **own) for (task, algo), own in SETTINGS.items()}

@@ -63,8 +63,8 @@ def hostile(tmp_path, monkeypatch) -> Path:
     """A working folder with every kind of file and folder that a command may read."""
     monkeypatch.chdir(tmp_path)
     write_run(tmp_path / "run", "ppo")
-    write_run(tmp_path / "lstm", "recurrent-ppo")
-    (tmp_path / "lstm" / "best" / "policy.safetensors").unlink()
+    write_run(tmp_path / "old", "sac")
+    (tmp_path / "old" / "best" / "policy.safetensors").unlink()
     write_run(tmp_path / "study" / "direct-ppo" / "seed-0", "ppo", replace(row_settings("direct-ppo"), seed=0))
     (tmp_path / "set.json").write_bytes(PICKLE)
     (tmp_path / "archive").mkdir()
@@ -76,7 +76,7 @@ def hostile(tmp_path, monkeypatch) -> Path:
     return tmp_path
 
 
-PATHS = ("run", "lstm", "run/best", "lstm/best", "lstm/best/model.zip", "model.zip", "policy.safetensors", "archive")
+PATHS = ("run", "old", "run/best", "old/best", "old/best/model.zip", "model.zip", "policy.safetensors", "archive")
 # The commands that read a path, with their arguments.
 READERS = {
     "agents.evaluate": [
@@ -92,7 +92,7 @@ READERS = {
     ],
     "capsule_gym.export": [[path, "--c", "policy.h"] for path in PATHS],
     "capsule_gym.identify": [["policy.safetensors"], ["model.zip"]],
-    "train": [["--run", "run"], ["--run", "lstm", "--task", "direct", "--algo", "recurrent-ppo"]],
+    "train": [["--run", "run"], ["--run", "old", "--task", "direct", "--algo", "sac"]],
 }
 # The commands with an option that trusts the path.
 TRUSTING = (["agents.study", "direct-ppo", "--runs", "study", "--seeds", "0", "--resume"], ["train", "--resume", "run"])

@@ -25,8 +25,7 @@ CLOCKS = ("core_seconds", "time/fps", "time/time_elapsed", "time/iterations")
 
 
 def small(task: str, algo: str, **changes: Any) -> Config:
-    on_policy = algo in ("ppo", "recurrent-ppo")
-    extra = {"n_steps": 32, "n_epochs": 2} if on_policy else {"learning_starts": 300, "buffer_size": 2000}
+    extra = {"n_steps": 32, "n_epochs": 2} if algo == "ppo" else {"learning_starts": 300, "buffer_size": 2000}
     return dataclasses.replace(PRESETS[task, algo], **{**SMALL, **extra, **changes})
 
 

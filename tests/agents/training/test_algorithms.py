@@ -16,15 +16,12 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
 import train as command_line
-from agents.training.algorithms import CLASSES, make_env, make_model, make_noise
+from agents.training.algorithms import CLASSES, make_env, make_noise
 from agents.training.config import TD3Config
-from agents.training.export import export, load_best, recurrent_policy, save
+from agents.training.export import export, save
 from agents.training.presets import PRESETS
-from baselines.evaluation.episodes import evaluate
 from capsule_gym import load_policy
 from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec
-from capsule_gym.files import to_json
-from capsule_gym.policy import POLICY
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 from tests.agents.training.small import finished, small
 
@@ -109,31 +106,6 @@ def test_action_noise_has_its_deviation_and_correlation_time(noise_time):
     later = np.corrcoef(values[:-5], values[5:])[0, 1]
     # Five steps of 20 ms equal the correlation time.
     assert later == pytest.approx(math.exp(-1.0) if noise_time else 0.0, abs=0.08)
-
-
-def test_an_agent_with_an_lstm_is_evaluated_with_its_memory(tmp_path):
-    config = small("direct", "recurrent-ppo", total_steps=512, evaluate_every=512)
-    run = finished(tmp_path / "run", config)
-    assert not list(run.rglob(POLICY))
-    with pytest.raises(ValueError, match="policy"):
-        load_policy(run)
-    first, again = (to_json(evaluate(load_best(run), PLANTS, horizon=0.5)) for _ in range(2))
-    assert first == again
-    env = make_env(config, 0)
-    env.obs_rms.mean[:], env.obs_rms.var[:] = 0.3, 4.0
-    model: Any = make_model(config, env)
-    with torch.no_grad():
-        for parameter in model.policy.parameters():
-            parameter.add_(0.3 * torch.randn_like(parameter))
-    act = recurrent_policy("present", model, env, config.env_kwargs()).start([0, 1])
-    observations = np.random.default_rng(0).normal(size=(2, 5)).astype(np.float32)
-    found = act(observations), act(observations)
-    state, begun = None, np.ones(2, bool)
-    for actions in found:
-        expected, state = model.predict(env.normalize_obs(observations), state, begun, deterministic=True)
-        assert np.array_equal(actions, expected)
-        begun = np.zeros(2, bool)
-    assert np.abs(found[0] - found[1]).min() > 1e-4
 
 
 WRAPPERS = "tests.agents.training.wrappers"

@@ -29,13 +29,11 @@ from agents.training.signals import INTERRUPTED, Stop
 from tests.agents.training.small import differences, finished, parameters, same, train_until
 
 SMALL = {"num_envs": 8, "batch_size": 64, "hidden": 8, "evaluation_episodes": 1, "evaluate_every": 200}
-ON_POLICY: dict[str, Any] = {"n_steps": 16, "n_epochs": 1, "total_steps": 800}
 OFF_POLICY: dict[str, Any] = {"learning_starts": 150, "buffer_size": 600, "gradient_steps": 1, "total_steps": 800}
 OWN = {
-    "ppo": {**ON_POLICY, "episode_seconds": 0.2, "randomization": "wide"},
+    "ppo": {"n_steps": 16, "n_epochs": 1, "total_steps": 800, "episode_seconds": 0.2, "randomization": "wide"},
     "sac": {**OFF_POLICY, "n_steps": 3, "action_noise": 0.2, "noise_time": 0.25},
     "td3": {**OFF_POLICY, "noise_time": 0.25},
-    "recurrent-ppo": ON_POLICY,
 }
 
 
