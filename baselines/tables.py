@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
+from decimal import ROUND_FLOOR, Decimal
 
 try:
     from tabulate import tabulate
@@ -47,12 +47,3 @@ def printed_below(value: float, digits: int) -> str:
     '0.84'
     """
     return str(Decimal(value).quantize(Decimal(1).scaleb(-digits), ROUND_FLOOR))
-
-
-def printed_above(value: float, digits: int) -> str:
-    """An upper bound with `digits` decimals, rounded up, so that the printed number is a bound as well.
-
-    >>> printed_above(0.2500000000000001, 2), printed_above(2.0, 3), printed_above(-1.234, 2)
-    ('0.26', '2.000', '-1.23')
-    """
-    return str(Decimal(value).quantize(Decimal(1).scaleb(-digits), ROUND_CEILING))

@@ -1,8 +1,7 @@
-"""Figures 3 to 9 of the paper from our own runs, with the published numbers, and the phase plane of Proof 2."""
+"""Figures 3 to 9 of the paper from our own runs, with the published numbers."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
@@ -30,9 +29,7 @@ from baselines.laws.feedback_linearisation import epc, feedback_linearising
 from baselines.laws.profiles import PROPOSED
 from baselines.paper import published
 from baselines.paper.adaptive import CORRECTED_LAW, REGULARISED_LAW, sliding
-from baselines.paper.proofs import swing_envelope
-from baselines.paper.tracking import CYCLES, PROFILES, Trajectory, simulate
-from baselines.tables import printed_above
+from baselines.paper.tracking import CYCLES, Trajectory, simulate
 from capsule_gym.config import LAW_DT
 from capsule_gym.parameters import NOMINAL
 from capsule_gym.task import TORQUE_LIMIT
@@ -201,30 +198,6 @@ def draw_sliding_variable() -> Any:
     return _draw_law(title, {label: lambda run: 1e3 * sliding(run).delta_theta}, stated)
 
 
-def draw_phase_plane() -> Any:
-    """The upper envelopes of the published torques with the published profiles."""
-    figure = new_figure(3.5)
-    panels = figure.subplots(1, 2, sharey=True)
-    for axes, profile in zip(panels, PROFILES, strict=True):
-        pen, numbers = PENS[profile.name], published.RUNS[profile.name]
-        torque, peak, swing = (numbers[key].value for key in ("peak_torque", "peak_velocity", "swing"))
-        envelope = swing_envelope(torque, profile.start, math.radians(swing))
-        axes.plot(np.degrees(envelope.theta[::200]), envelope.theta_dot[::200], color=INK, label="upper envelope")
-        angle, rate, _ = profile.evaluate(np.linspace(0.0, profile.period, 4001))
-        axes.plot(np.degrees(angle), rate, **pen.line(label=f"{profile.name} profile"))
-        mark_published(axes, peak, f"published largest rate: {peak:g} rad/s", pen)
-        below = printed_above(envelope.fastest, 3)
-        axes.set(xlabel="angle θ (deg)", title=f"|u| ≤ {torque:g} N m: θ' stays below {below} rad/s")
-        axes.legend(loc="lower center", bbox_to_anchor=(0.4, 0.08))
-    panels[0].set_ylabel("rate θ' (rad/s)")
-    add_note(
-        figure,
-        "With the published torques, from rest at the profiles' start, the pendulum stays below the envelope in any "
-        "contact and under any law (certified, rounded up).",
-    )
-    return figure
-
-
 FIGURES: dict[str, Callable[[], Any]] = {
     "fig3_tracking": draw_tracking,
     "fig4_displacement": draw_displacement,
@@ -233,7 +206,6 @@ FIGURES: dict[str, Callable[[], Any]] = {
     "fig7_adaptive_error": draw_adaptive_error,
     "fig8_adaptive_torque": draw_adaptive_torque,
     "fig9_sliding_variable": draw_sliding_variable,
-    "phase_plane": draw_phase_plane,
 }
 
 

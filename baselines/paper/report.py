@@ -13,7 +13,7 @@ from baselines.paper import adaptive, principles, proofs, published, selection, 
 from baselines.paper.adaptive import ERRORS
 from baselines.paper.optimal_profiles import Solution, load
 from baselines.paper.verdicts import compare_numbers, judge_claims
-from baselines.tables import printed_above, printed_below, text_table
+from baselines.tables import printed_below, text_table
 
 Results = dict[str, Any]
 Row = Mapping[str, Any]
@@ -31,8 +31,7 @@ def compute() -> Results:
         "claims": judge_claims(runs, study),
         "runs": runs,
         "adaptive": study,
-        "proof_1": proofs.check_proof_1(),
-        "proof_2": proofs.check_proof_2(),
+        "torques": proofs.check_torques(),
         "profile_as_printed": selection.printed_profile(),
         "table_1": selection.evaluate_selection(),
         "demands": principles.evaluate_demands(),
@@ -65,8 +64,10 @@ def text(results: Results) -> str:
             for name, forces in runs["tracking"].items()
             for force, run in forces.items()
         ],
-        "Proof 1: torque where theta' peaks": [_rounded(row, "bound", "sticking") for row in results["proof_1"]],
-        "Proof 2: rate within a torque": [_rounded(row, "torque_needed") for row in results["proof_2"]],
+        "Proof: torque where theta' peaks": [
+            {**row, **{name: printed_below(row[name], 3) for name in ("bound", "sticking")}}
+            for row in results["torques"]
+        ],
         f"Sensitivity: speeds over M in {tracking.M_RANGE} kg, mu in {tracking.MU_RANGE}": [
             {
                 "mu for the published speed": tuple(
@@ -130,11 +131,3 @@ def _optimum(found: Solution) -> Row:
     binding = [name for name, share in found.shares.items() if share >= BINDING]
     speed = printed_below(100.0 * found.mean_speed, 3)
     return {"torque limit, plants, changes": found.problem.label, "cm/s": speed, **row, "binding": binding}
-
-
-def _rounded(row: Row, *lower: str) -> Row:
-    """A row of a proof with its lower bounds rounded down and its other bounds rounded up."""
-    upper = {"bound", "from_start", "torque_enough", "undamped"} - {*lower}
-    rounded = {name: printed_below(row[name], 3) for name in lower}
-    rounded |= {name: printed_above(row[name], 3) for name in upper if name in row}
-    return {**row, **rounded}

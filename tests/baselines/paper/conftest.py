@@ -3,7 +3,6 @@
 import pytest
 
 from baselines.paper import adaptive
-from baselines.paper.proofs import check_proof_2
 from capsule_gym.task import TORQUE_LIMIT
 
 
@@ -13,9 +12,3 @@ def laws():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(adaptive, "GRID", 3)
         return [adaptive.study_law(True), adaptive.study_law(False), adaptive.study_law(False, TORQUE_LIMIT)]
-
-
-@pytest.fixture(scope="session")
-def rates():
-    """Proof 2 for both profiles."""
-    return check_proof_2()
