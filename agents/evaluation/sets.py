@@ -1,21 +1,6 @@
-"""The frozen evaluation sets: the same plants for the evaluation of every policy, and their hashes.
+"""The frozen evaluation sets, which docs/evaluation.md lists: the same plants for the evaluation of every policy.
 
 `python -m agents.evaluation.sets` draws them anew and writes agents/evaluation/frozen/*.json.
-
-| set | episodes | platform mass M and friction coefficient mu |
-|---|---|---|
-| `nominal` | 100 | the paper's plant, from 100 angles |
-| `paper` | 400 | as drawn by `randomization="paper"` |
-| `wide` | 400 | as drawn by `randomization="wide"` |
-| `extrapolation` | 400 | outside `wide` in M, in mu or in both |
-| `drift` | 400 | as drawn by `randomization="wide"`, three times |
-| `sticky` | 1000 | as drawn by `randomization="sticky"`; static friction 1.3 times the kinetic |
-| `sticky-2`, `sticky-3` | 1000 | further draws of `sticky`, as the environment draws them; given by path |
-| `real` | 1000 | M and mu as in `paper`, m, l, k and c within 10 %; `disturbances="real"` |
-| `real-wide` | 1000 | the same with M and mu as in `wide` |
-| `goal` | 1000 | of the task `goal`: M and mu as the task draws them, and the goal |
-| `goal-paper` | 1000 | of the task `goal` on the paper's floor: M and mu as in `paper`, static friction as kinetic |
-| `velocity` | 1000 | of the task `velocity`: M and mu as the task draws them; commands from the plant's seed |
 
 Episodes start at rest. The angles of `nominal` are uniform within 0.1 rad of the default start, the first episode has
 the paper's start: a single start would show a single sample of a policy that is sensitive to perturbations.

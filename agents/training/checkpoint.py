@@ -1,14 +1,4 @@
-"""The folder of a training run, its lock and its checkpoints.
-
-    config.json          algorithm, hyperparameters, environment, seed, package versions, git revision
-    policy.safetensors   the last policy, for `capsule_gym.load_policy`; absent with wrappers
-    model.zip            the last agent, for Stable-Baselines3's `PPO.load`
-    vecnormalize.pkl     the observation normalisation, for `VecNormalize.load`
-    best/                the same files for the best evaluation so far
-    checkpoint-STEPS     everything that --resume needs, in one file that begins with its sha256; the last two
-    evaluations.csv      the evaluations during training
-    logs/                TensorBoard events, and a file progress-STEPS.csv of every process, named by its first step
-    lock                 held by the process that trains the run
+"""The folder of a training run, whose files docs/training.md lists, its lock and its checkpoints.
 
 A run that is resumed from a checkpoint ends with the same policy, bit for bit, as an uninterrupted run. A checkpoint is
 written atomically between two updates; afterwards, all older ones but the previous one are deleted. Archives, .pkl

@@ -25,7 +25,7 @@ from capsule_gym.task import CONTROL_DT, TASKS
 
 # Largest seed of numpy's legacy generator, which SB3 seeds.
 LARGEST_SEED = 2**32 - 1
-# Files of a run; agents.training.checkpoint describes its folder.
+# Files of a run; docs/training.md describes its folder.
 CONFIG, MODEL, NORMALISATION, BEST = "config.json", "model.zip", "vecnormalize.pkl", "best"
 LOGS, EVALUATIONS = "logs", "evaluations.csv"
 
