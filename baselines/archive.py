@@ -1,29 +1,20 @@
-"""The grid of plants and the archive format of dynamic programming, and the loops of searches.
-
-An archive is a folder with `archive.json`, an object whose lists hold one result a line, and with `arrays.npz` where
-results have arrays.
-"""
+"""The grids of plants of dynamic programming, what reading a malformed file raises, and the loops of searches."""
 
 from __future__ import annotations
 
-import io
-import json
 import math
 import zipfile
 import zlib
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from capsule_gym.elementary import log
-from capsule_gym.files import replacing, write_atomically
 from capsule_gym.parameters import NOMINAL, Capsule
 
 
@@ -82,7 +73,6 @@ class PlantGrid:
 GRID = PlantGrid((0.35, 0.5, 0.75, 1.0), (0.005, 0.01, 0.03, 0.1, 0.2, 0.3, 0.5))
 # Grid of the frozen set `sticky`.
 STICKY_GRID = PlantGrid((0.35, 0.5, 0.75), (0.2, 0.3, 0.45, 0.6), static_ratio=1.3)
-ARCHIVE, ARRAYS = "archive.json", "arrays.npz"
 # What reading a malformed archive of numpy or JSON file raises.
 UNREADABLE = (
     *(EOFError, IndexError, KeyError, MemoryError, OSError, RecursionError, TypeError, ValueError),
@@ -93,52 +83,6 @@ UNREADABLE = (
 def find_grid(capsule: Capsule) -> PlantGrid | None:
     """The grid whose plants have the constants of a capsule other than M and mu, or None."""
     return next((grid for grid in (GRID, STICKY_GRID) if grid.capsule == capsule), None)
-
-
-@contextmanager
-def reading(folder: Path, command: str) -> Iterator[tuple[dict[str, Any], dict[str, np.ndarray]]]:
-    """Reads an archive: the JSON object with tuples for lists, and the arrays. Both are empty without an archive.
-
-    Raises:
-        ValueError: if a file is malformed, or the block of the `with` statement cannot process its content. The message
-            names the command.
-    """
-    try:
-        content, arrays = {}, {}
-        if (folder / ARCHIVE).is_file():
-            content = _frozen(json.loads((folder / ARCHIVE).read_text(encoding="utf-8")))
-            if (folder / ARRAYS).is_file():
-                # Reads from memory, since numpy leaves a malformed file open.
-                with np.load(io.BytesIO((folder / ARRAYS).read_bytes()), allow_pickle=False) as found:
-                    arrays = dict(found)
-        yield content, arrays
-    except UNREADABLE as error:
-        message = f"{folder} must hold an archive for `{command}`, got {type(error).__name__}: {error}"
-        raise ValueError(message) from error
-
-
-def _frozen(value: Any) -> Any:
-    """A JSON value with tuples in place of lists, for frozen dataclasses."""
-    if isinstance(value, dict):
-        return {key: _frozen(each) for key, each in value.items()}
-    return tuple(_frozen(each) for each in value) if isinstance(value, list) else value
-
-
-def write_archive(folder: Path, content: Mapping[str, Any], arrays: Mapping[str, np.ndarray] | None = None) -> None:
-    """Writes an archive, each file atomically and the results last, so that no result lacks its arrays.
-
-    Each entry of the lists in the JSON object has a line of its own.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    if arrays:
-        ordered: dict[str, Any] = {name: arrays[name] for name in sorted(arrays)}
-        with replacing(folder / ARRAYS) as temporary:
-            np.savez_compressed(temporary, **ordered)
-    parts = []
-    for name, value in content.items():
-        lines = ",\n".join(f"  {json.dumps(each)}" for each in value) if isinstance(value, list) else ""
-        parts.append(f' "{name}": ' + (f"[\n{lines}\n ]" if lines else json.dumps(value)))
-    write_atomically(folder / ARCHIVE, "{\n" + ",\n".join(parts) + "\n}\n")
 
 
 def make_strategy(start: np.ndarray, step: float, population: int, rng: np.random.Generator) -> Any:

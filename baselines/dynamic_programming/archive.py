@@ -5,15 +5,18 @@ Each archived speed is that of a trajectory, whose torques, repeated from rest, 
 
 from __future__ import annotations
 
+import io
+import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
-from baselines.archive import GRID, PlantGrid, reading, write_archive
+from baselines.archive import GRID, UNREADABLE, PlantGrid
 from baselines.dynamic_programming import FOLDER, solver
 from baselines.dynamic_programming.grid import Grid
 from baselines.dynamic_programming.problem import ACTIONS, Problem, Trajectory, plant_problems, record, repeat
@@ -21,9 +24,12 @@ from baselines.dynamic_programming.solver import GRIDS, STARTS, Solution
 from capsule_gym import dynamics
 from capsule_gym.config import DIRECT_PHYSICS_DT
 from capsule_gym.evaluation_sets import load_set
+from capsule_gym.files import replacing, write_atomically
 from capsule_gym.parameters import NOMINAL
 from capsule_gym.task import CONTROL_DT, START_THETA, TORQUE_LIMIT
 
+# Files of the archive: an object whose list has one result a line, and the arrays.
+ARCHIVE, ARRAYS = "archive.json", "arrays.npz"
 # cm: step of the stored values, larger if two bytes cannot count the steps; a control interval earns half a cm.
 RESOLUTION, MAX_STEPS = 0.005, 65535
 # rad, rad/s, m, m/s: scales of the differences between the ends of a cycle.
@@ -133,15 +139,30 @@ class Archive:
         return stale
 
     def save(self, folder: Path = FOLDER) -> None:
-        """Writes the archive."""
-        write_archive(folder, {"results": [asdict(result) for _, result in sorted(self.results.items())]}, self.arrays)
+        """Writes the archive, each file atomically and the results last, so that no result lacks its arrays."""
+        folder.mkdir(parents=True, exist_ok=True)
+        ordered: dict[str, Any] = dict(sorted(self.arrays.items()))
+        with replacing(folder / ARRAYS) as temporary:
+            np.savez_compressed(temporary, **ordered)
+        lines = ",\n".join(f"  {json.dumps(asdict(result))}" for _, result in sorted(self.results.items()))
+        write_atomically(folder / ARCHIVE, f'{{\n "results": [\n{lines}\n ]\n}}\n')
 
 
 def load_archive(folder: Path = FOLDER) -> Archive:
     """Reads the archive of a folder, or returns an empty one; a malformed file raises a ValueError."""
-    with reading(folder, "python -m baselines.dynamic_programming") as (content, arrays):
-        results = [Result(**fields) for fields in content.get("results", ())]
-        return Archive({result.key: result for result in results}, arrays)
+    if not (folder / ARCHIVE).is_file():
+        return Archive()
+    try:
+        results = []
+        for fields in json.loads((folder / ARCHIVE).read_text(encoding="utf-8"))["results"]:
+            lists = {"grids": tuple(map(tuple, fields["grids"])), "gains": tuple(fields["gains"])}
+            results.append(Result(**{**fields, **lists, "steady": tuple(fields["steady"])}))
+        # Read from memory, since numpy does not close an invalid file.
+        with np.load(io.BytesIO((folder / ARRAYS).read_bytes()), allow_pickle=False) as found:
+            return Archive({result.key: result for result in results}, dict(found))
+    except UNREADABLE as error:
+        message = f"{folder} must hold an archive for `python -m baselines.dynamic_programming`"
+        raise ValueError(f"{message}, got {type(error).__name__}: {error}") from error
 
 
 def _performance(trajectory: Trajectory) -> dict[str, float]:

@@ -18,7 +18,7 @@ import pytest
 from agents.study.jobs import train_job
 from agents.training.config import Config
 from agents.training.presets import row_settings
-from baselines.archive import ARCHIVE, ARRAYS
+from baselines.dynamic_programming.archive import ARCHIVE, ARRAYS
 from tests.agents.training.small import small
 from tests.project.test_commands import commands
 
@@ -68,7 +68,7 @@ def hostile(tmp_path, monkeypatch) -> Path:
     write_run(tmp_path / "study" / "direct-ppo" / "seed-0", "ppo", replace(row_settings("direct-ppo"), seed=0))
     (tmp_path / "set.json").write_bytes(PICKLE)
     (tmp_path / "archive").mkdir()
-    (tmp_path / "archive" / ARCHIVE).write_text("{}")
+    (tmp_path / "archive" / ARCHIVE).write_text('{"results": []}')
     np.savez(tmp_path / "archive" / ARRAYS, nominal=np.array([Touch()], object), values=np.array([Touch()], object))
     (tmp_path / "empty").mkdir()
     write_model(tmp_path / "model.zip")
