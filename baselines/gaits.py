@@ -13,8 +13,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from gymnasium.vector import AutoresetMode
 from baselines.archive import make_strategy, run_search
 from baselines.laws.gait import FILE, LIGHTEST, NO_REFERENCE, PARAMETERS
 from capsule_gym import CapsuleVectorEnv
-from capsule_gym.command_line import Count, parse
+from capsule_gym.command_line import Count, command
 from capsule_gym.controller import Controller, CoreLaw
 from capsule_gym.files import write_atomically
 from capsule_gym.layout import ROWS
@@ -168,24 +167,18 @@ def search_law(num_generations: int, seed: int) -> Iterator[None]:
         yield
 
 
-@dataclass(frozen=True)
-class Args:
+@command("python -m baselines.gaits")
+def main(generations: Count = 700, seed: int = 0) -> int:
     """Searches the parameters of the law `baselines:gait`; baselines/laws/gait.json keeps the better ones.
 
     Examples:
       python -m baselines.gaits --generations 700
+
+    Args:
+        generations: Generations of the search.
+        seed: Seed of the search.
     """
-
-    generations: Count = 700
-    """Generations of the search."""
-    seed: int = 0
-    """Seed of the search."""
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns the exit status."""
-    args = parse(Args, "python -m baselines.gaits", arguments)
-    return 130 if run_search(search_law(args.generations, args.seed), lambda: None) else 0
+    return 130 if run_search(search_law(generations, seed), lambda: None) else 0
 
 
 if __name__ == "__main__":

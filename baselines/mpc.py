@@ -12,7 +12,6 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -56,30 +55,22 @@ def start(seeds: Sequence[int]) -> Act:
     return act
 
 
-@dataclass(frozen=True)
-class Args:
+def main(plants: int = 8, seed: int = 0) -> None:
     """Runs the policy `mpc` on random plants, and prints its speed and the processor time of a decision.
 
     Examples:
       python -m baselines.mpc --plants 8
+
+    Args:
+        plants: Number of plants from the distribution `paper`.
+        seed: Seed of the first plant.
     """
-
-    plants: int = 8
-    """Number of plants from the distribution `paper`."""
-    seed: int = 0
-    """Seed of the first plant."""
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns the exit status."""
     # The policy needs neither.
     from capsule_gym import CapsuleVectorEnv
-    from capsule_gym.command_line import parse
 
-    args = parse(Args, "python -m baselines.mpc", arguments)
-    env = CapsuleVectorEnv(args.plants, autoreset_mode="DISABLED")
-    observations, _ = env.reset(seed=args.seed)
-    act, seconds = start(range(args.plants)), 0.0
+    env = CapsuleVectorEnv(plants, autoreset_mode="DISABLED")
+    observations, _ = env.reset(seed=seed)
+    act, seconds = start(range(plants)), 0.0
     for _ in range(EPISODE_STEPS):
         begin = time.process_time()
         actions = act(observations)
@@ -87,9 +78,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         observations, *_ = env.step(actions)
     metrics = env.episode_metrics()
     speed, failures = metrics["mean_speed"].mean(), int(metrics["failed"].sum())
-    print(f"{speed:.2f} cm/s, {failures} failures, {1e6 * seconds / (EPISODE_STEPS * args.plants):.0f} us per decision")
-    return 0
+    print(f"{speed:.2f} cm/s, {failures} failures, {1e6 * seconds / (EPISODE_STEPS * plants):.0f} us per decision")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    from capsule_gym.command_line import command
+
+    sys.exit(command("python -m baselines.mpc")(main)())

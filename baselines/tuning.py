@@ -11,7 +11,6 @@ import json
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal, NamedTuple
 
@@ -23,7 +22,7 @@ from baselines.dynamic_programming.archive import cycle
 from baselines.laws import periodic
 from baselines.policies import ScriptedPolicy
 from capsule_gym import CapsuleVectorEnv
-from capsule_gym.command_line import Positional, parse
+from capsule_gym.command_line import Positional, command
 from capsule_gym.controller import Controller
 from capsule_gym.files import write_atomically
 from capsule_gym.task import HORIZON, TORQUE_LIMIT
@@ -137,32 +136,23 @@ def tune(name: Name, generations: int, seed: int, first_step: float) -> None:
         write_atomically(periodic.FILE, "{\n" + lines + "\n}\n")
 
 
-@dataclass(frozen=True)
-class Args:
+@command("python -m baselines.tuning")
+def main(law: Positional[Name], generations: int = 200, seed: int = 0, step: float = 0.5) -> None:
     """Tunes a law on random plants; baselines/laws/periodic.json keeps the better parameters.
 
     Examples:
       python -m baselines.tuning pd --generations 200
+
+    Args:
+        law: The law.
+        generations: Generations of the search, of 20 candidates on 32 plants each.
+        seed: Seed of the search.
+        step: Initial standard deviation of the parameters in their units.
     """
-
-    law: Positional[Name]
-    """The law."""
-    generations: int = 200
-    """Generations of the search, of 20 candidates on 32 plants each."""
-    seed: int = 0
-    """Seed of the search."""
-    step: float = 0.5
-    """Initial standard deviation of the parameters in their units."""
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns the exit status."""
-    args = parse(Args, "python -m baselines.tuning", arguments)
-    if args.law == "lqr":
+    if law == "lqr":
         design_lqr()
     else:
-        tune(args.law, args.generations, args.seed, args.step)
-    return 0
+        tune(law, generations, seed, step)
 
 
 if __name__ == "__main__":

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import chain
 from typing import Annotated
 
@@ -15,32 +13,28 @@ from agents.leaderboard.rows import RESULTS, load_row
 from baselines.evaluation.episodes import evaluate, failures, scores
 from baselines.evaluation.statistics import estimate
 from baselines.tables import text_table
-from capsule_gym.command_line import Positional, arg, parse
+from capsule_gym.command_line import Positional, arg, command
 from capsule_gym.evaluation_sets import load_set
 
 # Seeds far from those of frozen sets, 0, 1, ..
 FIRST_SEED, PLANTS = 31_000_000, 400
 
 
-@dataclass(frozen=True)
-class Args:
+@command("python -m benchmarks.fresh_draws")
+def main(rows: Annotated[Positional[tuple[str, ...]], arg(metavar="ROW")] = ()) -> int:
     """Evaluates rows of the leaderboard's main table on new plants; fails if a mean speed differs from the table.
 
     They agree if the published interval covers the new mean, or within two standard errors of both sets of plants.
 
     Examples:
       python -m benchmarks.fresh_draws pd lqr
+
+    Args:
+        rows: Rows; all of the main table by default.
     """
-
-    rows: Annotated[Positional[tuple[str, ...]], arg(metavar="ROW")] = tuple(chain(*GROUPS.values()))
-    """Rows; all of the main table by default."""
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns 1 if a mean differs."""
-    args, differing = parse(Args, "python -m benchmarks.fresh_draws", arguments), 0
+    differing = 0
     lines = [["row", "set", "published (cm/s)", "new", "standard errors", "failures", ""]]
-    for name in args.rows:
+    for name in rows or chain(*GROUPS.values()):
         row = load_row(ROOT / RESULTS / f"{name}.npz")
         for set_name in MAIN_SETS:
             like = load_set(set_name)

@@ -8,14 +8,14 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
 from tqdm import tqdm
 
 from capsule_gym import CapsuleEnv, Excitation, identify, record
-from capsule_gym.command_line import Count, parse
+from capsule_gym.command_line import Count, command
 from capsule_gym.identification import OTHERS, RANGES
 from capsule_gym.parameters import RANDOMIZATIONS, REAL, Capsule, Disturbances
 
@@ -27,22 +27,6 @@ ALL = replace(REAL, latency=(0.002, 0.018), lag=RANGES["lag"], motor_friction=0.
 # White noise alone, or the noise, bias and drift of `real`.
 NONE: dict[str, Any] = {name: 0.0 for name in vars(REAL) if name.endswith(("_bias", "_drift"))}
 SENSORS = {"white": replace(ALL, **NONE), "real": ALL}
-
-
-@dataclass(frozen=True)
-class Args:
-    """Identifies random plants, and prints errors, the coverage of the 95 % intervals, and the time.
-
-    Examples:
-      python -m benchmarks.identification --plants 150
-    """
-
-    plants: Count = 150
-    """Number of plants."""
-    seed: Count = 0
-    """Seed of the first plant."""
-    sensors: Literal["white", "real"] = "real"
-    """Errors of the sensors: white noise, or noise, bias and drift."""
 
 
 def make_logs(
@@ -60,13 +44,20 @@ def make_logs(
             yield log, {**truth, "latency": round(truth["latency"] / PHYSICS_DT) * PHYSICS_DT}
 
 
-def main() -> None:
-    """Prints the table."""
-    args = parse(Args, "python -m benchmarks.identification")
+@command("python -m benchmarks.identification")
+def main(plants: Count = 150, seed: Count = 0, sensors: Literal["white", "real"] = "real") -> None:
+    """Identifies random plants, and prints errors, the coverage of the 95 % intervals, and the time.
+
+    Examples:
+      python -m benchmarks.identification --plants 150
+
+    Args:
+        plants: Number of plants.
+        seed: Seed of the first plant.
+        sensors: Errors of the sensors: white noise, or noise, bias and drift.
+    """
     rows, seconds, chi2 = [], [], list[float]()
-    for log, truth in tqdm(
-        make_logs(args.plants, args.seed, SENSORS[args.sensors]), total=args.plants, mininterval=10.0
-    ):
+    for log, truth in tqdm(make_logs(plants, seed, SENSORS[sensors]), total=plants, mininterval=10.0):
         start = time.process_time()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)

@@ -7,7 +7,7 @@ for one episode, as do agents trained on `paper` without disturbances, and on `r
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from agents.evaluation.sets import validation_set
 from agents.training.presets import PRESETS
 from baselines.evaluation.episodes import evaluate
 from capsule_gym import CapsuleEnv, Excitation, Policy, identify, record
-from capsule_gym.command_line import Count, parse
+from capsule_gym.command_line import Count, command
 
 HIDDEN: dict[str, Any] = {"randomization": "real-wide", "disturbances": "real"}
 CONFIG = replace(PRESETS["direct", "ppo"], stack_size=4)
@@ -24,20 +24,6 @@ CONFIG = replace(PRESETS["direct", "ppo"], stack_size=4)
 SEED = 7000
 # Period of the log, s, and amplitudes, N m, of which smaller ones follow where the excitation ends the episode.
 LOGGED_DT, AMPLITUDES = 0.01, (0.45, 0.35, 0.25)
-
-
-@dataclass(frozen=True)
-class Args:
-    """Compares agents trained on identified, on the paper's and on wide ranges, on hidden plants.
-
-    Examples:
-      python -m benchmarks.rig --plants 20
-    """
-
-    plants: Count = 20
-    """Number of hidden plants."""
-    total_steps: Count = 1_000_000
-    """Environment steps of a training."""
 
 
 def train(seed: int, total_steps: int, **env_kwargs: Any) -> Policy:
@@ -67,13 +53,21 @@ def identified(seed: int) -> dict[str, Any]:
     return identify(log).env_kwargs(0.95)
 
 
-def main() -> None:
-    """Prints the speeds on every hidden plant."""
-    args = parse(Args, "python -m benchmarks.rig")
-    common = {"paper": train(0, args.total_steps), "real-wide": train(0, args.total_steps, **HIDDEN)}
+@command("python -m benchmarks.rig")
+def main(plants: Count = 20, total_steps: Count = 1_000_000) -> None:
+    """Compares agents trained on identified, on the paper's and on wide ranges, on hidden plants.
+
+    Examples:
+      python -m benchmarks.rig --plants 20
+
+    Args:
+        plants: Number of hidden plants.
+        total_steps: Environment steps of a training.
+    """
+    common = {"paper": train(0, total_steps), "real-wide": train(0, total_steps, **HIDDEN)}
     found = []
-    for seed in range(SEED, SEED + args.plants):
-        agents = {"identified": train(seed, args.total_steps, **identified(seed)), **common}
+    for seed in range(SEED, SEED + plants):
+        agents = {"identified": train(seed, total_steps, **identified(seed)), **common}
         found.append([drive(agent, seed) for agent in agents.values()])
         print(seed, *(f"{name} {speed:.2f} cm/s" for name, (speed, _) in zip(agents, found[-1], strict=True)))
     speeds, failed = np.moveaxis(np.array(found), -1, 0)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import timeit
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from capsule_gym import Capsule, sensitivity
 from capsule_gym._core import TRAJECTORY
-from capsule_gym.command_line import Count, parse
+from capsule_gym.command_line import Count, command
 from capsule_gym.trajectory import constant_inputs, simulate
 
 NAMES = ("torque", "M", "mu", "k", "c")
@@ -18,18 +18,6 @@ START, INTERVALS, PERIODS = (0.1, 0.0, 0.0, 0.0), 200, {"control_dt": 0.01, "phy
 # Relative steps of the differences: the estimate that changes least from one to the next is kept. Relative to smaller
 # derivatives by the logarithm of a constant than SMALLEST, m, differences are only rounding errors.
 STEPS, SMALLEST = 10.0 ** np.arange(-3.0, -7.1, -0.5), 1e-5
-
-
-@dataclass(frozen=True)
-class Args:
-    """Compares derivatives of x(2 s) with extrapolated differences, and their cost with that of a trajectory.
-
-    Examples:
-      python -m benchmarks.sensitivity --trajectories 300
-    """
-
-    trajectories: Count = 300
-    """Number of random plants and torques."""
 
 
 def draw(generator: np.random.Generator) -> tuple[Capsule, np.ndarray]:
@@ -71,11 +59,18 @@ def errors(count: int, seed: int) -> tuple[np.ndarray, float]:
     return np.array(rows), float(np.mean(events))
 
 
-def main() -> None:
-    """Prints the errors and the cost."""
-    args = parse(Args, "python -m benchmarks.sensitivity")
-    found, events = errors(args.trajectories, seed=1)
-    print(f"{args.trajectories} trajectories with {events:.0f} events on average, derivatives by {', '.join(NAMES)}")
+@command("python -m benchmarks.sensitivity")
+def main(trajectories: Count = 300) -> None:
+    """Compares derivatives of x(2 s) with extrapolated differences, and their cost with that of a trajectory.
+
+    Examples:
+      python -m benchmarks.sensitivity --trajectories 300
+
+    Args:
+        trajectories: Number of random plants and torques.
+    """
+    found, events = errors(trajectories, seed=1)
+    print(f"{trajectories} trajectories with {events:.0f} events on average, derivatives by {', '.join(NAMES)}")
     print(f"relative error: median {np.median(found):.1e}, largest {found.max():.1e}")
     torques = draw(np.random.default_rng(1))[1] / 2.0
     inputs = np.concatenate([constant_inputs(Capsule(mu=0.05, static_ratio=1.2)), START, torques])

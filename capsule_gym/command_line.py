@@ -1,7 +1,8 @@
-"""Command lines from dataclasses: a field is an option, its docstring the help text, its default the default.
+"""Command lines from dataclasses and functions: a field or an argument is an option, its docstring the help text.
 
-A command declares its options as a frozen dataclass and calls `parse(Args, "python -m agents.evaluate", arguments)`.
-A field of type `Positional[str]` is a positional argument; a field of type `Count` accepts the form 8e6.
+A command is a function with the decorator `command("python -m baselines.gaits")`. One that checks or shares its options
+declares them as a frozen dataclass and calls `parse(Args, "python -m agents.evaluate", arguments)`. An option of type
+`Positional[str]` is a positional argument; an option of type `Count` accepts the form 8e6.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import io
 import math
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar
 
@@ -23,7 +24,7 @@ except ImportError as error:
     _extra = {"agents": "train", "baselines": "paper", "benchmarks": "bench"}.get(_package, "render")
     raise ImportError(f'this command needs tyro: pip install "capsule-gym[{_extra}]"') from error
 
-__all__ = ["Count", "Positional", "arg", "check_output", "parse", "refuse"]
+__all__ = ["Count", "Positional", "arg", "check_output", "command", "parse", "refuse"]
 
 T = TypeVar("T")
 # No option --no-fast in addition to --fast.
@@ -53,12 +54,13 @@ Count = Annotated[
 """An integer >= 0, also in the form 8e6."""
 
 
-def parse(kind: type[T], prog: str, arguments: Sequence[str] | None = None, *, default: T | None = None) -> T:
+def parse(kind: Callable[..., T], prog: str, arguments: Sequence[str] | None = None, *, default: T | None = None) -> T:
     """Reads a command line.
 
     Args:
-        kind: a dataclass, whose docstring is the description. A `ValueError` or `TypeError` of its method `check`, if
-            it has one, is an error of the command line.
+        kind: a dataclass, or a function that is called; its docstring, up to its arguments, is the description. A
+            `ValueError` or `TypeError` of the dataclass's method `check`, if it has one, is an error of the command
+            line.
         prog: the command as the user types it.
         arguments: the words after the command; None takes them from `sys.argv`.
         default: defaults other than the fields' own.
@@ -70,9 +72,8 @@ def parse(kind: type[T], prog: str, arguments: Sequence[str] | None = None, *, d
         # Paths may contain characters that the encoding of the output lacks.
         sys.stdout.reconfigure(errors="backslashreplace")
     defaults: dict[str, Any] = {} if default is None else {"default": default}
-    options: T = tyro.cli(
-        kind, prog=prog, args=arguments, description=inspect.getdoc(kind), config=NO_NEGATIONS, **defaults
-    )
+    description = (inspect.getdoc(kind) or "").partition("\n\nArgs:")[0]
+    options: T = tyro.cli(kind, prog=prog, args=arguments, description=description, config=NO_NEGATIONS, **defaults)
     check = getattr(options, "check", None)
     if callable(check):
         try:
@@ -80,6 +81,18 @@ def parse(kind: type[T], prog: str, arguments: Sequence[str] | None = None, *, d
         except (TypeError, ValueError) as error:
             refuse(prog, str(error))
     return options
+
+
+def command(prog: str) -> Callable[[Callable[..., int | None]], Callable[..., int]]:
+    """Makes a function the `main` of a command: it takes the words after the command, and returns the exit status.
+
+    The arguments of the function are the options, its docstring is the help. The status is 0 where it returns None.
+    """
+
+    def decorate(function: Callable[..., int | None]) -> Callable[..., int]:
+        return lambda arguments=None: parse(function, prog, arguments) or 0
+
+    return decorate
 
 
 def refuse(prog: str, message: str) -> NoReturn:

@@ -12,8 +12,6 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
@@ -21,7 +19,7 @@ import numpy as np
 
 from baselines import drawing
 from capsule_gym import rendering
-from capsule_gym.command_line import parse, refuse
+from capsule_gym.command_line import command, refuse
 from capsule_gym.files import write_atomically
 from web.data import pack_data
 
@@ -72,36 +70,31 @@ def build_page(module: str) -> str:
     return page.replace("../media/", (os.environ.get("SITE_URL") or "../") + "media/", 1)
 
 
-@dataclass(frozen=True)
-class Args:
+@command(PROG)
+def main(output: Path = Path("site/live")) -> None:
     """Builds the environment for browsers and node, and the live page.
 
     Examples:
       python -m web.build --output site/live
+
+    Args:
+        output: Folder of the files; created if it does not exist.
     """
-
-    output: Path = Path("site/live")
-    """Folder of the files; created if it does not exist."""
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """The command line."""
-    args = parse(Args, PROG, arguments)
     try:
-        args.output.mkdir(parents=True, exist_ok=True)
+        output.mkdir(parents=True, exist_ok=True)
         module = build_module(pack_data(compile_wasm()))
     except OSError as error:
-        refuse(PROG, f"--output must be a folder that can be written to, got {str(args.output)!r}: {error}")
+        refuse(PROG, f"--output must be a folder that can be written to, got {str(output)!r}: {error}")
     except RuntimeError as error:
         refuse(PROG, str(error))
     page = build_page(module)
-    if not (args.output.parent / "index.html").is_file():
+    if not (output.parent / "index.html").is_file():
         # Hides the link to the documentation, which does not exist in the folder above.
         page = page.replace('<a id="documentation"', '<a id="documentation" hidden', 1)
     types = (SOURCES / "capsule.d.mts").read_text(encoding="utf-8")
     for name, text in (("index.html", page), ("capsule.mjs", module), ("capsule.d.mts", types)):
-        write_atomically(args.output / name, text)
-        print(f"{args.output / name}: {len(text.encode()) / 1000:.0f} kB")
+        write_atomically(output / name, text)
+        print(f"{output / name}: {len(text.encode()) / 1000:.0f} kB")
 
 
 if __name__ == "__main__":

@@ -15,7 +15,6 @@ import hashlib
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ import numpy as np
 import capsule_gym
 from baselines.dynamic_programming.policy import TORQUES
 from baselines.policies import ALL_SCRIPTED
-from capsule_gym.command_line import parse
+from capsule_gym.command_line import command
 from capsule_gym.evaluation_sets import SET_NAMES, PlantSpec, load_set
 from capsule_gym.files import replacing, write_atomically
 from capsule_gym.layout import ROWS, Row
@@ -96,21 +95,16 @@ def record(name: str, plants: Sequence[PlantSpec]) -> np.ndarray:
     return places
 
 
-@dataclass(frozen=True)
-class Args:
+@command("python -m web.episodes")
+def main(write: bool = False) -> int:
     """Computes the episodes of the live page and the optimum's actions; the exit status is 1 if they differ.
 
     Examples:
       python -m web.episodes --write
+
+    Args:
+        write: Write them to web/episodes.json and web/recordings.npz.
     """
-
-    write: bool = False
-    """Write them to web/episodes.json and web/recordings.npz."""
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns the exit status."""
-    args = parse(Args, "python -m web.episodes", arguments)
     committed = json.loads(FILE.read_text(encoding="utf-8"))
     for n, (name, policy) in enumerate(drivers().items()):
         if all(episode["driver"] != name for episode in committed):
@@ -119,7 +113,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     found = [compute(episode) for episode in committed]
     pairs = [(name, load_set(each)) for name in RECORDED for each in SET_NAMES]
     recorded = {f"{name} {each.name}": record(name, each.plants[:SEEDS]) for name, each in pairs}
-    if args.write:
+    if write:
         write_atomically(FILE, "[\n" + ",\n".join(json.dumps(episode) for episode in found) + "\n]\n")
         with replacing(RECORDINGS) as temporary:
             np.savez_compressed(temporary, allow_pickle=False, **recorded)

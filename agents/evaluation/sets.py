@@ -26,13 +26,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from baselines.archive import STICKY_GRID
-from capsule_gym.command_line import parse
+from capsule_gym.command_line import command
 from capsule_gym.config import find_task
 from capsule_gym.evaluation_sets import FURTHER_SET_NAMES, SET_NAMES, TASK_SET_NAMES, EvaluationSet, PlantSpec
 from capsule_gym.files import write_atomically
@@ -40,7 +39,6 @@ from capsule_gym.parameters import CONSTANTS, NOMINAL, RANDOMIZATIONS, Capsule, 
 from capsule_gym.resets import Stream, draw_plant, plant_at, plant_ranges, random_stream
 from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA
 
-PROG = "python -m agents.evaluation.sets"
 SETS_FOLDER = Path(__file__).with_name("frozen")
 # Episodes per set; more on sticky floors, under disturbances and in the other tasks, where failures are rare.
 EPISODES = (
@@ -175,23 +173,17 @@ def validation_set(
     return EvaluationSet(name, tuple(plants), task, capsule, disturbances)
 
 
-@dataclass(frozen=True)
-class Args:
+@command("python -m agents.evaluation.sets")
+def main() -> None:
     """Draws the frozen evaluation sets from their fixed seeds and writes agents/evaluation/frozen/*.json.
 
     Examples:
       python -m agents.evaluation.sets
     """
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns the exit status."""
-    parse(Args, PROG, arguments)
     for name in (*SET_NAMES, *FURTHER_SET_NAMES, *TASK_SET_NAMES, *FURTHER_DRAWS):
         found = draw_set(name)
         write_atomically(SETS_FOLDER / f"{name}.json", found.to_json())
         print(f"{name}: {len(found.plants)} episodes, {found.hash[:12]}")
-    return 0
 
 
 if __name__ == "__main__":
