@@ -12,7 +12,7 @@ platform instead of waiting for it.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -20,11 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from baselines.dynamic_programming.policy import TORQUES, Lookahead
+from baselines.dynamic_programming.policy import TORQUES, Act, Lookahead
 from baselines.dynamic_programming.problem import ACTIONS, NOMINAL_MARGIN, Problem, Transitions, record
 from capsule_gym.task import EPISODE_STEPS, START_THETA, TORQUE_LIMIT
-
-Act = Callable[[np.ndarray], np.ndarray]
 
 FILE = Path(__file__).with_name("lqr.json")
 # Acceptable deviations of theta (rad), theta_dot (rad/s) and x_dot (m/s), and of the torque (N m): the weights of the

@@ -11,15 +11,13 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from baselines.dynamic_programming.policy import FAILURE_SCORE, Lookahead
+from baselines.dynamic_programming.policy import FAILURE_SCORE, Act, Lookahead
 from baselines.dynamic_programming.problem import NOMINAL_MARGIN, Problem, Transitions
 from capsule_gym.task import EPISODE_STEPS
-
-Act = Callable[[np.ndarray], np.ndarray]
 
 PLANS, INTERVALS = 32, 5
 # Largest disturbances of the plans after the first, the previous plan itself; each is a share of the torque limit.

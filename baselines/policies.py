@@ -10,10 +10,10 @@ import numpy as np
 
 from baselines import lqr, mpc
 from baselines.dynamic_programming import policy
+from baselines.dynamic_programming.policy import Act
 from baselines.laws import LAWS as _LAWS
 from baselines.laws import TASK_LAWS, Law
 
-Act = Callable[[np.ndarray], np.ndarray]
 Start = Callable[[Sequence[int]], Act]
 
 

@@ -14,8 +14,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from agents.distillation.config import Student
-from baselines.dynamic_programming.policy import TORQUES, Oracle
-from baselines.evaluation.policies import Act
+from baselines.dynamic_programming.policy import TORQUES, Act, Oracle
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym._core import CELLS, ESTIMATES
 from capsule_gym.config import EnvConfig

@@ -17,13 +17,12 @@ from typing import Any, Protocol
 import numpy as np
 
 import capsule_gym
+from baselines.dynamic_programming.policy import Act
 from baselines.policies import SCRIPTED, TASK_SCRIPTED, ScriptedPolicy
 from capsule_gym.checks import nearest, short_repr
 from capsule_gym.config import EnvConfig
 from capsule_gym.policy import FOLDERS
 from capsule_gym.task import TORQUE_LIMIT
-
-Act = Callable[[np.ndarray], np.ndarray]
 
 # The paper's controller, the reference of all comparisons.
 BASELINE = "adaptive"
