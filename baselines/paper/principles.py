@@ -22,6 +22,7 @@ from capsule_gym import dynamics
 from capsule_gym.parameters import NOMINAL, Capsule, Plant
 
 SAMPLES_PER_PHASE = 2001
+THETA_0 = math.pi / 3.0  # the boundary condition of Sect. 3.2, rad
 # Definition 4: the restoring stage. In the profile (9) these are phases IV to VII, in EPC's its last four.
 RESTORING_PHASES = 4
 NEWTON, PAPER = NOMINAL.plant(), Capsule(normal_force="paper").plant()
@@ -113,7 +114,12 @@ def lemma_2(cycle: Cycle, p: Plant, *, sufficient: bool = False) -> Demand:
         load = np.abs(cycle.theta_ddot + torque / (p.m * p.l)) + cycle.theta_dot**2
     else:
         load = cycle.theta_ddot + cycle.theta_dot**2 + torque  # Eq. (15)
-    return Demand(load, (p.M + p.m) * p.g / (p.m * p.l) * p.mu / math.sqrt(p.mu * p.mu + 1.0))
+    return Demand(load, friction_bound(p))
+
+
+def friction_bound(p: Plant) -> float:
+    """The right side of Lemma 2 (15), (M + m) g / (m l) mu / sqrt(mu^2 + 1), rad/s^2."""
+    return (p.M + p.m) * p.g / (p.m * p.l) * p.mu / math.sqrt(p.mu * p.mu + 1.0)
 
 
 def _pivot_torque(cycle: Cycle, p: Plant) -> np.ndarray:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from baselines.paper import adaptive, principles, proofs, published, tracking
+from baselines.paper import adaptive, principles, proofs, published, selection, tracking
 from baselines.paper.adaptive import ERRORS
 from baselines.paper.optimal_profiles import Solution, load
 from baselines.paper.verdicts import compare_numbers, judge_claims
@@ -31,6 +32,8 @@ def compute() -> Results:
         "runs": runs,
         "adaptive": study,
         "torques": proofs.check_torques(),
+        "profile_as_printed": selection.printed_profile(),
+        "table_1": selection.evaluate_selection(),
         "demands": principles.evaluate_demands(),
         "lemmas": principles.check_lemmas(),
         "optimal_profiles": load(),
@@ -50,6 +53,7 @@ def text(results: Results) -> str:
     """All tables, for a terminal; quantities without a unit are in rad, rad/s, N m, J and cm a cycle, and cm/s."""
     runs, study = results["runs"], results["adaptive"]
     laws, ratio = study["laws"], tracking.speed_ratio(*runs["maps"])
+    turned = math.degrees(sum(phase["printed"][2] for phase in results["profile_as_printed"]))
     sections: dict[str, Sequence[Any]] = {
         "Section 5 of the paper: published and found": [_number(row) for row in results["numbers"]],
         "What the paper claims": [
@@ -73,6 +77,8 @@ def text(results: Results) -> str:
                 "most": float(np.nanmax(ratio)),
             }
         ],
+        f"The profile (9) as printed, {turned:.0f} degrees a cycle, and as built": results["profile_as_printed"],
+        "What Table 1 follows from (Sect. 3.2)": results["table_1"],
         "Principles 3 and 4 and Lemma 2: largest load over limit": results["demands"],
         "Random states that meet a lemma": results["lemmas"],
         "The fastest profiles (9) under Principles 1 to 4": [
