@@ -55,7 +55,7 @@ COMMANDS = [
     pytest.param(line, id=f"{name}:{first + n + 1}")
     for name, first, language, code in BLOCKS
     if language in SHELL
-    for n, line in enumerate(code.splitlines())
+    for n, line in enumerate(code.replace("\\\n", "").splitlines())
     if line.strip() and not line.lstrip().startswith("#")
 ]
 WITH_EXAMPLES = [path for path in MODULES if any(">>> " in text for _, text in texts(path))]
