@@ -6,18 +6,14 @@ MINARI_DATASETS_PATH=runs/data python examples/offline_rl.py --quality mixed
 import argparse
 
 import d3rlpy
-import gymnasium as gym
 import minari
 import numpy as np
-from d3rlpy.algos import BCConfig, IQLConfig, QLearningAlgoBase
+from d3rlpy.algos import BCConfig, IQLConfig
 from d3rlpy.dataset import MDPDataset
 from d3rlpy.models import VectorEncoderFactory
 from d3rlpy.preprocessing import MultiplyRewardScaler, StandardObservationScaler
 
-from capsule_gym.evaluation_sets import load_set
-
-ID = "capsule_gym:CapsuleStickSlip-v0"
-HORIZON = 33.0
+import capsule_gym
 
 
 def load(quality: str) -> MDPDataset:
@@ -33,23 +29,6 @@ def load(quality: str) -> MDPDataset:
         terminals=np.concatenate([episode.terminations for episode in episodes]),
         timeouts=np.concatenate([episode.truncations for episode in episodes]),
     )
-
-
-def evaluate(algorithm: QLearningAlgoBase) -> tuple[float, int, int]:
-    """Mean speed in cm/s, number of failed episodes, and number of all; a failed episode counts up to its end."""
-    frozen = load_set("paper")
-    plants = [plant.reset_options() for plant in frozen.plants]
-    env = gym.make_vec(ID, num_envs=len(plants), **frozen.env_kwargs)
-    options = {name: np.array([plant[name] for plant in plants]) for name in ("M", "mu", "state")}
-    observation, _ = env.reset(options=options)
-    running, distance, failed = np.ones(len(plants), bool), np.zeros(len(plants)), 0
-    while running.any():
-        observation, _, terminated, truncated, info = env.step(algorithm.predict(observation))
-        ended = running & (terminated | truncated)
-        distance[ended] = info["state"][ended, 2]
-        failed += int((running & terminated).sum())
-        running &= ~ended
-    return 100.0 * distance.mean() / HORIZON, failed, len(plants)
 
 
 def main() -> None:
@@ -85,8 +64,10 @@ def main() -> None:
             logger_adapter=d3rlpy.logging.NoopAdapterFactory(),
             show_progress=False,
         )
-        speed, failed, episodes = evaluate(algorithm)
-        print(f"{args.quality}, {name}: {speed:.1f} cm/s, {failed} of {episodes} episodes failed", flush=True)
+        episodes = capsule_gym.evaluate(algorithm.predict, "paper")
+        speed, failed = (np.array([episode[metric] for episode in episodes]) for metric in ("mean_speed", "failed"))
+        result = f"{speed.mean():.1f} cm/s, {failed.sum():.0f} of {len(episodes)} episodes failed"
+        print(f"{args.quality}, {name}: {result}", flush=True)
 
 
 if __name__ == "__main__":
