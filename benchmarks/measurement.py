@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from baselines.tables import Rows, markdown_table, text_table
 from capsule_gym import native
-from capsule_gym.command_line import Count, check_output
+from capsule_gym.command_line import check_output
 from capsule_gym.files import write_atomically
 
 PACKAGES = ("capsule-gym", "numpy", "gymnasium", "mujoco")
@@ -36,8 +36,6 @@ class OutputArgs:
     def check(self) -> None:
         """Raises a `ValueError` for files that cannot be written, before the measurement starts."""
         check_output("--markdown", self.markdown, overwrite=True)
-        if getattr(self, "turns", 1) < 1:
-            raise ValueError("--turns must be above 0, got 0")
 
     def report(self, command: str, *parts: str | Rows) -> None:
         """Prints paragraphs and tables, and writes them to the page if it was requested."""
@@ -47,14 +45,6 @@ class OutputArgs:
             write_atomically(
                 self.markdown, "\n\n".join([f"<!-- Written by {command}: do not edit. -->", *paragraphs]) + "\n"
             )
-
-
-@dataclass(frozen=True, kw_only=True)
-class TurnArgs(OutputArgs):
-    """The arguments of measurements in turns."""
-
-    turns: Count = 30
-    """Measurements of every contender, in turns."""
 
 
 def machine() -> str:

@@ -30,9 +30,9 @@ import numpy as np
 
 from baselines.drawing import BLUE, MUTED, new_figure, save, style
 from benchmarks import mujoco
-from benchmarks.measurement import TurnArgs, machine, rates
+from benchmarks.measurement import OutputArgs, machine, rates
 from capsule_gym import ENV_ID, native, task
-from capsule_gym.command_line import parse
+from capsule_gym.command_line import Count, parse
 from capsule_gym.config import DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, EnvConfig
 from capsule_gym.layout import LANES, Row
 from capsule_gym.parameters import Capsule
@@ -180,7 +180,7 @@ def seconds_per_step(step: Step, environments: int) -> float:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Args(TurnArgs):
+class Args(OutputArgs):
     """Environment steps per second, and ratios to other environments and to plain C; fails if a ratio is too small.
 
     Plain C needs a compiler, MuJoCo the extra `bench`; what is not installed is left out.
@@ -190,8 +190,16 @@ class Args(TurnArgs):
       CAPSULE_GYM_LEVEL=v3 CC=clang python -m benchmarks.throughput --turns 10
     """
 
+    turns: Count = 30
+    """Measurements of every contender, in turns."""
     figure: Path | None = None
     """Draw the rates as bars into files with this name, as SVG and PNG."""
+
+    def check(self) -> None:
+        """Also checks the number of turns."""
+        super().check()
+        if self.turns < 1:
+            raise ValueError("--turns must be above 0, got 0")
 
 
 def draw(measured: Mapping[str, float], stem: Path) -> None:
