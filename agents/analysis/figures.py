@@ -3,28 +3,20 @@
 from __future__ import annotations
 
 import math
-import textwrap
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from agents.analysis.data import SPEED, Learning
 from agents.leaderboard.rows import Row
-from baselines.drawing import BLUE, GREEN, INK, MUTED, VERMILION, Pen, add_note, new_figure, save, style
+from baselines.drawing import BLUE, GREEN, INK, MUTED, add_note, new_figure, save, style
 from baselines.dynamic_programming.tables import optimal_front
-from baselines.evaluation.episodes import TABLE_METRICS, TableMetric
-from baselines.evaluation.statistics import Curve, estimate, learning_curve, performance_profile
+from baselines.evaluation.episodes import TABLE_METRICS
+from baselines.evaluation.statistics import estimate, learning_curve
 
-# Sets with random, constant plants, and their pens.
-PROFILED_SETS = ("paper", "wide")
-PENS = (Pen(BLUE), Pen(VERMILION, (0.0, (5.0, 1.6))))
 FAINT = "#c5ccd6"
 # Distance between labels next to a scatter plot, relative to its height.
 LABEL_SPACING = 0.048
-# Largest number of characters per line of a panel's title, including the spaces added after hyphens to allow breaks.
-TITLE = 24
 
 
 def write_with(draw: Callable[..., Any], *arguments: Any) -> Callable[[Path], list[Path]]:
@@ -37,64 +29,26 @@ def write_with(draw: Callable[..., Any], *arguments: Any) -> Callable[[Path], li
     return write
 
 
-def _panels(names: Sequence[str], top: float, height: float = 1.3) -> tuple[Any, Iterator[Any]]:
-    """Creates a figure with a panel per name and shared axes; returns the figure and its panels in order.
-
-    `top` is the height outside the panels, and `height` that of a row of panels, in inches.
-    """
-    columns = min(4, len(names))
-    lines = math.ceil(len(names) / columns)
-    figure = new_figure(top + height * lines)
+def draw_learning(learning: Mapping[str, Learning]) -> Any:
+    """Draws the mean speed of all seeds over steps, and its interquartile mean, one panel per row of `learning`."""
+    columns = min(4, len(learning))
+    lines = math.ceil(len(learning) / columns)
+    figure = new_figure(0.75 + 1.3 * lines)
     grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
-    for axes, name in zip(grid.flat, names, strict=False):
-        # Names can be long: the name of a run contains its date.
-        title = "\n".join(textwrap.wrap(name.replace("-", "- "), TITLE)).replace("- ", "-")
-        axes.set_title(title, parse_math=False)
-    for n in range(len(names), grid.size):
-        grid.flat[n].set_visible(False)
-        # The panel above an empty place shows the tick labels instead.
-        grid.flat[n - columns].tick_params(labelbottom=True)
-    return figure, iter(grid.flat)
-
-
-def _plot_curve(axes: Any, curve: Curve, pen: Pen, **more: Any) -> None:
-    """Plots a curve and its interval as a band."""
-    axes.fill_between(curve.x, curve.low, curve.high, color=pen.colour, alpha=0.18, linewidth=0.0)
-    axes.plot(curve.x, curve.value, **pen.line(**more))
-
-
-def draw_profiles(rows: Sequence[Row], set_names: Sequence[str] = PROFILED_SETS) -> Any:
-    """Draws the share of episodes that are faster than a speed, one panel per row, a line for each of two sets."""
-    # A single row of panels is higher, for the label of its axis.
-    figure, places = _panels([row.name for row in rows], 0.9, height=1.3 if len(rows) > 4 else 1.8)
-    fastest = max(float(row.score(name, SPEED).max()) for row in rows for name in set_names)
-    for row, axes in zip(rows, places, strict=False):
-        for name, pen in zip(set_names, PENS, strict=False):
-            curve = performance_profile(row.score(name, SPEED), np.linspace(0.0, fastest, 101))
-            _plot_curve(axes, curve, pen, label=f"on {name}")
-        axes.set(xlim=(0.0, fastest), ylim=(0.0, 1.02))
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", ncols=len(labels))
-    figure.supylabel("share of episodes that are faster", fontsize=8.0)
-    add_note(
-        figure,
-        "Horizontal: mean speed (cm/s). All episodes of all training seeds; bands: 95 %. A step is a policy with "
-        "the same speed on all plants; the part missing at the left edge made no progress.",
-    )
-    return figure
-
-
-def draw_learning(learning: Mapping[str, Learning], metric: TableMetric = TABLE_METRICS[SPEED]) -> Any:
-    """Draws the metric of all seeds over steps, and the interquartile mean, one panel per row of `learning`."""
-    figure, places = _panels(list(learning), 0.75)
-    for runs, axes in zip(learning.values(), places, strict=False):
+    for axes, (name, runs) in zip(grid.flat, learning.items(), strict=False):
+        axes.set_title(name, parse_math=False)
         for steps, values in runs.values():
             # A run with a single evaluation is drawn as a point.
             axes.plot(steps / 1e6, values, "." if len(values) == 1 else "-", color=MUTED, linewidth=0.5, alpha=0.6)
         curve = learning_curve(list(runs.values()))
-        _plot_curve(axes, curve._replace(x=curve.x / 1e6), PENS[0])
+        axes.fill_between(curve.x / 1e6, curve.low, curve.high, color=BLUE, alpha=0.18, linewidth=0.0)
+        axes.plot(curve.x / 1e6, curve.value, color=BLUE)
     axes.set(xlim=(0.0, None), ylim=(0.0, None))
-    figure.supylabel(metric.label, fontsize=8.0)
+    for n in range(len(learning), grid.size):
+        grid.flat[n].set_visible(False)
+        # The panel above an empty place shows the tick labels instead.
+        grid.flat[n - columns].tick_params(labelbottom=True)
+    figure.supylabel(TABLE_METRICS[SPEED].label, fontsize=8.0)
     add_note(
         figure,
         "Horizontal: millions of agent steps. Evaluations on each run's validation plants, never on a frozen set; "

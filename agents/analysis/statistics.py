@@ -1,4 +1,4 @@
-"""Tables and figures of the leaderboard's results: performance profiles, learning curves, cost of transport."""
+"""Tables and figures of the leaderboard's results: learning curves, cost of transport."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from agents.analysis.data import SPEED, Document, Learning, rank, read_learning
-from agents.analysis.figures import draw_learning, draw_profiles, draw_transport, write_with
+from agents.analysis.figures import draw_learning, draw_transport, write_with
 from agents.leaderboard.rows import RESULTS, Row, load_rows
 from baselines.evaluation.episodes import TABLE_METRICS
 from baselines.evaluation.policies import CHECKPOINTS, all_candidates
@@ -25,7 +25,6 @@ def document() -> Document:
     learning = {row.name: read_learning(CHECKPOINTS / row.name) for row in trained}
     figures = {
         "statistics_transport": write_with(draw_transport, rows),
-        "statistics_profiles": write_with(draw_profiles, trained),
         "statistics_learning": write_with(draw_learning, {name: runs for name, runs in learning.items() if runs}),
     }
     return Document({"learning": table(trained, learning)}, figures)

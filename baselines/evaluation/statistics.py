@@ -1,4 +1,4 @@
-"""Interquartile means, profiles and learning curves, with 95 % intervals.
+"""Interquartile means and learning curves, with 95 % intervals.
 
 Scores have the shape (training seeds, episodes): every seed is evaluated on the same episodes, those of a set of
 plants. A scripted policy has one row.
@@ -137,19 +137,6 @@ class Curve(NamedTuple):
     value: np.ndarray
     low: np.ndarray
     high: np.ndarray
-
-
-def performance_profile(scores: ArrayLike, thresholds: ArrayLike) -> Curve:
-    """The share of all episodes of all training seeds that score more than a threshold, over the threshold.
-
-    This is rliable's run-score distribution. For nonnegative scores, the area under it from 0 on is their mean.
-
-    Args:
-        scores: shape (training seeds, episodes); another shape raises a ValueError.
-        thresholds: ascending, shape (n,).
-    """
-    array, x = _checked("scores", scores), np.asarray(thresholds, dtype=np.float64)
-    return _curve(x, [_estimate((array > threshold).astype(np.float64), mean=True) for threshold in x])
 
 
 def learning_curve(runs: Sequence[tuple[ArrayLike, ArrayLike]]) -> Curve:

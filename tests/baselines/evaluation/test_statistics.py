@@ -7,7 +7,6 @@ from baselines.evaluation.statistics import (
     interquartile_mean,
     learning_curve,
     paired_difference,
-    performance_profile,
 )
 
 
@@ -85,14 +84,6 @@ def test_paired_difference_known_answers():
     with np.errstate(all="raise"):
         undefined = paired_difference([[np.inf] * 4], [[np.inf] * 4])
     assert np.isnan(undefined.value)
-
-
-def test_performance_profile_known_answers():
-    scores = np.array([[0.0, 1.0, 2.0, 3.0], [0.0, 0.0, 0.0, 0.0]])
-    profile = performance_profile(scores, [-1.0, 0.0, 1.0, 2.5, 3.0])
-    np.testing.assert_array_equal(profile.value, [1.0, 0.375, 0.25, 0.125, 0.0])
-    assert (profile.low[0], profile.high[-1]) == (1.0, 0.0)
-    assert (profile.low[1:-1] < profile.value[1:-1]).all() and (profile.value[1:-1] < profile.high[1:-1]).all()
 
 
 def test_learning_curves_hold_the_last_evaluation_and_never_a_later_one():
