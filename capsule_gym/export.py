@@ -196,7 +196,9 @@ class Exported:
         except ImportError as error:
             raise ImportError('--onnx needs onnx: pip install "capsule-gym[export]"') from error
         policy = self.policy
-        kind, real = (TensorProto.FLOAT, np.float32) if single else (TensorProto.DOUBLE, np.float64)
+        real: Any = np.float32 if single else np.float64
+        # Policies that end with tanh are steep: they amplify rounding errors of inputs and first layer up to 80 times.
+        first: Any = np.float64 if policy.squashing == "tanh" else real
         nodes, initializers = list[Any](), list[Any]()
 
         def constant(value: Any, dtype: Any) -> str:
@@ -208,6 +210,9 @@ class Exported:
             nodes.append(helper.make_node(operation, names, [f"value_{len(nodes)}"], **attributes))
             return nodes[-1].output[0]
 
+        def cast(name: str, dtype: Any) -> str:
+            return add("Cast", name, to=helper.np_dtype_to_tensor_dtype(np.dtype(dtype)))
+
         def column(name: str, place: int) -> str:
             return add("Gather", name, constant([place], np.int64), axis=1)
 
@@ -215,26 +220,28 @@ class Exported:
             return helper.make_tensor_value_info(name, dtype, ["n", width])
 
         inputs, outputs = [tensor("observation", policy.entries, 1)], [tensor("action", 1, 1)]
-        x = add("Cast", "observation", to=kind)
+        x = cast("observation", first)
         if policy.identifies:
             # As in the core, the filter computes in double, and the network takes its estimates as float.
             inputs, outputs = (
                 [*each, tensor(name, _core.CELLS, TensorProto.DOUBLE)]
                 for each, name in ((inputs, "memory"), (outputs, "next_memory"))
             )
-            observed = add("Cast", "observation", to=TensorProto.DOUBLE)
+            observed = cast("observation", np.float64)
             given = [column("memory", n) for n in range(_core.CELLS)] + [column(observed, n) for n in range(3)]
             found = to_onnx(record("identify", self.pendulum), given, partial(add, dtype=np.float64))
             nodes.append(helper.make_node("Concat", found[: _core.CELLS], ["next_memory"], axis=1))
             estimates = add("Concat", *found[1:3], *found[_core.CELLS :], axis=1)
-            x = add("Concat", x, add("Cast", add("Cast", estimates, to=TensorProto.FLOAT), to=kind), axis=1)
-        x = add("Mul", add("Sub", x, policy.mean), self.scale)
-        x = add("Clip", x, -policy.clip, policy.clip)
+            x = add("Concat", x, cast(cast(estimates, np.float32), first), axis=1)
+        x = add("Mul", add("Sub", x, policy.mean, dtype=first), self.scale, dtype=first)
+        x = add("Clip", x, -policy.clip, policy.clip, dtype=first)
         for n, (weights, bias) in enumerate(policy.layers):
-            x = add("Gemm", x, weights, bias, transB=1)
+            x = add("Gemm", x, weights, bias, dtype=real if n else first, transB=1)
             if n < len(policy.layers) - 1 or policy.squashing == "tanh":
                 last = n == len(policy.layers) - 1
                 x = add("Relu" if policy.activation == "relu" and not last else "Tanh", x)
+            if n == 0 and first is not real:
+                x = cast(x, real)
         action = add("Clip", x, -1.0, 1.0)
         nodes.append(helper.make_node("Cast", [action], ["action"], to=TensorProto.FLOAT))
         graph = helper.make_graph(nodes, policy.name, inputs, outputs, initializers, doc_string=policy.description)

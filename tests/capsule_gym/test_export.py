@@ -18,7 +18,9 @@ from capsule_gym import CapsuleVectorEnv, Controller, load_policy
 from capsule_gym.config import find_task
 from capsule_gym.export import Exported, main
 
-POLICIES = ("direct-ppo", "goal", "residual-real", "direct-real", "velocity")
+POLICIES = ("direct-ppo", "goal", "residual-real", "direct-real", "velocity", "dp-distilled-wide")
+# The largest errors of C99 in float; the filter of M and mu amplifies its rounding errors.
+FLOAT_ERRORS = {"goal": 1e-3, "dp-distilled-wide": 1e-2}
 C99 = ("-std=c99", "-Wall", "-Wextra", "-Werror")
 M4 = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "--specs=rdimon.specs")
 START, VECTORS = Path(__file__).with_name("mps2.c"), "-Wl,--section-start=.vectors=0"
@@ -151,7 +153,7 @@ def test_c_network(observed: Any, library: Any, single: bool):
     act = c_policy(library(observed.policy.name, single), 100)
     errors = np.abs(np.array([act(each) for each in observed.observations]) - observed.actions)
     print(f"{observed.policy.name}, C99 in {'float' if single else 'double'}: {errors.max():.2g}")
-    assert errors.max() <= ((1e-3 if observed.policy.identifies else 1e-5) if single else 0.0)
+    assert errors.max() <= (FLOAT_ERRORS.get(observed.policy.name, 1e-5) if single else 0.0)
 
 
 @pytest.mark.parametrize("single", [False, True])
@@ -165,7 +167,7 @@ def test_onnx(observed: Any, single: bool):
         found, *rest = session.run(None, given)
         memory, worst = rest[0] if rest else memory, max(worst, np.abs(found - action).max())
     print(f"{observed.policy.name}, ONNX in {'float' if single else 'double'}: {worst:.2g}")
-    assert worst <= ((5e-6 if observed.policy.squashing == "tanh" else 2e-6) if single else 1e-9)
+    assert worst <= (2e-6 if single else 1e-9)
 
 
 @pytest.mark.parametrize("name", ["direct-ppo", "residual-real"])
