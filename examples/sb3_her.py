@@ -2,6 +2,7 @@
 
 import argparse
 import math
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -19,6 +20,7 @@ from capsule_gym.sb3 import CapsuleSB3VecEnv
 # Long control intervals: rewards act on earlier actions after fewer updates. Episodes of 4 s, evaluated for 15 s.
 ENVS, DT = 64, 0.04
 STEPS, EVALUATED_STEPS = round(4.0 / DT), round(15.0 / DT)
+OPTIONS: dict[str, Any] = {"goal_env": True, "control_dt": DT}
 # Standard deviation of the noise on the actions, and the time over which it is correlated, s.
 NOISE, NOISE_TIME = 0.25, 0.25
 # Factors of theta, theta_dot, x_dot, stick and the last action, and whether a mirror changes their signs.
@@ -35,7 +37,7 @@ class GoalsAhead(VecEnvWrapper):
 
     def reset(self) -> VecEnvObs:
         """Begins new episodes."""
-        observations = self.venv.reset()
+        observations: Any = self.venv.reset()
         self.signs = np.sign(observations["desired_goal"][:, :1])
         return mirror(observations, self.signs)
 
@@ -45,6 +47,7 @@ class GoalsAhead(VecEnvWrapper):
 
     def step_wait(self) -> VecEnvStepReturn:
         """Steps."""
+        observations: Any
         observations, rewards, dones, infos = self.venv.step_wait()
         for i in np.flatnonzero(dones):
             infos[i]["terminal_observation"] = mirror(infos[i]["terminal_observation"], self.signs[i])
@@ -53,7 +56,10 @@ class GoalsAhead(VecEnvWrapper):
 
 
 class Features(BaseFeaturesExtractor):
-    """The observation, scaled, and the distance from the goal at the scales of the reward."""
+    """The observation, scaled, and the distance from the goal at three scales."""
+
+    factors: torch.Tensor
+    scales: torch.Tensor
 
     def __init__(self, space: gym.spaces.Dict) -> None:
         super().__init__(space, len(FACTORS) + 3)
@@ -68,8 +74,8 @@ class Features(BaseFeaturesExtractor):
 
 def evaluate(model: TQC) -> str:
     """The distances from the goal at the end of 64 episodes without exploration, and the share of failures."""
-    options = {"goal_env": True, "control_dt": DT, "max_episode_steps": EVALUATED_STEPS}
-    envs = gym.make_vec("capsule_gym:CapsuleGoal-v0", num_envs=64, autoreset_mode="DISABLED", **options)
+    options = {**OPTIONS, "autoreset_mode": "DISABLED", "max_episode_steps": EVALUATED_STEPS}
+    envs = gym.make_vec("capsule_gym:CapsuleGoal-v0", num_envs=64, **options)
     # These seeds are far from those of training.
     observations, _ = envs.reset(seed=1_000_000)
     signs = np.sign(observations["desired_goal"][:, :1])
@@ -100,8 +106,10 @@ def main() -> None:
     args = parser.parse_args()
 
     # Short episodes from many angles and rates contain the fast swings that move the platform.
-    options = {"goal_env": True, "control_dt": DT, "max_episode_steps": STEPS, "initial_range": (1.047, 8.0)}
-    env = GoalsAhead(CapsuleSB3VecEnv(ENVS, args.seed, task="goal", **options))
+    batch = CapsuleSB3VecEnv(
+        ENVS, args.seed, task="goal", initial_range=(1.047, 8.0), max_episode_steps=STEPS, **OPTIONS
+    )
+    env = GoalsAhead(batch)
     sigma = np.full(1, NOISE * math.sqrt(2.0 / NOISE_TIME))
     model = TQC(
         "MultiInputPolicy",
