@@ -6,7 +6,6 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from copy import deepcopy
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -34,7 +33,7 @@ GOAL_BOUND = 1e7
 MOST_ENVS = 2**24
 
 # The arrays of a simulation's episodes, which a copy takes over; the copy binds them to the core itself.
-COPIED_ATTRIBUTES = ("world", "observations", "_keys", "_episodes", "_due")
+COPIED_ATTRIBUTES = ("world", "observations", "_keys", "_episodes")
 
 
 def check_seed(seed: Any, accepted: str = "an integer in [0, 2**128) or None", count: int = 1) -> int:
@@ -115,9 +114,6 @@ class Simulation:
             raise ValueError(f"num_envs must fit into memory, got {self.num_envs}: {error}") from None
         self._keys = np.zeros((self.num_envs, 2), np.uint64)
         self._episodes = np.zeros(self.num_envs, np.int64)
-        self._changes: dict[int, list[tuple[float, float, float]]] = {}
-        # Time of the next change of each environment, s.
-        self._due = np.full(self.num_envs, math.inf)
         # Whether `Row.active` is 1 everywhere.
         self._everyone = False
         self.resets = 0
@@ -148,7 +144,7 @@ class Simulation:
             )
         for name in COPIED_ATTRIBUTES:
             getattr(self, name)[...] = state[name]
-        self._changes = deepcopy(state["_changes"])
+        self._set_changes(state["_changes"])
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Simulation:
         twin = memo[id(self)] = type(self).__new__(type(self))
@@ -194,8 +190,9 @@ class Simulation:
             "reference_size": self.reference.shape[1],
             "draw_lines": len(self.draw_table),
         }
-        self._fields = np.array([fields[name] for name in _core.BATCH])
+        self._fields = np.array([fields.get(name, 0) for name in _core.BATCH])
         self._batch = native.address(self._fields)
+        self._set_changes(np.zeros((0, 4)))
         # Looking the arguments up each time takes a tenth of a step.
         self._advance = partial(_core.call, "advance", self._batch)
         self._step_one = partial(_core.call_locked, "step_one", self._batch)
@@ -255,7 +252,8 @@ class Simulation:
                     f"options[{name!r}] needs an environment with disturbances other than 'none', or with a "
                     "Randomization of constants besides M and mu"
                 )
-        schedules = [self._schedule(changes) for changes in options.get("changes", ())]
+        schedules = map(self._schedule, options.get("changes", ()))
+        changes = [(i, *change) for i, schedule in zip(rows.tolist(), schedules, strict=False) for change in schedule]
         count = len(rows)
         fits = count <= self.num_envs
         if fits:
@@ -277,12 +275,9 @@ class Simulation:
             starts[: Row.M] = resets.check_state(state, count).T
 
         # Nothing above changes the environments, so a reset that raises an error leaves them unchanged.
-        for i in rows.tolist() if self._changes else ():
-            self._changes.pop(i, None)
-            self._due[i] = math.inf
-        for i, schedule in zip(rows.tolist(), schedules, strict=False):
-            if schedule:
-                self._changes[i], self._due[i] = schedule, schedule[0][0]
+        if changes or len(self._changes):
+            others = self._changes[~np.isin(self._changes[:, 0], rows)]
+            self._set_changes(np.concatenate([others, np.reshape(changes, (-1, 4))]))
         _core.call("begin_episodes", self._batch, count)
         self._everyone = False
         self.resets += 1
@@ -298,8 +293,6 @@ class Simulation:
         Raises:
             ValueError: if a control law returned a torque that is not finite. A law's own exception is raised as it is.
         """
-        if self._changes:
-            self._apply_changes()
         self.write(Row.action, actions)
         if active is not None:
             self.write(Row.active, active)
@@ -310,8 +303,6 @@ class Simulation:
 
     def step_one(self, action: float) -> None:
         """`step` for a single environment, without the arrays."""
-        if self._changes:
-            self._apply_changes()
         try:
             broken = self._step_one(action)
         except BaseException:
@@ -429,14 +420,8 @@ class Simulation:
             schedule.append((t, float(change["M"]), float(change["mu"])))
         return schedule
 
-    def _apply_changes(self) -> None:
-        """Applies the changes of M and mu that are due: at the first agent step that starts at or after t."""
-        now = self.row(Row.steps) * self.options.control_dt + 1e-9
-        for i in np.flatnonzero(self._due <= now).tolist():
-            schedule = self._changes[i]
-            lane = self.world[i // self.lanes, :, i % self.lanes]
-            while schedule and schedule[0][0] <= now[i]:
-                _, lane[Row.M], lane[Row.mu] = schedule.pop(0)
-            self._due[i] = schedule[0][0] if schedule else math.inf
-            if not schedule:
-                del self._changes[i]
+    def _set_changes(self, changes: np.ndarray) -> None:
+        """Sets the changes of M and mu, as `changes` of the core's `Batch`."""
+        self._changes = changes
+        for name, value in (("changes", native.address(changes)), ("num_changes", len(changes))):
+            self._fields[_core.BATCH.index(name)] = value

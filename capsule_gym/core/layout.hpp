@@ -84,7 +84,12 @@ constexpr int FILTER_ROWS = sizeof(LEVEL::Identification) / sizeof(double);  // 
   /* The plant: whether it is extended, and differs in more than M and mu; and its constants. */                       \
   FIELD(extended) FIELD(varied) FIELD(pivot_torque_on_contact) CAPSULE_PLANT(FIELD)
 
-struct Settings { CAPSULE_SETTINGS(CAPSULE_DOUBLE) };
+struct Settings {
+  CAPSULE_SETTINGS(CAPSULE_DOUBLE)
+
+  // The time of an agent step, s.
+  double control_dt() const { return law_steps * physics_steps * physics_dt; }
+};
 
 // Calls a law that is not part of the core for n environments of a block whose rows begin at `block`: replaces their
 // memory and writes their torques, NaN where the law raises an exception. Where the law observes the sensors, its state
@@ -111,7 +116,9 @@ typedef void (*UserLaw)(void* data, double* block, double* torques, long long n)
   FIELD(const unsigned long long*, keys) FIELD(long long*, episodes) FIELD(const long long*, rows)                     \
   FIELD(double*, starts) FIELD(const double*, ranges) FIELD(const double*, start)                                      \
   /* Further draws: lines of (row, stream, place, low, range, signed), and the values (lines, num_envs). */            \
-  FIELD(const double*, draw_table) FIELD(long long, draw_lines) FIELD(double*, drawn)
+  FIELD(const double*, draw_table) FIELD(long long, draw_lines) FIELD(double*, drawn)                                   \
+  /* Rows of environment, time (s), M (kg) and mu, those of an environment in order of time. */                         \
+  FIELD(const double*, changes) FIELD(long long, num_changes)
 
 struct Batch {
 #define FIELD(type, name) type name;
@@ -134,7 +141,7 @@ struct Argument {
   operator double() const { return __builtin_bit_cast(double, bits); }
   template <class T> operator T*() const { return (T*)bits; }
 };
-constexpr int MOST_ARGUMENTS = 9;
-// Calls a function by its name. Returns the index of an environment whose law has failed, -1, or one of the others.
+constexpr int MOST_ARGUMENTS = 7;
+// Calls a function by its name. Returns the index of an environment whose law has failed, -1, or UNKNOWN.
 typedef long long Call(const char* function, const Argument* arguments);
-constexpr long long NO_MEMORY = -2, UNKNOWN = -3;  // memory is short; there is no function of this name
+constexpr long long UNKNOWN = -2;  // there is no function of this name

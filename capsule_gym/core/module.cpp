@@ -77,7 +77,6 @@ template <bool releases> PyObject* call(PyObject*, PyObject* const* args, Py_ssi
   PyThreadState* state = releases ? PyEval_SaveThread() : nullptr;
   long long broken = level->call(name, arguments);
   if (releases) PyEval_RestoreThread(state);
-  if (broken == NO_MEMORY) return PyErr_NoMemory();
   if (broken == UNKNOWN) return PyErr_Format(PyExc_ValueError, "the core has no function '%s'", name);
   // The exception is that of a law that Python calls.
   return PyErr_Occurred() ? nullptr : PyLong_FromLongLong(broken);

@@ -35,7 +35,7 @@ INLINE void put_entries(const Settings& q, const Observed<T>& o, const typename 
 template <int N>
 NOINLINE float* estimate(const Settings& q, double* cells, int j, const float* observed, float* next) {
   auto f = load_record<Identification, double, N>(cells, j);
-  struct { double m, l, g, dt; } nominal = {q.m, q.l, q.g, q.law_steps * q.physics_steps * q.physics_dt};
+  struct { double m, l, g, dt; } nominal = {q.m, q.l, q.g, q.control_dt()};
   identify<double>(f, observed[0], observed[1], observed[2], nominal);
   for (int r = 0; r < WIDTH<Identification>; r++) cells[r * N + j] = ((double*)&f)[r];
   return write_estimates(f, next);

@@ -337,7 +337,7 @@ template <class T, int N> struct Step {
 
   // Ends an agent step: rewards, the task's memory, and the sums of the episode.
   template <class Task> NOINLINE void finish_step() {
-    double dt = q.law_steps * q.physics_steps * q.physics_dt;
+    double dt = q.control_dt();
     bool varied = q.varied != 0.0;
     EACH {
       auto active = GET(active) != 0.0;
@@ -377,6 +377,16 @@ template <class T, int N> struct Step {
   }
 };
 
+// Applies the changes of M and mu that are due to the n environments from `first` on: at the first agent step that starts
+// at or after their time.
+template <int N> void apply_changes(const Batch& batch, Block<N>& b, long long first, int n) {
+  for (const double* c = batch.changes; c < batch.changes + 4 * batch.num_changes; c += 4) {
+    long long j = (long long)c[0] - first;
+    if (0 <= j && j < n && c[1] <= b.steps[j] * batch.settings->control_dt() + TIME_TOLERANCE)
+      b.M[j] = c[2], b.mu[j] = c[3];
+  }
+}
+
 // Steps the environments first..last-1, or begins their episodes; `first` is a multiple of N. Returns the index of an
 // environment whose law returned a torque that is not finite, or -1.
 template <class T, int N> long long advance_blocks(const Batch& batch, long long first, long long last, bool begin) {
@@ -386,6 +396,7 @@ template <class T, int N> long long advance_blocks(const Batch& batch, long long
     // Whole vectors: lanes behind the last environment are inactive.
     int n = last - at < N ? (int)(last - at) : N, width = (n + WIDTH<T> - 1) / WIDTH<T> * WIDTH<T>;
     for (int j = n; j < width; j++) block.active[j] = 0.0;
+    if (!begin) apply_changes(batch, block, at, n);
     Step<T, N> step(batch, block, width, batch.observations + at * batch.entries);
     int number = 0;
 #define TASK(Task) \

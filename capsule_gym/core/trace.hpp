@@ -129,9 +129,8 @@ inline int trace(const char* function, long long number, const double* constants
       Trace before = given<Trace>();                                                                                  \
       auto begun = given<Trace>() != 0.0;                                                                             \
       auto seen = given<Observed<Trace>>();                                                                           \
-      double dt = settings.law_steps * settings.physics_steps * settings.physics_dt;                                  \
       double rest = settings.agent_reads != 0.0 ? settings.stick_threshold : 0.0;                                      \
-      if (auto taken = when(begun)) Task::reward(x, seen.x_dot, x - before, dt, rest, memory);                         \
+      if (auto taken = when(begun)) Task::reward(x, seen.x_dot, x - before, settings.control_dt(), rest, memory);      \
       put_entries<Task>(settings, seen, memory, give<Trace>, [] { give(given<Estimates>()); });                        \
     }                                                                                                                 \
     give(memory);                                                                                                     \
