@@ -18,7 +18,7 @@ long long CALL_AT(LEVEL)(const char* function, const Argument* a) {
   if (is("law_torques")) return law_torques(a[0], a[1], a[2], a[3], a[4], a[5], a[6]), -1;
   if (is("platform_motion")) return platform_motion(a[0], a[1], a[2], a[3], a[4], *(const AnyPlant*)a[5], a[6]), -1;
   if (is("trajectory")) {
-    auto run = (const double*)a[1] ? trajectory<Dual<DIRECTIONS>> : trajectory<double>;
+    auto run = (const double*)a[1] ? trajectory<DIRECTIONS> : trajectory<0>;
     return run(a[0], a[1], a[2], a[3], a[4], a[5], a[6]);
   }
   if (is("write_inputs")) return write_inputs(*(const Header*)a[0], a[1], a[2], a[3], a[4], a[5]), -1;
