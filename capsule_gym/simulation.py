@@ -161,7 +161,9 @@ class Simulation:
         self._rows, self._starts = np.zeros(count, np.int64), np.zeros((Row.torque, count))
         self._drawn = np.zeros((len(self.draw_table), count))
         observed = Row.read_theta if self.settings.law_reads else Row.theta
-        law, self._law = bind_law(acting, self.lanes, observed)
+        # Exceptions of a law that Python calls.
+        self._raised: list[Exception] = []
+        law, self._law = bind_law(acting, self.lanes, observed, self._raised)
         self.arrays = {
             "world": self.world,
             "observations": self.observations,
@@ -351,6 +353,9 @@ class Simulation:
         """Raises the exception of a law that has failed in an environment, or the error for its torque."""
         column = self.columns(np.array([broken]))[:, 0]
         self._discard_failed()
+        raised, self._raised[:] = self._raised[:], ()
+        if raised:
+            raise raised[0]
         names = "theta", "theta_dot", "x", "x_dot"
         prefix = "read_" if self.settings.history and self.settings.law_reads else ""
         state = {name: float(column[getattr(Row, prefix + name)]) for name in names}

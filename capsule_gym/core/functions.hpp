@@ -51,8 +51,9 @@ inline void law_torques(long long number, const double* constants, const State<d
 #define LAW(Law)                                                                                            \
   if (number == place++) {                                                                                  \
     Law law(constants);                                                                                     \
-    for (long long i = 0; i < n; i++)                                                                       \
-      torques[i] = law(states[i], memory + Law::MEMORY * i, rows + Law::COLUMNS * i);                       \
+    auto* cells = (Law::Cells<double>*)memory;                                                              \
+    auto* lines = (const Law::Line<double>*)rows;                                                           \
+    for (long long i = 0; i < n; i++) torques[i] = law.torque(states[i], cells[i], lines[i]);               \
   }
   CAPSULE_LAWS(LAW)
 #undef LAW

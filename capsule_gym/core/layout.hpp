@@ -92,8 +92,8 @@ struct Settings {
 };
 
 // Calls a law that is not part of the core for n environments of a block whose rows begin at `block`: replaces their
-// memory and writes their torques, NaN where the law raises an exception. Where the law observes the sensors, its state
-// is the rows from read_theta on.
+// memory and the torques, which are NaN, but for environments where the law raises an exception. Where the law observes
+// the sensors, its state is the rows from read_theta on.
 typedef void (*UserLaw)(void* data, double* block, double* torques, long long n);
 
 // Everything that belongs to the environments of a simulation: arrays, by their addresses, and their sizes. Python

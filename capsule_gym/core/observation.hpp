@@ -37,7 +37,7 @@ NOINLINE float* estimate(const Settings& q, double* cells, int j, const float* o
   auto f = load_record<Identification, double, N>(cells, j);
   struct { double m, l, g, dt; } nominal = {q.m, q.l, q.g, q.control_dt()};
   identify<double>(f, observed[0], observed[1], observed[2], nominal);
-  for (int r = 0; r < WIDTH<Identification>; r++) cells[r * N + j] = ((double*)&f)[r];
+  store_record<double, N>(cells, j, f, true);
   return write_estimates(f, next);
 }
 

@@ -280,15 +280,12 @@ template <class T, int N> struct Step {
     // A law with branches takes one environment at a time.
     using S = typename Choose<Law::BRANCHES, double, T>::type;
     for (int j = 0; j < n; j += WIDTH<S>) {
+      auto s = load_record<State<S>, S, N>(seen, j);
+      auto cells = load_record<typename Law::template Cells<S>, S, N>(memory, j);
       // The task's memory follows the line.
-      S cells[Law::MEMORY], row[Law::COLUMNS];
-      for (int r = 0; r < Law::MEMORY; r++) cells[r] = load<S>(memory + r * N + j);
-      for (int r = 0; r < Law::COLUMNS; r++) row[r] = load<S>(line + r * N + j);
-      State<S> s = {load<S>(seen + j), load<S>(seen + N + j), load<S>(seen + 2 * N + j), load<S>(seen + 3 * N + j)};
-      S torque = law(s, cells, row);
-      auto called = load<S>(b.halt + j) != HALTED;
-      for (int r = 0; r < Law::MEMORY; r++)
-        store<S>(memory + r * N + j, select(called, cells[r], load<S>(memory + r * N + j)));
+      auto row = load_record<typename Law::template Line<S>, S, N>(line, j);
+      S torque = law.torque(s, cells, row);
+      store_record<S, N>(memory, j, cells, load<S>(b.halt + j) != HALTED);
       keep_torque(j, torque, tick);
     }
   }
@@ -299,6 +296,7 @@ template <class T, int N> struct Step {
     // that it can be called again with the same arguments.
     double torques[N], kept[MOST_CELLS * N];
     __builtin_memcpy(kept, memory, size * sizeof(double));
+    EACH store(torques + j, T(__builtin_nan("")));
     batch.user_law(batch.user_data, (double*)&b, torques, n);
     EACH {
       T torque = load<T>(torques + j);
@@ -321,17 +319,12 @@ template <class T, int N> struct Step {
     store<S>(b.halt + j, select((halt == UNDER_WAY) & (clipped == clipped), S(UNDER_WAY), S(HALTED)));
   }
 
-  template <class Memory, class M> INLINE void store_task(double* to, int j, const Memory& memory, int rows, M renews) {
-    for (int r = 0; r < rows; r++)
-      store<T>(to + r * N + j, select(renews, ((const T*)&memory)[r], load<T>(to + r * N + j)));
-  }
-
   template <class Task> NOINLINE void start_task() {
     EACH {
       auto m = load_record<typename Task::template Memory<T>, T, N>(task, j);
       Task::begin(GET(x), m);
-      store_task(task, j, m, Task::ROWS, GET(active) != 0.0);
-      if (q.varied != 0.0) store_task(read_task, j, m, Task::ROWS, GET(active) != 0.0);
+      store_record<T, N>(task, j, m, GET(active) != 0.0);
+      if (q.varied != 0.0) store_record<T, N>(read_task, j, m, GET(active) != 0.0);
     }
   }
 
@@ -343,18 +336,14 @@ template <class T, int N> struct Step {
       auto active = GET(active) != 0.0;
       T share = select(active, T(1.0), T(0.0));
       T mass = GET(M) + (varied ? GET(plant_m) : T(q.m)), g = varied ? GET(plant_g) : T(q.g);
-      T gravity = g;
-      if (varied || q.extended != 0.0) {
-        T downhill = varied ? GET(plant_downhill) : T(q.downhill);
-        gravity = sqrt(g * g + downhill * downhill);
-      }
+      T downhill = varied ? GET(plant_downhill) : T(q.downhill), gravity = sqrt(g * g + downhill * downhill);
       T moved = GET(x) - GET(before_x), energy = GET(energy);
       // Where the law has failed it can be called again with the same arguments.
       auto renews = active & (abs(GET(law_torque)) < INFINITE);
       auto renew = [&](double* memory, T x, T x_dot, T moved, double rest) {
         auto m = load_record<typename Task::template Memory<T>, T, N>(memory, j);
         T gain = Task::reward(x, x_dot, moved, dt, rest, m);
-        store_task(memory, j, m, Task::ROWS, renews);
+        store_record<T, N>(memory, j, m, renews);
         return gain;
       };
       T gain = renew(task, GET(x), GET(x_dot), moved, 0.0);
