@@ -8,7 +8,7 @@ FUNCTIONS: list[str]
 OBSERVED: list[str]
 FUSED: str
 LAWS: dict[str, tuple[str, int, int]]
-TASKS: dict[str, tuple[str, int]]
+TASKS: dict[str, str]
 ESTIMATES: dict[str, tuple[float, float]]
 LANES: int
 HISTORY_ROWS: int

@@ -159,8 +159,7 @@ int fill(PyObject* module) {
   };
 #define LAW(Law) put(laws, portable::Law::NAME, \
                      Py_BuildValue("(sii)", portable::Law::CONSTANTS, portable::Law::MEMORY, portable::Law::COLUMNS));
-#define TASK(Task) \
-  put(tasks, portable::Task::NAME, Py_BuildValue("(si)", portable::Task::FIELDS, portable::Task::ENTRIES));
+#define TASK(Task) put(tasks, portable::Task::NAME, PyUnicode_FromString(portable::Task::FIELDS));
   CAPSULE_LAWS(LAW) CAPSULE_TASKS(TASK)
 #define REAL(name) add(#name, PyFloat_FromDouble(portable::name));
   REAL(THETA_LIMIT) REAL(THETA_DOT_BOUND) REAL(X_DOT_BOUND) REAL(MOTOR_WIDTH) REAL(MOTOR_SLOPE)

@@ -24,10 +24,7 @@ INLINE void put_entries(const Settings& q, const Observed<T>& o, const typename 
   }
   if (q.with_parameters != 0.0) put(o.M), put(o.mu);
   if (q.with_estimates != 0.0) put_estimates();
-  if (q.with_task == 0.0) return;
-  T own[Task::ENTRIES + 1];
-  Task::observe(own, memory);
-  for (int i = 0; i < Task::ENTRIES; i++) put(own[i]);
+  if (q.with_task != 0.0) Task::observe(memory, put);
 }
 
 // Updates the estimates of M and mu with an observation, and writes them to it; returns the end of what is written. The

@@ -347,7 +347,7 @@ template <class T, int N> struct Step {
         return gain;
       };
       T gain = renew(task, GET(x), GET(x_dot), moved, 0.0);
-      if (varied && Task::ROWS > 0)
+      if (varied)
         renew(read_task, GET(read_x), GET(read_x_dot), GET(read_x) - GET(read_before_x), q.stick_threshold);
       T energy_cost = -q.energy_weight * energy;
       T penalty = select(GET(termination) != 0.0, T(-q.termination_penalty), T(0.0));
