@@ -92,7 +92,7 @@ def draw_table(first: int, stream: Stream, draws: Sequence[Draw]) -> np.ndarray:
 def start_table(theta: float, theta_range: float, theta_dot_range: float, ranges: np.ndarray) -> np.ndarray:
     """The lines of `draw_table` for the first rows of the world: theta, theta_dot, x, x_dot, M and mu.
 
-    theta (rad) is the middle of its distribution, the ranges are half widths (rad, rad/s); M and mu have `plant_ranges`.
+    theta (rad) is the middle of its distribution, the ranges are half widths (rad, rad/s); M and mu: `plant_ranges`.
     """
     state = (theta, theta_range, Kind.around), (0.0, theta_dot_range, Kind.around), (0.0,) * 3, (0.0,) * 3
     lines = [(row, Stream.initial_state, row, *line) for row, line in enumerate(state)]
