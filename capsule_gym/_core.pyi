@@ -5,12 +5,10 @@ SETTINGS: list[str]
 PLANT: list[str]
 TRAJECTORY: list[str]
 FUNCTIONS: list[str]
-OPERATIONS: list[str]
 OBSERVED: list[str]
 FUSED: str
-LONGEST_TRACE: int
 LAWS: dict[str, tuple[str, int, int]]
-TASKS: dict[str, tuple[str, int]]
+TASKS: dict[str, str]
 ESTIMATES: dict[str, tuple[float, float]]
 LANES: int
 HISTORY_ROWS: int
@@ -44,5 +42,5 @@ def select_level(name: str) -> None: ...
 def call(name: str, /, *arguments: float) -> int: ...
 def call_locked(name: str, /, *arguments: float) -> int: ...
 
-# A function of capsule_gym/core/trace.hpp, with the addresses of the constants and of the rows; returns their number.
-def trace(function: str, number: int, constants: int, rows: int, /) -> int: ...
+# A function of capsule_gym/core/trace.hpp, with the address of the constants; returns the rows.
+def trace(function: str, number: int, constants: int, /) -> list[tuple[str, float, float, float]]: ...

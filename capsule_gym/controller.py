@@ -97,10 +97,11 @@ class CoreLaw:
         return float(torques[0]), tuple(renewed[0].tolist())
 
 
-def bind_law(controller: Controller, lanes: int, state: int) -> tuple[dict[str, int], Any]:
+def bind_law(controller: Controller, lanes: int, state: int, raised: list[Exception]) -> tuple[dict[str, int], Any]:
     """The law of a controller as fields of the core's `Batch`, for blocks of `lanes` environments.
 
-    The law observes theta in the row `state`, and theta_dot, x and x_dot in the next ones.
+    The law observes theta in the row `state`, and theta_dot, x and x_dot in the next ones. `raised` receives the
+    exceptions of a law that Python calls.
 
     Returns:
         The fields, and what must be kept alive.
@@ -108,10 +109,10 @@ def bind_law(controller: Controller, lanes: int, state: int) -> tuple[dict[str, 
     law = controller.law
     if isinstance(law, CoreLaw):
         constants = np.array([*law.constants, 0.0])
-        return {"law": law.number, "law_constants": native.address(constants), "user_law": 0, "user_data": 0}, constants
+        return {"law": law.number, "law_constants": native.address(constants)}, constants
     size = controller.reference.shape[1] + controller.task_size
-    function, data, kept = bind_user_law(controller, size, lanes, state)
-    return {"law": len(_core.LAWS), "law_constants": 0, "user_law": function, "user_data": data}, kept
+    function, data, kept = bind_user_law(controller, size, lanes, state, raised)
+    return {"law": len(_core.LAWS), "user_law": function, "user_data": data}, kept
 
 
 @dataclass(frozen=True, eq=False)

@@ -81,7 +81,7 @@ def act(network: np.ndarray, observations: np.ndarray, memory: np.ndarray) -> np
     """
     actions = np.empty((len(observations), 1), np.float32)
     addresses = native.address(network), native.address(observations)
-    _core.call("act_batch", *addresses, *observations.shape[::-1], native.address(memory), native.address(actions))
+    _core.call("act", *addresses, *observations.shape[::-1], native.address(memory), native.address(actions))
     return actions
 
 
@@ -109,18 +109,12 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
             f"policy must take the observations of the simulation, {entries} entries, got {policy.name!r}, which takes "
             f"{policy.entries}"
         )
-    # Rows of environment, time (s), M (kg) and mu, those of an environment in order of time.
-    changes = np.array(
-        [(i, *change) for i, schedule in simulation._changes.items() for change in schedule], np.float64
-    ).reshape(-1, 4)
     memory = np.zeros(simulation.num_envs * _core.CELLS)
-    addresses = native.address(policy._network), native.address(memory), native.address(changes)
-    given = steps, float(simulation.options.control_dt), *addresses, len(changes)
+    given = steps, native.address(policy._network), native.address(memory)
 
     def run(first: int, last: int) -> int:
         return _core.call("run_episodes", simulation._batch, first, last, *given)
 
-    # The schedules of changes stay as they are: the next step applies due changes again.
     simulation._everyone = False
     simulation.run(run)
     return simulation.metrics(np.arange(simulation.num_envs), steps)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from copy import deepcopy
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -34,7 +32,7 @@ GOAL_BOUND = 1e7
 MOST_ENVS = 2**24
 
 # The arrays of a simulation's episodes, which a copy takes over; the copy binds them to the core itself.
-COPIED_ATTRIBUTES = ("world", "observations", "_keys", "_episodes", "_due")
+COPIED_ATTRIBUTES = ("world", "observations", "_keys", "_episodes")
 
 
 def check_seed(seed: Any, accepted: str = "an integer in [0, 2**128) or None", count: int = 1) -> int:
@@ -60,8 +58,6 @@ class Simulation:
         observations: shape (num_envs, entries), float32, of the present state.
         entries: the bounds of the observation's entries by name, in order.
         arrays: the arrays that the core reads, by name; among them `settings`, in the order of `_core.SETTINGS`.
-        start: distribution of the initial states: middle (rad) and half width of theta's, half width of theta_dot's
-            (rad/s).
 
     Raises:
         TypeError: if an option is of the wrong type.
@@ -86,7 +82,7 @@ class Simulation:
         if options.initial_range and options.initial_noise > 0.0:
             raise ValueError(f"initial_noise must be 0 where initial_range is given, got {options.initial_noise}")
         at_rest = task.START_THETA, options.initial_noise, 0.0
-        self.start = np.array((0.0, *options.initial_range) if options.initial_range else at_rest)
+        start = (0.0, *options.initial_range) if options.initial_range else at_rest
         disturbed = Disturbances.named(options.disturbances) or Disturbances()
         # The lightest platform on the roughest floor is the stiffest plant.
         for corner in self.randomization.corners(self.capsule):
@@ -100,7 +96,8 @@ class Simulation:
         self.task_end = self.task_row + self.task.rows
         memories, filter_rows = 2 if self.settings.history else 1, _core.CELLS if options.observe_estimates else 0
         rows = self._law_end + memories * self.task.rows + layout.HISTORY_ROWS * self.settings.history + filter_rows
-        tables = [resets.draw_table(self.task_end - len(self.task.draws), resets.Stream.task, self.task.draws)]
+        tables = [resets.start_table(*start, resets.plant_ranges(self.randomization, self.capsule))]
+        tables += [resets.draw_table(self.task_end - len(self.task.draws), resets.Stream.task, self.task.draws)]
         if self.settings.history:
             constants = [getattr(self.randomization, name) or getattr(self.capsule, name) for name in CONSTANTS]
             ranges = [*constants, *(getattr(disturbed, name) for name in DISTURBANCES), (0.0, LARGEST_KEY)]
@@ -115,9 +112,6 @@ class Simulation:
             raise ValueError(f"num_envs must fit into memory, got {self.num_envs}: {error}") from None
         self._keys = np.zeros((self.num_envs, 2), np.uint64)
         self._episodes = np.zeros(self.num_envs, np.int64)
-        self._changes: dict[int, list[tuple[float, float, float]]] = {}
-        # Time of the next change of each environment, s.
-        self._due = np.full(self.num_envs, math.inf)
         # Whether `Row.active` is 1 everywhere.
         self._everyone = False
         self.resets = 0
@@ -148,7 +142,7 @@ class Simulation:
             )
         for name in COPIED_ATTRIBUTES:
             getattr(self, name)[...] = state[name]
-        self._changes = deepcopy(state["_changes"])
+        self._set_changes(state["_changes"])
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Simulation:
         twin = memo[id(self)] = type(self).__new__(type(self))
@@ -161,11 +155,12 @@ class Simulation:
         self.reference, self.memory = acting.reference, acting.memory
         plant, count = self.capsule.plant(), self.num_envs
         given = {**self.settings._asdict(), **plant._asdict(), "varied": bool(self.settings.history)}
-        # The first quantities of the environments that begin, and the other values that their episodes draw.
-        self._rows, self._starts = np.zeros(count, np.int64), np.zeros((Row.torque, count))
-        self._drawn = np.zeros((len(self.draw_table), count))
+        # The environments that begin, and the values that their episodes draw.
+        self._rows, self._drawn = np.zeros(count, np.int64), np.zeros((len(self.draw_table), count))
         observed = Row.read_theta if self.settings.law_reads else Row.theta
-        law, self._law = bind_law(acting, self.lanes, observed)
+        # Exceptions of a law that Python calls.
+        self._raised: list[Exception] = []
+        law, self._law = bind_law(acting, self.lanes, observed, self._raised)
         self.arrays = {
             "world": self.world,
             "observations": self.observations,
@@ -175,9 +170,6 @@ class Simulation:
             "keys": self._keys,
             "episodes": self._episodes,
             "rows": self._rows,
-            "starts": self._starts,
-            "ranges": resets.plant_ranges(self.randomization, self.capsule),
-            "start": self.start,
             "draw_table": self.draw_table,
             "drawn": self._drawn,
         }
@@ -194,8 +186,9 @@ class Simulation:
             "reference_size": self.reference.shape[1],
             "draw_lines": len(self.draw_table),
         }
-        self._fields = np.array([fields[name] for name in _core.BATCH])
+        self._fields = np.array([fields.get(name, 0) for name in _core.BATCH])
         self._batch = native.address(self._fields)
+        self._set_changes(np.zeros((0, 4)))
         # Looking the arguments up each time takes a tenth of a step.
         self._advance = partial(_core.call, "advance", self._batch)
         self._step_one = partial(_core.call_locked, "step_one", self._batch)
@@ -255,7 +248,8 @@ class Simulation:
                     f"options[{name!r}] needs an environment with disturbances other than 'none', or with a "
                     "Randomization of constants besides M and mu"
                 )
-        schedules = [self._schedule(changes) for changes in options.get("changes", ())]
+        schedules = map(self._schedule, options.get("changes", ()))
+        changes = [(i, *change) for i, schedule in zip(rows.tolist(), schedules, strict=False) for change in schedule]
         count = len(rows)
         fits = count <= self.num_envs
         if fits:
@@ -263,8 +257,7 @@ class Simulation:
         if not fits or _core.call("draw_episodes", self._batch, count) >= 0:
             accepted = f"rows must be indices of environments, from 0 to {self.num_envs - 1}, each at most once"
             raise IndexError(f"{accepted}, got {short_repr(rows.tolist())}")
-        starts = self._starts[:, :count]
-        drawn = self._drawn[:, :count]
+        starts, drawn = np.split(self._drawn[:, :count], [Row.torque])
         resets.write_options(drawn, options, self.task, self.settings)
         if M is not None or mu is not None or options.get("capsule"):
             masses = starts[Row.M].tolist() if M is None else M
@@ -277,12 +270,9 @@ class Simulation:
             starts[: Row.M] = resets.check_state(state, count).T
 
         # Nothing above changes the environments, so a reset that raises an error leaves them unchanged.
-        for i in rows.tolist() if self._changes else ():
-            self._changes.pop(i, None)
-            self._due[i] = math.inf
-        for i, schedule in zip(rows.tolist(), schedules, strict=False):
-            if schedule:
-                self._changes[i], self._due[i] = schedule, schedule[0][0]
+        if changes or len(self._changes):
+            others = self._changes[~np.isin(self._changes[:, 0], rows)]
+            self._set_changes(np.concatenate([others, np.reshape(changes, (-1, 4))]))
         _core.call("begin_episodes", self._batch, count)
         self._everyone = False
         self.resets += 1
@@ -298,8 +288,6 @@ class Simulation:
         Raises:
             ValueError: if a control law returned a torque that is not finite. A law's own exception is raised as it is.
         """
-        if self._changes:
-            self._apply_changes()
         self.write(Row.action, actions)
         if active is not None:
             self.write(Row.active, active)
@@ -310,8 +298,6 @@ class Simulation:
 
     def step_one(self, action: float) -> None:
         """`step` for a single environment, without the arrays."""
-        if self._changes:
-            self._apply_changes()
         try:
             broken = self._step_one(action)
         except BaseException:
@@ -360,6 +346,9 @@ class Simulation:
         """Raises the exception of a law that has failed in an environment, or the error for its torque."""
         column = self.columns(np.array([broken]))[:, 0]
         self._discard_failed()
+        raised, self._raised[:] = self._raised[:], ()
+        if raised:
+            raise raised[0]
         names = "theta", "theta_dot", "x", "x_dot"
         prefix = "read_" if self.settings.history and self.settings.law_reads else ""
         state = {name: float(column[getattr(Row, prefix + name)]) for name in names}
@@ -429,14 +418,8 @@ class Simulation:
             schedule.append((t, float(change["M"]), float(change["mu"])))
         return schedule
 
-    def _apply_changes(self) -> None:
-        """Applies the changes of M and mu that are due: at the first agent step that starts at or after t."""
-        now = self.row(Row.steps) * self.options.control_dt + 1e-9
-        for i in np.flatnonzero(self._due <= now).tolist():
-            schedule = self._changes[i]
-            lane = self.world[i // self.lanes, :, i % self.lanes]
-            while schedule and schedule[0][0] <= now[i]:
-                _, lane[Row.M], lane[Row.mu] = schedule.pop(0)
-            self._due[i] = schedule[0][0] if schedule else math.inf
-            if not schedule:
-                del self._changes[i]
+    def _set_changes(self, changes: np.ndarray) -> None:
+        """Sets the changes of M and mu, as `changes` of the core's `Batch`."""
+        self._changes = changes
+        for name, value in (("changes", native.address(changes)), ("num_changes", len(changes))):
+            self._fields[_core.BATCH.index(name)] = value

@@ -140,7 +140,7 @@ class Task:
     @property
     def fields(self) -> tuple[str, ...]:
         """The names of the numbers in the memory of one environment."""
-        return tuple(_core.TASKS[self.name][0].split())
+        return tuple(_core.TASKS[self.name].split())
 
     @property
     def rows(self) -> int:

@@ -41,10 +41,8 @@ def record(function: str, constants: Iterable[float] = (), number: int = 0) -> l
         constants: of a law, the settings, or the header of a network.
         number: of the law or task.
     """
-    given, rows = np.array([*constants, 0.0]), np.empty((_core.LONGEST_TRACE, 4))
-    count = _core.trace(function, number, native.address(given), native.address(rows))
-    assert 0 < count <= _core.LONGEST_TRACE, f"{function} takes {count} operations"
-    return [(_core.OPERATIONS[int(operation)], *places) for operation, *places in rows[:count].tolist()]
+    given = np.array([*constants, 0.0])
+    return _core.trace(function, number, native.address(given))
 
 
 def operands(row: Row) -> list[int]:

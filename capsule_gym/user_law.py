@@ -39,8 +39,6 @@ def call_each(b, u, first, last):
 def call_law(data, block, torques, n):
     b = carray(block, ({size},))
     u = carray(torques, ({lanes},))
-    for j in range(n):
-        u[j] = nan
     failed = False
     try:
         call_each(b, u, 0, n)
@@ -59,7 +57,9 @@ _compiled: WeakKeyDictionary[Any, dict[tuple[int, int], Any]] = WeakKeyDictionar
 _lock = threading.Lock()
 
 
-def bind_user_law(controller: Any, row_size: int, lanes: int, state: int) -> tuple[int, int, Any]:
+def bind_user_law(
+    controller: Any, row_size: int, lanes: int, state: int, raised: list[Exception]
+) -> tuple[int, int, Any]:
     """Makes the law of a `Controller` callable for the core.
 
     Args:
@@ -67,6 +67,7 @@ def bind_user_law(controller: Any, row_size: int, lanes: int, state: int) -> tup
         row_size: numbers that the law receives in `reference`: its row, and the task's memory if it reads it.
         lanes: environments in a block.
         state: the row of theta that the law observes; those of theta_dot, x and x_dot follow.
+        raised: receives the exceptions of a law that Python calls.
 
     Returns:
         The addresses of the function and of its data, and what must be kept alive while they are used.
@@ -80,20 +81,24 @@ def bind_user_law(controller: Any, row_size: int, lanes: int, state: int) -> tup
                 known[lanes, state] = None if failed else _compile(controller, row_size, lanes, state)
             if (compiled := known[lanes, state]) is not None:
                 return compiled.address, 0, compiled
-    plain, cells = _plain(controller.law, len(controller.memory)), len(controller.memory)
+    plain, cells = _plain(controller.law, len(controller.memory), raised), len(controller.memory)
     # The core's `PlainLaw`.
     data = np.array([id(plain), cells, cells + row_size, lanes, state], np.int64)
     return _core.PLAIN_LAW, address(data), (plain, data)
 
 
-def _plain(law: Callable[..., Any], cells: int) -> Callable[..., tuple[float, ...]]:
-    """The law as the core calls it: with separate numbers, for one tuple of the torque and the memory."""
+def _plain(law: Callable[..., Any], cells: int, raised: list[Exception]) -> Callable[..., tuple[float, ...]]:
+    """The law as the core calls it: with separate numbers, for one tuple of the torque, or NaN, and the memory."""
 
     def call(theta: float, theta_dot: float, x: float, x_dot: float, *numbers: float) -> tuple[float, ...]:
-        found = tuple(law(theta, theta_dot, x, x_dot, numbers[:cells], numbers[cells:]))
-        if len(found) != 2 or len(renewed := tuple(found[1])) != cells:
-            raise TypeError(f"a control law must return (torque, memory) with {cells} cells of memory")
-        return found[0], *renewed
+        try:
+            found = tuple(law(theta, theta_dot, x, x_dot, numbers[:cells], numbers[cells:]))
+            if len(found) != 2 or len(renewed := tuple(found[1])) != cells:
+                raise TypeError(f"a control law must return (torque, memory) with {cells} cells of memory")
+            return found[0], *renewed
+        except Exception as error:
+            raised.append(error)
+            return (math.nan, *numbers[:cells])
 
     return call
 
@@ -123,7 +128,7 @@ def _compile(controller: Any, row_size: int, lanes: int, state: int) -> Any:
         import numba
 
         inner = law if hasattr(law, "py_func") else numba.njit(forceinline=True, **options)(law)
-        scope = {"law": inner, "njit": numba.njit, "options": options, "carray": numba.carray, "nan": math.nan}
+        scope = {"law": inner, "njit": numba.njit, "options": options, "carray": numba.carray}
         scope |= {f"given_{n}": value for n, value in enumerate(given)}
         scope |= {f"named_{name}": value for name, value in named.items()}
         exec(source, scope)

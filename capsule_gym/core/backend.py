@@ -43,42 +43,37 @@ def find_compiler() -> str | None:
     return None
 
 
-def get_requires_for_build_wheel(config_settings: Any = None) -> list[str]:
-    """Adds a compiler to what a build needs, where there is none."""
-    return [*build.get_requires_for_build_wheel(config_settings), *([] if find_compiler() else [ZIG])]
+def with_compiler_required(hook: Callable[..., list[str]]) -> Callable[..., list[str]]:
+    """Makes a hook add a compiler to what a build needs, where there is none."""
+    return lambda *args, **named: [*hook(*args, **named), *([] if find_compiler() else [ZIG])]
 
 
-def get_requires_for_build_editable(config_settings: Any = None) -> list[str]:
-    """Adds a compiler to what a build needs, where there is none."""
-    return [*build.get_requires_for_build_editable(config_settings), *([] if find_compiler() else [ZIG])]
+def with_compiler(hook: Callable[..., str]) -> Callable[..., str]:
+    """Makes a hook build with the compiler that was found, or with zig."""
+
+    def build_with(*args: Any, **named: Any) -> str:
+        compiler = find_compiler()
+        if compiler:
+            os.environ["CXX"] = compiler
+            return hook(*args, **named)
+        import ziglang
+
+        zig = Path(ziglang.__file__).with_name("zig.exe" if os.name == "nt" else "zig")
+        # As a C compiler it links no C++ library, of which nothing is used, and which it would compile first.
+        option = shlex.quote(f"-DCMAKE_CXX_COMPILER={zig.as_posix()};cc")
+        os.environ["CMAKE_ARGS"] = f"{os.environ.get('CMAKE_ARGS', '')} {option}"
+        os.environ.setdefault("CMAKE_GENERATOR", "Ninja")
+        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+            os.environ["ZIG_GLOBAL_CACHE_DIR"] = os.environ["ZIG_LOCAL_CACHE_DIR"] = folder
+            return hook(*args, **named)
+
+    return build_with
 
 
-def build_with_compiler(hook: Callable[..., str], *args: Any) -> str:
-    """Calls a hook of scikit-build-core with the compiler that was found, or with zig."""
-    compiler = find_compiler()
-    if compiler:
-        os.environ["CXX"] = compiler
-        return hook(*args)
-    import ziglang
-
-    zig = Path(ziglang.__file__).with_name("zig.exe" if os.name == "nt" else "zig")
-    # As a C compiler it links no C++ library, of which nothing is used, and which it would compile first.
-    option = shlex.quote(f"-DCMAKE_CXX_COMPILER={zig.as_posix()};cc")
-    os.environ["CMAKE_ARGS"] = f"{os.environ.get('CMAKE_ARGS', '')} {option}"
-    os.environ.setdefault("CMAKE_GENERATOR", "Ninja")
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        os.environ["ZIG_GLOBAL_CACHE_DIR"] = os.environ["ZIG_LOCAL_CACHE_DIR"] = folder
-        return hook(*args)
-
-
-def build_wheel(wheel_directory: str, config_settings: Any = None, metadata_directory: str | None = None) -> str:
-    """Builds the wheel."""
-    return build_with_compiler(build.build_wheel, wheel_directory, config_settings, metadata_directory)
-
-
-def build_editable(wheel_directory: str, config_settings: Any = None, metadata_directory: str | None = None) -> str:
-    """Builds an editable wheel."""
-    return build_with_compiler(build.build_editable, wheel_directory, config_settings, metadata_directory)
+get_requires_for_build_wheel = with_compiler_required(build.get_requires_for_build_wheel)
+get_requires_for_build_editable = with_compiler_required(build.get_requires_for_build_editable)
+build_wheel = with_compiler(build.build_wheel)
+build_editable = with_compiler(build.build_editable)
 
 
 def link_absolutely(text: str, files: str) -> str:

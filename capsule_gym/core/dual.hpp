@@ -52,7 +52,6 @@ template <int N> struct Dual {
   friend INLINE bool operator<=(const Dual& a, const Dual& b) { return a.v <= b.v; }
   friend INLINE bool operator>=(const Dual& a, const Dual& b) { return a.v >= b.v; }
   friend INLINE bool operator==(const Dual& a, const Dual& b) { return a.v == b.v; }
-  friend INLINE bool operator!=(const Dual& a, const Dual& b) { return a.v != b.v; }
 
   friend INLINE Dual select(bool condition, const Dual& a, const Dual& b) { return condition ? a : b; }
   friend INLINE Dual abs(const Dual& a) { return a.v < 0.0 ? -a : a; }

@@ -84,11 +84,16 @@ constexpr int FILTER_ROWS = sizeof(LEVEL::Identification) / sizeof(double);  // 
   /* The plant: whether it is extended, and differs in more than M and mu; and its constants. */                       \
   FIELD(extended) FIELD(varied) FIELD(pivot_torque_on_contact) CAPSULE_PLANT(FIELD)
 
-struct Settings { CAPSULE_SETTINGS(CAPSULE_DOUBLE) };
+struct Settings {
+  CAPSULE_SETTINGS(CAPSULE_DOUBLE)
+
+  // The time of an agent step, s.
+  double control_dt() const { return law_steps * physics_steps * physics_dt; }
+};
 
 // Calls a law that is not part of the core for n environments of a block whose rows begin at `block`: replaces their
-// memory and writes their torques, NaN where the law raises an exception. Where the law observes the sensors, its state
-// is the rows from read_theta on.
+// memory and the torques, which are NaN, but for environments where the law raises an exception. Where the law observes
+// the sensors, its state is the rows from read_theta on.
 typedef void (*UserLaw)(void* data, double* block, double* torques, long long n);
 
 // Everything that belongs to the environments of a simulation: arrays, by their addresses, and their sizes. Python
@@ -106,12 +111,13 @@ typedef void (*UserLaw)(void* data, double* block, double* torques, long long n)
   FIELD(long long, law) FIELD(const double*, law_constants) FIELD(UserLaw, user_law) FIELD(void*, user_data)           \
   FIELD(const double*, memory) FIELD(long long, memory_size)                                                           \
   FIELD(const double*, reference) FIELD(long long, reference_rows) FIELD(long long, reference_size)                    \
-  /* Resets: keys (num_envs, 2), episodes since the seeding, the environments that begin (count,), their first         \
-     quantities (6, num_envs), and the distributions of M and mu and of the initial state. */                          \
+  /* Resets: keys (num_envs, 2), episodes since the seeding, and the environments that begin (count,). */              \
   FIELD(const unsigned long long*, keys) FIELD(long long*, episodes) FIELD(const long long*, rows)                     \
-  FIELD(double*, starts) FIELD(const double*, ranges) FIELD(const double*, start)                                      \
-  /* Further draws: lines of (row, stream, place, low, range, signed), and the values (lines, num_envs). */            \
-  FIELD(const double*, draw_table) FIELD(long long, draw_lines) FIELD(double*, drawn)
+  /* Draws: lines of (row, stream, place, low, range, kind), see `number_at`, and the values (lines, num_envs). The    \
+     first lines are those of the first rows, from theta to mu. */                                                     \
+  FIELD(const double*, draw_table) FIELD(long long, draw_lines) FIELD(double*, drawn)                                   \
+  /* Rows of environment, time (s), M (kg) and mu, those of an environment in order of time. */                         \
+  FIELD(const double*, changes) FIELD(long long, num_changes)
 
 struct Batch {
 #define FIELD(type, name) type name;
@@ -134,7 +140,7 @@ struct Argument {
   operator double() const { return __builtin_bit_cast(double, bits); }
   template <class T> operator T*() const { return (T*)bits; }
 };
-constexpr int MOST_ARGUMENTS = 9;
-// Calls a function by its name. Returns the index of an environment whose law has failed, -1, or one of the others.
+constexpr int MOST_ARGUMENTS = 7;
+// Calls a function by its name. Returns the index of an environment whose law has failed, -1, or UNKNOWN.
 typedef long long Call(const char* function, const Argument* arguments);
-constexpr long long NO_MEMORY = -2, UNKNOWN = -3;  // memory is short; there is no function of this name
+constexpr long long UNKNOWN = -2;  // there is no function of this name

@@ -18,14 +18,17 @@ long long CALL_AT(LEVEL)(const char* function, const Argument* a) {
   if (is("law_torques")) return law_torques(a[0], a[1], a[2], a[3], a[4], a[5], a[6]), -1;
   if (is("platform_motion")) return platform_motion(a[0], a[1], a[2], a[3], a[4], *(const AnyPlant*)a[5], a[6]), -1;
   if (is("trajectory")) {
-    auto run = (const double*)a[1] ? trajectory<Dual<DIRECTIONS>> : trajectory<double>;
+    auto run = (const double*)a[1] ? trajectory<DIRECTIONS> : trajectory<0>;
     return run(a[0], a[1], a[2], a[3], a[4], a[5], a[6]);
   }
   if (is("write_inputs")) return write_inputs(*(const Header*)a[0], a[1], a[2], a[3], a[4], a[5]), -1;
-  if (is("act_batch")) return act_batch(a[0], a[1], a[2], a[3], a[4], a[5]);
+  if (is("act")) return act(Network(a[0]), a[1], a[2], a[3], a[4], a[5]), -1;
   const Batch& batch = *(const Batch*)a[0];
   if (is("draw_episodes")) return draw_episodes(batch, a[1]);
   if (is("begin_episodes")) return begin_episodes(batch, a[1]), -1;
-  if (is("run_episodes")) return run_episodes(batch, a[1], a[2], a[3], a[4], a[5], a[6], a[7], a[8]);
+  if (is("run_episodes")) {
+    auto run = batch.lanes == 1 ? run_episodes<1> : run_episodes<LANES>;
+    return run(batch, a[1], a[2], a[3], Network(a[4]), a[5]);
+  }
   return UNKNOWN;
 }

@@ -77,66 +77,45 @@ template <bool releases> PyObject* call(PyObject*, PyObject* const* args, Py_ssi
   PyThreadState* state = releases ? PyEval_SaveThread() : nullptr;
   long long broken = level->call(name, arguments);
   if (releases) PyEval_RestoreThread(state);
-  if (broken == NO_MEMORY) return PyErr_NoMemory();
   if (broken == UNKNOWN) return PyErr_Format(PyExc_ValueError, "the core has no function '%s'", name);
   // The exception is that of a law that Python calls.
   return PyErr_Occurred() ? nullptr : PyLong_FromLongLong(broken);
 }
 
-// trace(function, number, constants, rows) -> number of rows: see trace.hpp; addresses of arrays
+// trace(function, number, constants) -> list of rows: see trace.hpp; the constants by the address of an array
 PyObject* trace(PyObject*, PyObject* args) {
   const char* function;
-  long long number, constants, rows;
-  if (!PyArg_ParseTuple(args, "sLLL", &function, &number, &constants, &rows)) return nullptr;
-  return PyLong_FromLong(portable::trace(function, number, (const double*)constants, (portable::TraceRow*)rows));
+  long long number, constants;
+  if (!PyArg_ParseTuple(args, "sLL", &function, &number, &constants)) return nullptr;
+  return portable::trace(function, number, (const double*)constants);
 }
 
-// --- laws that Python calls ---
-
-// A function that takes theta, theta_dot, x, x_dot, the cells of the memory, and the numbers of the reference, and
-// returns a tuple of the torque and the next cells. `numbers` counts cells and reference.
+// A law that Python calls: a function of theta, theta_dot, x, x_dot, the cells of the memory, and the numbers of the
+// reference, which returns a tuple of the torque and the next cells. `numbers` counts cells and reference.
 struct PlainLaw {
   PyObject* function;
   long long cells, numbers, lanes, state;  // `state`: the row of the theta that the law observes
 };
 
-// The `UserLaw` with a `PlainLaw` as its data.
+// The `UserLaw` with a `PlainLaw` as its data. An exception, such as that of Ctrl-C, ends the calls.
 void call_plain(void* data, double* block, double* torques, long long n) {
-  const auto& [function, cells, numbers, lanes, first] = *(const PlainLaw*)data;
+  const auto& [function, cells, numbers, lanes, state] = *(const PlainLaw*)data;
   const double* halt = lanes == 1 ? ((Block<1>*)block)->halt : ((Block<LANES>*)block)->halt;
   PyGILState_STATE lock = PyGILState_Ensure();
-  // The first exception, which `call` raises. One that is no `Exception`, such as Ctrl-C, replaces it and ends the
-  // calls.
-  PyObject *type, *value, *trace;
-  PyErr_Fetch(&type, &value, &trace);
-  bool stops = type && !PyErr_GivenExceptionMatches(type, PyExc_Exception);
-  for (long long j = 0; j < n; j++) {
-    torques[j] = __builtin_nan("");
-    if (halt[j] == HALTED || stops) continue;
-    double *state = block + first * lanes + j, *memory = block + sizeof(Block<1>) / sizeof(double) * lanes + j;
+  for (long long j = 0; j < n && !PyErr_Occurred(); j++) {
+    if (halt[j] == HALTED) continue;
+    double *observed = block + state * lanes + j, *memory = block + sizeof(Block<1>) / sizeof(double) * lanes + j;
     PyObject* given = PyTuple_New(4 + numbers);
     for (long long r = 0; r < 4 + numbers; r++)
-      PyTuple_SetItem(given, r, PyFloat_FromDouble(r < 4 ? state[r * lanes] : memory[(r - 4) * lanes]));
+      PyTuple_SetItem(given, r, PyFloat_FromDouble(r < 4 ? observed[r * lanes] : memory[(r - 4) * lanes]));
     PyObject* found = PyObject_CallObject(function, given);
     Py_DecRef(given);
-    if (found) {
-      double torque = PyFloat_AsDouble(PyTuple_GetItem(found, 0));
-      for (long long r = 0; r < cells; r++) memory[r * lanes] = PyFloat_AsDouble(PyTuple_GetItem(found, 1 + r));
-      Py_DecRef(found);
-      if (!PyErr_Occurred()) {
-        torques[j] = torque;
-        continue;
-      }
-    }
-    stops = !PyErr_ExceptionMatches(PyExc_Exception);
-    if (type && !stops) {
-      PyErr_Clear();
-      continue;
-    }
-    Py_XDECREF(type), Py_XDECREF(value), Py_XDECREF(trace);
-    PyErr_Fetch(&type, &value, &trace);
+    if (!found) continue;
+    for (long long r = 0; r < cells; r++) memory[r * lanes] = PyFloat_AsDouble(PyTuple_GetItem(found, 1 + r));
+    double torque = PyFloat_AsDouble(PyTuple_GetItem(found, 0));
+    if (!PyErr_Occurred()) torques[j] = torque;
+    Py_DecRef(found);
   }
-  PyErr_Restore(type, value, trace);
   PyGILState_Release(lock);
 }
 
@@ -167,9 +146,7 @@ int fill(PyObject* module) {
   add("TRAJECTORY", names_in(CAPSULE_TRAJECTORY(CAPSULE_NAME)));
 #define FUNCTION(name, arguments, results, call) #name ":" #results " "
   add("FUNCTIONS", names_in(CAPSULE_EVALUATED(FUNCTION)));
-#define OP(name) CAPSULE_NAME(name)
-  add("OPERATIONS", names_in(CAPSULE_OPERATIONS(OP))), add("OBSERVED", names_in(OBSERVED(CAPSULE_NAME)));
-#undef OP
+  add("OBSERVED", names_in(OBSERVED(CAPSULE_NAME)));
 #define CAPSULE_C(...) #__VA_ARGS__
   add("FUSED", PyUnicode_FromString(
 #include "fused.h"
@@ -182,8 +159,7 @@ int fill(PyObject* module) {
   };
 #define LAW(Law) put(laws, portable::Law::NAME, \
                      Py_BuildValue("(sii)", portable::Law::CONSTANTS, portable::Law::MEMORY, portable::Law::COLUMNS));
-#define TASK(Task) \
-  put(tasks, portable::Task::NAME, Py_BuildValue("(si)", portable::Task::FIELDS, portable::Task::ENTRIES));
+#define TASK(Task) put(tasks, portable::Task::NAME, PyUnicode_FromString(portable::Task::FIELDS));
   CAPSULE_LAWS(LAW) CAPSULE_TASKS(TASK)
 #define REAL(name) add(#name, PyFloat_FromDouble(portable::name));
   REAL(THETA_LIMIT) REAL(THETA_DOT_BOUND) REAL(X_DOT_BOUND) REAL(MOTOR_WIDTH) REAL(MOTOR_SLOPE)
@@ -196,7 +172,7 @@ int fill(PyObject* module) {
 #define WHOLE(name, value) add(#name, PyLong_FromLongLong((long long)(value)));
   WHOLE(LANES, LANES) WHOLE(HISTORY_ROWS, HISTORY_ROWS) WHOLE(MOST_CELLS, MOST_CELLS) WHOLE(PADDING, portable::PADDING)
   WHOLE(COMMANDS, portable::COMMANDS) WHOLE(CELLS, portable::WIDTH<portable::Identification>)
-  WHOLE(DIRECTIONS, portable::DIRECTIONS) WHOLE(PLAIN_LAW, &call_plain) WHOLE(LONGEST_TRACE, LONGEST_TRACE)
+  WHOLE(DIRECTIONS, portable::DIRECTIONS) WHOLE(PLAIN_LAW, &call_plain)
   return failed;
 }
 

@@ -1,8 +1,7 @@
-// A trained policy in strict double precision, for up to LANES environments at once: inputs, layers, action.
+// A trained policy in strict double precision: inputs, layers, action.
 //
 // Each unit adds its inputs in their order, bias first, by fused multiply-adds, so that an action depends only on its
-// own observation, not on the batch or the instruction set. A register holds one unit of several environments or, where
-// there are few, several units of one environment.
+// own observation, not on the batch or the instruction set. A register holds several units of one environment.
 #pragma once
 #include "identification.hpp"
 #include "layout.hpp"
@@ -21,7 +20,8 @@
 namespace LEVEL {
 struct Header { CAPSULE_NETWORK(CAPSULE_DOUBLE) };
 
-constexpr int PADDING = 8;  // units and environments are padded to multiples of it: the numbers of the widest register
+constexpr int PADDING = 8;   // units are padded to multiples of it: the numbers of the widest register
+constexpr int TOGETHER = 4;  // environments for which a weight is read once
 constexpr int padded(int width) { return (width + PADDING - 1) / PADDING * PADDING; }
 
 // A packed network, aligned to 64 bytes. Its parts follow each other, each padded with zeros to a multiple of PADDING:
@@ -30,7 +30,7 @@ constexpr int padded(int width) { return (width + PADDING - 1) / PADDING * PADDI
 struct Network {
   const Header& header;
   const double *widths, *mean, *scale, *layers;
-  int widest = 0;  // padded
+  int widest = 0;  // largest number of inputs or units, padded
 
   explicit Network(const double* packed)
       : header(*(const Header*)packed),
@@ -44,88 +44,34 @@ struct Network {
 };
 
 struct Layer {
-  int inputs, outputs, units;  // units: outputs, padded
+  int inputs, units;  // the units are padded
   const double *bias, *weights;
 };
 
-// Adds to ROWS rows of PACKS registers of sums, for each input, the products of ROWS scalars and PACKS registers. The
-// scalars of the next input lie `scalar_step` further, its registers, and the next row of sums, `vector_step`.
+// The sums of PACKS registers of units, from unit k on, for ROWS environments. The numbers of the next environment lie
+// `width` further.
 template <class T, int ROWS, int PACKS>
-INLINE void add_products(int inputs, const double* scalars, int scalar_step, const double* vectors, int vector_step,
-                         double* sums) {
+INLINE void add_inputs(const Layer& layer, int k, const double* values, double* sums, int width) {
   T s[ROWS][PACKS];
   for (int r = 0; r < ROWS; r++)
-    for (int p = 0; p < PACKS; p++) s[r][p] = load<T>(sums + r * vector_step + p * WIDTH<T>);
-  for (int i = 0; i < inputs; i++, scalars += scalar_step, vectors += vector_step) {
-    T v[PACKS];
-    for (int p = 0; p < PACKS; p++) v[p] = load<T>(vectors + p * WIDTH<T>);
+    for (int p = 0; p < PACKS; p++) s[r][p] = load<T>(layer.bias + k + p * WIDTH<T>);
+  const double* weights = layer.weights + k;
+  for (int i = 0; i < layer.inputs; i++, weights += layer.units) {
+    T w[PACKS];
+    for (int p = 0; p < PACKS; p++) w[p] = load<T>(weights + p * WIDTH<T>);
     for (int r = 0; r < ROWS; r++)
-      for (int p = 0; p < PACKS; p++) s[r][p] = fma(T(scalars[r]), v[p], s[r][p]);
+      for (int p = 0; p < PACKS; p++) s[r][p] = fma(T(values[r * width + i]), w[p], s[r][p]);
   }
   for (int r = 0; r < ROWS; r++)
-    for (int p = 0; p < PACKS; p++) store(sums + r * vector_step + p * WIDTH<T>, s[r][p]);
-}
-
-// The sums of all units of a layer for 1 environment or a multiple of PADDING, `rows`; the values of an input, and the
-// sums of a unit, lie side by side.
-template <class T> NOINLINE void affine(const Layer& layer, const double* values, int rows, double* sums) {
-  const int inputs = layer.inputs, outputs = layer.outputs, units = layer.units;
-  const double *bias = layer.bias, *weights = layer.weights;
-  // Registers of PADDING numbers, and as many as can be added to at once.
-  constexpr int NARROW = PADDING / WIDTH<T>, WIDE = NARROW == 1 ? 4 : NARROW;
-  if (rows == 1) {
-    __builtin_memcpy(sums, bias, units * sizeof(double));
-    int k = 0;
-    for (; k + 8 * WIDTH<T> <= units; k += 8 * WIDTH<T>)
-      add_products<T, 1, 8>(inputs, values, 1, weights + k, units, sums + k);
-    for (; k < units; k += PADDING) add_products<T, 1, NARROW>(inputs, values, 1, weights + k, units, sums + k);
-    return;
-  }
-  for (int k = 0; k < outputs; k++)
-    for (int j = 0; j < rows; j++) sums[k * rows + j] = bias[k];
-  auto add = [&]<int PACKS>(int j) {
-    int k = 0;
-    for (; k + 4 <= outputs; k += 4)
-      add_products<T, 4, PACKS>(inputs, weights + k, units, values + j, rows, sums + k * rows + j);
-    for (; k < outputs; k++)
-      add_products<T, 1, PACKS>(inputs, weights + k, units, values + j, rows, sums + k * rows + j);
-  };
-  int j = 0;
-  for (; j + WIDE * WIDTH<T> <= rows; j += WIDE * WIDTH<T>) add.template operator()<WIDE>(j);
-  for (; j < rows; j += PADDING) add.template operator()<NARROW>(j);
+    for (int p = 0; p < PACKS; p++) store(sums + r * width + k + p * WIDTH<T>, s[r][p]);
 }
 
 // Applies the activation; NaN stays NaN.
-template <class T> NOINLINE void activate(double* sums, int count, bool relu) {
-  for (int j = 0; j < count; j += WIDTH<T>) {
-    T total = load<T>(sums + j);
-    store(sums + j, relu ? select(total < 0.0, T(0.0), total) : tanh(total));
+template <class T> INLINE void activate(double* sums, int count, bool relu) {
+  for (int k = 0; k < count; k += WIDTH<T>) {
+    T total = load<T>(sums + k);
+    store(sums + k, relu ? select(total < 0.0, T(0.0), total) : tanh(total));
   }
-}
-
-// The outputs for inputs of shape (n, inputs), of one environment or of at least PADDING.
-template <class T>
-inline const double* forward(const Network& network, const float* inputs, int n, double* values, double* sums) {
-  const Header& header = network.header;
-  int rows = n == 1 ? 1 : padded(n);
-  double size = header.clip;
-  for (int i = 0; i < header.inputs; i++) {
-    double *row = values + i * rows, mean = network.mean[i], scale = network.scale[i];
-    for (int j = 0; j < rows; j++) row[j] = j < n ? inputs[j * (int)header.inputs + i] : 0.0;
-    for (int j = 0; j < rows; j++) row[j] = clip((row[j] - mean) * scale, size);
-  }
-  const double* next = network.layers;
-  for (int i = 0; i < header.layers; i++) {
-    Layer layer = {(int)network.widths[i], (int)network.widths[i + 1], padded((int)network.widths[i + 1]), next, next};
-    layer.weights += layer.units;
-    next = layer.weights + layer.inputs * layer.units;
-    affine<T>(layer, values, rows, sums);
-    if (i < header.layers - 1) activate<T>(sums, n == 1 ? layer.units : layer.outputs * rows, header.relu != 0.0);
-    double* other = values;
-    values = sums, sums = other;
-  }
-  if (header.tanh_squashing != 0.0) activate<T>(values, n == 1 ? PADDING : rows, false);
-  return values;
 }
 
 // Writes the network's inputs of n environments, shape (n, inputs): the observation, shape (n, entries), and what the
@@ -142,43 +88,50 @@ inline void write_inputs(const Header& header, const float* observations, long l
   }
 }
 
-// Bytes of the working memory of `act` for n environments.
-inline long long workspace_size(const Network& network, int n) {
-  return 64 + (16LL * network.widest + 4 * (long long)network.header.inputs) * padded(n);
-}
-
-// The actions in [-1, 1] of n <= LANES environments from `first` on. The observations, shape (.., entries), and the
-// memory are those of all environments.
-template <class T = Pack>
-inline void act(const Network& network, const float* observations, long long entries, long long first, int n,
-                Identification* memory, void* workspace, double* actions) {
-  const Header& header = network.header;
-  // A wide load that crosses a cache line takes twice as long.
-  double* values = (double*)(((Word)workspace + 63) & ~63ULL);
-  double* sums = values + network.widest * padded(n);
-  float* inputs = (float*)(sums + network.widest * padded(n));
-  write_inputs(header, observations + first * entries, entries, n, memory + first, inputs);
-  // A few environments one after the other, in registers of units.
-  int together = n < PADDING ? 1 : n;
-  for (int j = 0; j < n; j += together) {
-    const double* outputs = forward<T>(network, inputs + j * (int)header.inputs, together, values, sums);
-    for (int i = j; i < j + together; i++) actions[i] = clip(outputs[i - j], 1.0);
-  }
-}
-
-// The actions of any number of environments, as `act`; -1, or NO_MEMORY.
-inline long long act_batch(const double* packed, const float* observations, long long entries, long long n,
+// The actions in [-1, 1] of ROWS environments, for the arguments of `write_inputs`.
+template <class T, int ROWS>
+NOINLINE void act_together(const Network& network, const float* observations, long long entries,
                            Identification* memory, float* actions) {
-  Network network(packed);
-  void* workspace = __builtin_malloc(workspace_size(network, n < LANES ? (int)n : LANES));
-  if (!workspace) return NO_MEMORY;
-  for (long long first = 0; first < n; first += LANES) {
-    double found[LANES];
-    int count = n - first < LANES ? (int)(n - first) : LANES;
-    act(network, observations, entries, first, count, memory, workspace, found);
-    for (int j = 0; j < count; j++) actions[first + j] = (float)found[j];
+  const Header& header = network.header;
+  const int inputs = (int)header.inputs, layers = (int)header.layers, width = network.widest;
+  float* given = (float*)__builtin_alloca(ROWS * inputs * sizeof(float));
+  write_inputs(header, observations, entries, ROWS, memory, given);
+  // A wide load that crosses a cache line takes twice as long.
+  double *values = (double*)__builtin_alloca_with_align(2 * ROWS * width * sizeof(double), 512),
+         *sums = values + ROWS * width;
+  for (int r = 0; r < ROWS; r++)
+    for (int i = 0; i < inputs; i++)
+      values[r * width + i] = clip((given[r * inputs + i] - network.mean[i]) * network.scale[i], header.clip);
+  // Registers of PADDING units, and as many as can be added to at once.
+  constexpr int NARROW = PADDING / WIDTH<T>, WIDE = ROWS == 1 ? 8 : NARROW == 1 ? 4 : NARROW;
+  const double* next = network.layers;
+  for (int n = 0; n < layers; n++) {
+    Layer layer = {(int)network.widths[n], padded((int)network.widths[n + 1]), next, next};
+    layer.weights += layer.units;
+    next = layer.weights + layer.inputs * layer.units;
+    int k = 0;
+    for (; k + WIDE * WIDTH<T> <= layer.units; k += WIDE * WIDTH<T>)
+      add_inputs<T, ROWS, WIDE>(layer, k, values, sums, width);
+    for (; k < layer.units; k += PADDING) add_inputs<T, ROWS, NARROW>(layer, k, values, sums, width);
+    if (n < layers - 1)
+      for (int r = 0; r < ROWS; r++) activate<T>(sums + r * width, layer.units, header.relu != 0.0);
+    double* other = values;
+    values = sums, sums = other;
   }
-  __builtin_free(workspace);
-  return -1;
+  for (int r = 0; r < ROWS; r++) {
+    double found = values[r * width];
+    actions[r] = (float)clip(header.tanh_squashing != 0.0 ? tanh(found) : found, 1.0);
+  }
+}
+
+// The same for any number of environments.
+inline void act(const Network& network, const float* observations, long long entries, long long n,
+                Identification* memory, float* actions) {
+  for (long long i = 0; i < n;) {
+    bool together = n - i >= TOGETHER;
+    (together ? act_together<Pack, TOGETHER> : act_together<Pack, 1>)(network, observations + i * entries, entries,
+                                                                      memory + i, actions + i);
+    i += together ? TOGETHER : 1;
+  }
 }
 }  // namespace LEVEL

@@ -162,6 +162,12 @@ template <class Record, class T, int N> INLINE Record load_record(const double* 
   for (int r = 0; r < (int)(sizeof record / sizeof(T)); r++) ((T*)&record)[r] = load<T>(rows + r * N + j);
   return record;
 }
+// The reverse in the lanes where `renews`; the others keep theirs.
+template <class T, int N, class Record, class M>
+INLINE void store_record(double* rows, int j, const Record& record, M renews) {
+  for (int r = 0; r < (int)(sizeof record / sizeof(T)); r++)
+    store<T>(rows + r * N + j, select(renews, ((const T*)&record)[r], load<T>(rows + r * N + j)));
+}
 template <class M> INLINE bool any(M condition) { return lanes(condition) != 0; }
 // Whether terms with this factor count: it is not zero in every lane.
 template <class T> INLINE bool acts(T factor) { return any(factor != 0.0); }

@@ -24,10 +24,7 @@ INLINE void put_entries(const Settings& q, const Observed<T>& o, const typename 
   }
   if (q.with_parameters != 0.0) put(o.M), put(o.mu);
   if (q.with_estimates != 0.0) put_estimates();
-  if (q.with_task == 0.0) return;
-  T own[Task::ENTRIES + 1];
-  Task::observe(own, memory);
-  for (int i = 0; i < Task::ENTRIES; i++) put(own[i]);
+  if (q.with_task != 0.0) Task::observe(memory, put);
 }
 
 // Updates the estimates of M and mu with an observation, and writes them to it; returns the end of what is written. The
@@ -35,9 +32,9 @@ INLINE void put_entries(const Settings& q, const Observed<T>& o, const typename 
 template <int N>
 NOINLINE float* estimate(const Settings& q, double* cells, int j, const float* observed, float* next) {
   auto f = load_record<Identification, double, N>(cells, j);
-  struct { double m, l, g, dt; } nominal = {q.m, q.l, q.g, q.law_steps * q.physics_steps * q.physics_dt};
+  struct { double m, l, g, dt; } nominal = {q.m, q.l, q.g, q.control_dt()};
   identify<double>(f, observed[0], observed[1], observed[2], nominal);
-  for (int r = 0; r < WIDTH<Identification>; r++) cells[r * N + j] = ((double*)&f)[r];
+  store_record<double, N>(cells, j, f, true);
   return write_estimates(f, next);
 }
 

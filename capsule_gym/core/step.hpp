@@ -280,15 +280,12 @@ template <class T, int N> struct Step {
     // A law with branches takes one environment at a time.
     using S = typename Choose<Law::BRANCHES, double, T>::type;
     for (int j = 0; j < n; j += WIDTH<S>) {
+      auto s = load_record<State<S>, S, N>(seen, j);
+      auto cells = load_record<typename Law::template Cells<S>, S, N>(memory, j);
       // The task's memory follows the line.
-      S cells[Law::MEMORY], row[Law::COLUMNS];
-      for (int r = 0; r < Law::MEMORY; r++) cells[r] = load<S>(memory + r * N + j);
-      for (int r = 0; r < Law::COLUMNS; r++) row[r] = load<S>(line + r * N + j);
-      State<S> s = {load<S>(seen + j), load<S>(seen + N + j), load<S>(seen + 2 * N + j), load<S>(seen + 3 * N + j)};
-      S torque = law(s, cells, row);
-      auto called = load<S>(b.halt + j) != HALTED;
-      for (int r = 0; r < Law::MEMORY; r++)
-        store<S>(memory + r * N + j, select(called, cells[r], load<S>(memory + r * N + j)));
+      auto row = load_record<typename Law::template Line<S>, S, N>(line, j);
+      S torque = law.torque(s, cells, row);
+      store_record<S, N>(memory, j, cells, load<S>(b.halt + j) != HALTED);
       keep_torque(j, torque, tick);
     }
   }
@@ -299,6 +296,7 @@ template <class T, int N> struct Step {
     // that it can be called again with the same arguments.
     double torques[N], kept[MOST_CELLS * N];
     __builtin_memcpy(kept, memory, size * sizeof(double));
+    EACH store(torques + j, T(__builtin_nan("")));
     batch.user_law(batch.user_data, (double*)&b, torques, n);
     EACH {
       T torque = load<T>(torques + j);
@@ -321,44 +319,35 @@ template <class T, int N> struct Step {
     store<S>(b.halt + j, select((halt == UNDER_WAY) & (clipped == clipped), S(UNDER_WAY), S(HALTED)));
   }
 
-  template <class Memory, class M> INLINE void store_task(double* to, int j, const Memory& memory, int rows, M renews) {
-    for (int r = 0; r < rows; r++)
-      store<T>(to + r * N + j, select(renews, ((const T*)&memory)[r], load<T>(to + r * N + j)));
-  }
-
   template <class Task> NOINLINE void start_task() {
     EACH {
       auto m = load_record<typename Task::template Memory<T>, T, N>(task, j);
       Task::begin(GET(x), m);
-      store_task(task, j, m, Task::ROWS, GET(active) != 0.0);
-      if (q.varied != 0.0) store_task(read_task, j, m, Task::ROWS, GET(active) != 0.0);
+      store_record<T, N>(task, j, m, GET(active) != 0.0);
+      if (q.varied != 0.0) store_record<T, N>(read_task, j, m, GET(active) != 0.0);
     }
   }
 
   // Ends an agent step: rewards, the task's memory, and the sums of the episode.
   template <class Task> NOINLINE void finish_step() {
-    double dt = q.law_steps * q.physics_steps * q.physics_dt;
+    double dt = q.control_dt();
     bool varied = q.varied != 0.0;
     EACH {
       auto active = GET(active) != 0.0;
       T share = select(active, T(1.0), T(0.0));
       T mass = GET(M) + (varied ? GET(plant_m) : T(q.m)), g = varied ? GET(plant_g) : T(q.g);
-      T gravity = g;
-      if (varied || q.extended != 0.0) {
-        T downhill = varied ? GET(plant_downhill) : T(q.downhill);
-        gravity = sqrt(g * g + downhill * downhill);
-      }
+      T downhill = varied ? GET(plant_downhill) : T(q.downhill), gravity = sqrt(g * g + downhill * downhill);
       T moved = GET(x) - GET(before_x), energy = GET(energy);
       // Where the law has failed it can be called again with the same arguments.
       auto renews = active & (abs(GET(law_torque)) < INFINITE);
       auto renew = [&](double* memory, T x, T x_dot, T moved, double rest) {
         auto m = load_record<typename Task::template Memory<T>, T, N>(memory, j);
         T gain = Task::reward(x, x_dot, moved, dt, rest, m);
-        store_task(memory, j, m, Task::ROWS, renews);
+        store_record<T, N>(memory, j, m, renews);
         return gain;
       };
       T gain = renew(task, GET(x), GET(x_dot), moved, 0.0);
-      if (varied && Task::ROWS > 0)
+      if (varied)
         renew(read_task, GET(read_x), GET(read_x_dot), GET(read_x) - GET(read_before_x), q.stick_threshold);
       T energy_cost = -q.energy_weight * energy;
       T penalty = select(GET(termination) != 0.0, T(-q.termination_penalty), T(0.0));
@@ -377,6 +366,16 @@ template <class T, int N> struct Step {
   }
 };
 
+// Applies the changes of M and mu that are due to the n environments from `first` on: at the first agent step that starts
+// at or after their time.
+template <int N> void apply_changes(const Batch& batch, Block<N>& b, long long first, int n) {
+  for (const double* c = batch.changes; c < batch.changes + 4 * batch.num_changes; c += 4) {
+    long long j = (long long)c[0] - first;
+    if (0 <= j && j < n && c[1] <= b.steps[j] * batch.settings->control_dt() + TIME_TOLERANCE)
+      b.M[j] = c[2], b.mu[j] = c[3];
+  }
+}
+
 // Steps the environments first..last-1, or begins their episodes; `first` is a multiple of N. Returns the index of an
 // environment whose law returned a torque that is not finite, or -1.
 template <class T, int N> long long advance_blocks(const Batch& batch, long long first, long long last, bool begin) {
@@ -386,6 +385,7 @@ template <class T, int N> long long advance_blocks(const Batch& batch, long long
     // Whole vectors: lanes behind the last environment are inactive.
     int n = last - at < N ? (int)(last - at) : N, width = (n + WIDTH<T> - 1) / WIDTH<T> * WIDTH<T>;
     for (int j = n; j < width; j++) block.active[j] = 0.0;
+    if (!begin) apply_changes(batch, block, at, n);
     Step<T, N> step(batch, block, width, batch.observations + at * batch.entries);
     int number = 0;
 #define TASK(Task) \

@@ -14,7 +14,6 @@ struct Speed {
   static constexpr const char* NAME = "speed";
   // It has no memory and adds no entries to the observation.
   static constexpr const char* FIELDS = "";
-  static constexpr int ROWS = 0, ENTRIES = 0;
   template <class T> struct Memory {};
 
   template <class T> static INLINE void begin(T, Memory<T>&) {}
@@ -22,7 +21,7 @@ struct Speed {
   // Centimetres of forward progress.
   template <class T> static INLINE T reward(T, T, T moved, double, double, Memory<T>&) { return 100.0 * moved; }
 
-  template <class T> static INLINE void observe(T*, const Memory<T>&) {}
+  template <class T, class Put> static INLINE void observe(const Memory<T>&, Put) {}
 };
 
 // Bound of the observed error, m; largest distance from the goal at which the platform must rest, m; and duration of
@@ -37,7 +36,6 @@ struct Goal {
 #define GOAL_MEMORY(FIELD) FIELD(goal) FIELD(error) FIELD(time) FIELD(held) FIELD(reached) FIELD(displacement)
   static constexpr const char* FIELDS = GOAL_MEMORY(CAPSULE_NAME);
   template <class T> struct Memory { GOAL_MEMORY(CAPSULE_NUMBER) };
-  static constexpr int ROWS = WIDTH<Memory<double>>, ENTRIES = 3;
 
   // Places the goal at the drawn displacement from the platform.
   template <class T> static INLINE void begin(T x, Memory<T>& memory) {
@@ -65,10 +63,10 @@ struct Goal {
     return dt * rate(error, select(still, T(1.0), T(0.0)));
   }
 
-  template <class T> static INLINE void observe(T* out, const Memory<T>& memory) {
-    out[0] = clip(memory.error, T(ERROR_BOUND));
-    out[1] = tanh(memory.error / 0.02);
-    out[2] = min(memory.held, T(HOLD));
+  template <class T, class Put> static INLINE void observe(const Memory<T>& memory, Put put) {
+    put(clip(memory.error, T(ERROR_BOUND)));
+    put(tanh(memory.error / 0.02));
+    put(min(memory.held, T(HOLD)));
   }
 };
 
@@ -96,7 +94,6 @@ struct Velocity {
     VELOCITY_MEMORY(CAPSULE_NUMBER)
     T v[COMMANDS], lasts_for[COMMANDS];
   };
-  static constexpr int ROWS = WIDTH<Memory<double>>, ENTRIES = 4;
 
   // Sets the first command, with the target at the platform.
   template <class T> static INLINE void begin(T x, Memory<T>& m) {
@@ -139,11 +136,11 @@ struct Velocity {
     return gain;
   }
 
-  template <class T> static INLINE void observe(T* out, const Memory<T>& memory) {
-    out[0] = memory.command;
-    out[1] = tanh(memory.error / 0.05);
-    out[2] = tanh(memory.error / 0.2);
-    out[3] = clip(memory.speed, T(SPEED_BOUND));
+  template <class T, class Put> static INLINE void observe(const Memory<T>& memory, Put put) {
+    put(memory.command);
+    put(tanh(memory.error / 0.05));
+    put(tanh(memory.error / 0.2));
+    put(clip(memory.speed, T(SPEED_BOUND)));
   }
 };
 }  // namespace LEVEL

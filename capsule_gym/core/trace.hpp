@@ -1,36 +1,26 @@
 // A number type that records what is computed with it, from which Python writes the core's functions in other languages
 // (capsule_gym/trace.py).
 //
-// A recording is a list of rows: an operation, and the places of its operands in the list. A branch, `when`, is always
-// taken; assignments in it select between the new value and the old one.
+// A recording is a list of rows for Python: the name of an operation, and the places of its operands in the list. A
+// branch, `when`, is always taken; assignments in it select between the new value and the old one.
 #pragma once
+#include <Python.h>
+
 #include "functions.hpp"
 #include "network.hpp"
 #include "step.hpp"
 
-#define CAPSULE_OPERATIONS(OP)                                                                                       \
-  OP(constant) OP(input) OP(output) OP(add) OP(subtract) OP(multiply) OP(divide) OP(negate) OP(fma) OP(absolute)     \
-  OP(square_root) OP(copysign) OP(less) OP(less_equal) OP(equal) OP(both) OP(either) OP(inverse) OP(select)          \
-  OP(power_of_two) OP(sincos) OP(sine) OP(cosine) OP(exp) OP(tanh)
-constexpr int LONGEST_TRACE = 1 << 15;  // rows
-
 namespace LEVEL {
-enum class Operation {
-#define OP(name) name,
-  CAPSULE_OPERATIONS(OP)
-#undef OP
-};
-struct TraceRow { double operation, a, b, c; };
-
 inline struct {
-  TraceRow* rows;
-  int count;
+  PyObject* rows;
   double taken;  // place of the condition of the present branch, or -1
 } recording;
 
-inline double record(Operation operation, double a = 0.0, double b = 0.0, double c = 0.0) {
-  if (recording.count < LONGEST_TRACE) recording.rows[recording.count] = {(double)(int)operation, a, b, c};
-  return recording.count++;
+inline double record(const char* operation, double a = 0.0, double b = 0.0, double c = 0.0) {
+  PyObject* row = Py_BuildValue("(sddd)", operation, a, b, c);
+  PyList_Append(recording.rows, row);
+  Py_XDECREF(row);
+  return (double)PyList_Size(recording.rows) - 1.0;
 }
 
 struct Condition { double place; };
@@ -38,16 +28,16 @@ struct Trace {
   double place;
   Trace() = default;
   Trace(const Trace&) = default;
-  Trace(double value) : place(record(Operation::constant, value)) {}
+  Trace(double value) : place(record("constant", value)) {}
   explicit Trace(Condition recorded) : place(recorded.place) {}
   Trace& operator=(const Trace& value) {
     double taken = recording.taken;
-    place = taken < 0.0 ? value.place : record(Operation::select, taken, value.place, place);
+    place = taken < 0.0 ? value.place : record("select", taken, value.place, place);
     return *this;
   }
 };
 
-#define RESULT(name, ...) (Condition{record(Operation::name __VA_OPT__(, ) __VA_ARGS__)})
+#define RESULT(name, ...) (Condition{record(#name __VA_OPT__(, ) __VA_ARGS__)})
 #define UNARY(R, T, function, name) inline R function(T a) { return R RESULT(name, a.place); }
 #define BINARY(R, T, function, name) inline R function(T a, T b) { return R RESULT(name, a.place, b.place); }
 BINARY(Trace, Trace, operator+, add) BINARY(Trace, Trace, operator-, subtract) BINARY(Trace, Trace, operator*, multiply)
@@ -65,13 +55,13 @@ inline Trace select(Condition condition, Trace a, Trace b) {
   return Trace RESULT(select, condition.place, a.place, b.place);
 }
 inline SinCos<Trace> sincos(Trace angle) {
-  double both = record(Operation::sincos, angle.place);
+  double both = record("sincos", angle.place);
   return {Trace RESULT(sine, both), Trace RESULT(cosine, both)};
 }
 
 struct Taken {
   double before = recording.taken;
-  explicit Taken(Condition c) { recording.taken = before < 0.0 ? c.place : record(Operation::both, before, c.place); }
+  explicit Taken(Condition c) { recording.taken = before < 0.0 ? c.place : record("both", before, c.place); }
   Taken(const Taken&) = delete;
   ~Taken() { recording.taken = before; }
   operator bool() const { return true; }
@@ -80,18 +70,18 @@ inline Taken when(Condition condition) { return Taken(condition); }
 
 // A struct of inputs, and the output of a struct.
 template <class S> S given() {
-  S inputs;
+  S inputs = {};
   for (int i = 0; i < WIDTH<S>; i++) ((Trace*)&inputs)[i] = Trace RESULT(input);
   return inputs;
 }
 template <class S> void give(const S& outputs) {
-  for (int i = 0; i < WIDTH<S>; i++) record(Operation::output, ((const Trace*)&outputs)[i].place);
+  for (int i = 0; i < WIDTH<S>; i++) record("output", ((const Trace*)&outputs)[i].place);
 }
 
-// Records a function of a law or task with its number and of the constants, settings or the filter's pendulum.
-// Returns the number of rows.
-inline int trace(const char* function, long long number, const double* constants, TraceRow* rows) {
-  recording = {rows, 0, -1.0};
+// Records a function, of a law or task with its number, and of the constants, settings or the filter's pendulum. Returns
+// the rows, or nullptr with Python's exception.
+inline PyObject* trace(const char* function, long long number, const double* constants) {
+  recording = {PyList_New(0), -1.0};
   auto is = [&](const char* name) { return !__builtin_strcmp(function, name); };
   const auto& settings = *(const Settings*)constants;
   const struct Pendulum { double m, l, g, dt; }& nominal = *(const Pendulum*)constants;
@@ -112,10 +102,10 @@ inline int trace(const char* function, long long number, const double* constants
   int law = 0, task = 0;
 #define LAW(Law)                                                                      \
   if (is("law") && number == law++) {                                                 \
-    struct { Trace cells[Law::MEMORY]; } memory = given<decltype(memory)>();          \
+    auto memory = given<Law::Cells<Trace>>();                                         \
     auto state = given<State<Trace>>();                                               \
-    struct { Trace cells[Law::COLUMNS]; } row = given<decltype(row)>();               \
-    give(Law(constants)(state, memory.cells, row.cells)), give(memory);               \
+    auto row = given<Law::Line<Trace>>();                                             \
+    give(Law(constants).torque(state, memory, row)), give(memory);                    \
   }
   CAPSULE_LAWS(LAW)
 #undef LAW
@@ -129,15 +119,15 @@ inline int trace(const char* function, long long number, const double* constants
       Trace before = given<Trace>();                                                                                  \
       auto begun = given<Trace>() != 0.0;                                                                             \
       auto seen = given<Observed<Trace>>();                                                                           \
-      double dt = settings.law_steps * settings.physics_steps * settings.physics_dt;                                  \
       double rest = settings.agent_reads != 0.0 ? settings.stick_threshold : 0.0;                                      \
-      if (auto taken = when(begun)) Task::reward(x, seen.x_dot, x - before, dt, rest, memory);                         \
+      if (auto taken = when(begun)) Task::reward(x, seen.x_dot, x - before, settings.control_dt(), rest, memory);      \
       put_entries<Task>(settings, seen, memory, give<Trace>, [] { give(given<Estimates>()); });                        \
     }                                                                                                                 \
     give(memory);                                                                                                     \
   }
   CAPSULE_TASKS(TASK)
 #undef TASK
-  return recording.count;
+  if (PyErr_Occurred()) Py_CLEAR(recording.rows);
+  return recording.rows;
 }
 }  // namespace LEVEL

@@ -41,10 +41,9 @@ EXPORT(advance) bool advance(bool begin) { return web::advance(batch, 0, 1, begi
 
 // The action of a trained policy for the observation; `memory` is that of its filter.
 EXPORT(act) double act(const double* packed, double* memory) {
-  web::Network network(packed);
-  double action;
-  void* workspace = __builtin_alloca(web::workspace_size(network, 1));
-  web::act<double>(network, batch.observations, batch.entries, 0, 1, (web::Identification*)memory, workspace, &action);
+  float action;
+  web::act_together<double, 1>(web::Network(packed), batch.observations, batch.entries, (web::Identification*)memory,
+                               &action);
   return action;
 }
 

@@ -7,8 +7,8 @@ import pytest
 
 from capsule_gym.network import Header, Layer, act, pack
 
-# Environments that the core computes at once, and the fewest that share a register.
-TOGETHER, FEWEST = 64, 8
+# Environments in a batch; the core computes four at once, and those left over one by one.
+BATCH = 64
 
 
 def make_layers(widths: tuple[int, ...], seed: int = 0) -> list[Layer]:
@@ -54,7 +54,7 @@ def test_it_computes_what_numpy_does(widths, relu, tanh_squashing):
     rng = np.random.default_rng(1)
     layers, mean, scale = make_layers(widths), rng.normal(size=widths[0]), rng.uniform(0.2, 3.0, widths[0])
     packed = make_network(layers, mean, scale, 2.5, relu=relu, tanh_squashing=tanh_squashing)
-    observations = rng.normal(0.0, 2.0, (2 * TOGETHER + 5, widths[0])).astype(np.float32)
+    observations = rng.normal(0.0, 2.0, (2 * BATCH + 5, widths[0])).astype(np.float32)
     actions = run(packed, observations)
     exact = expected(layers, observations, mean, scale, 2.5, relu, tanh_squashing)
     # The errors are one rounding to float32 and those of float64.
@@ -67,10 +67,10 @@ def test_it_computes_what_numpy_does(widths, relu, tanh_squashing):
 def test_a_row_is_the_same_alone_and_in_any_batch(relu):
     layers = make_layers((10, 64, 64, 1))
     packed = make_network(layers, relu=relu, tanh_squashing=relu)
-    observations = np.random.default_rng(2).normal(size=(3 * TOGETHER, 10)).astype(np.float32)
+    observations = np.random.default_rng(2).normal(size=(3 * BATCH, 10)).astype(np.float32)
     whole = run(packed, observations)
-    assert np.unique(whole).size > 2 * TOGETHER
-    for n in (1, 2, FEWEST - 1, FEWEST, FEWEST + 1, 33, TOGETHER - 1, TOGETHER, TOGETHER + 1, 2 * TOGETHER + 5):
+    assert np.unique(whole).size > 2 * BATCH
+    for n in (1, 2, 3, 4, 5, 8, 33, BATCH - 1, BATCH, BATCH + 1, 2 * BATCH + 5):
         for first in (0, 1, 37):
             assert run(packed, observations[first : first + n]).tobytes() == whole[first : first + n].tobytes()
     # One environment that is no number leaves the others alone.

@@ -7,20 +7,20 @@ namespace LEVEL {
 // its reference with the memory of the task behind it. LIST(ONE, MANY) names the constants `q`, numbers and arrays: C++
 // takes the fields from it, Python their order.
 #define CAPSULE_LAW(Law, name, branches, Memory, Row, LIST)                                                            \
+  template <class T> using Cells = Memory<T>;                                                                          \
+  template <class T> using Line = Row<T>;                                                                              \
   static constexpr const char *NAME = name, *CONSTANTS = "" LIST(CAPSULE_NAME, LAW_NAMES);                             \
   static constexpr int MEMORY = WIDTH<Memory<double>>, COLUMNS = WIDTH<Row<double>>;                                   \
   static constexpr bool BRANCHES = branches;                                                                           \
   struct Constants {                                                                                                   \
     LIST(CAPSULE_DOUBLE, LAW_FIELDS)                                                                                   \
   } q;                                                                                                                 \
-  explicit Law(const double* constants) : q(load<Constants>(constants)) {}                                             \
-  template <class T> INLINE T operator()(const State<T>& s, T* cells, const T* row) const {                            \
-    return torque(s, *(Memory<T>*)cells, *(const Row<T>*)row);                                                         \
-  }
+  explicit Law(const double* constants) : q(load<Constants>(constants)) {}
 #define LAW_NAMES(name, count) #name ":" #count " "
 #define LAW_FIELDS(name, count) double name[count];
 
-// For a law without memory, and for one without a reference.
+// For a law without constants, without memory, and without a reference.
+#define NO_CONSTANTS(ONE, MANY)
 template <class T> struct NoMemory { T unused; };
 template <class T> struct NoReference { T theta_d, theta_d_dot; };
 

@@ -6,13 +6,9 @@ namespace LEVEL {
 // Tracking of a periodic trajectory: feedforward in N m, and gains in N m/rad and N m s/rad.
 struct Tracking {
   template <class T> struct Trajectory { T theta_d, theta_d_dot, feedforward, K_theta, K_theta_dot; };
-  static constexpr const char *NAME = "tracking", *CONSTANTS = "";
-  static constexpr int MEMORY = 1, COLUMNS = WIDTH<Trajectory<double>>;
-  static constexpr bool BRANCHES = false;
-  explicit Tracking(const double*) {}
+  CAPSULE_LAW(Tracking, "tracking", false, NoMemory, Trajectory, NO_CONSTANTS)
 
-  template <class T> INLINE T operator()(const State<T>& s, T*, const T* row) const {
-    auto& r = *(const Trajectory<T>*)row;
+  template <class T> INLINE T torque(const State<T>& s, NoMemory<T>&, const Trajectory<T>& r) const {
     return r.feedforward - r.K_theta * (s.theta - r.theta_d) - r.K_theta_dot * (s.theta_dot - r.theta_d_dot);
   }
 };
