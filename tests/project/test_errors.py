@@ -14,7 +14,7 @@ from agents.training.config import Config, RunError
 from baselines.drawing import style
 from baselines.evaluation.episodes import evaluate
 from baselines.evaluation.statistics import estimate
-from capsule_gym import CapsuleVectorEnv, identify, native, sensitivity
+from capsule_gym import Capsule, CapsuleVectorEnv, identify, native, sensitivity
 from capsule_gym.checks import first_cause
 from capsule_gym.config import find_task
 from capsule_gym.controller import CoreLaw
@@ -32,6 +32,7 @@ from capsule_gym.settings import divide
 from capsule_gym.shooting import PLANT
 from tests.capsule_gym.test_evaluation_sets import plant
 from tests.capsule_gym.test_policy import make_policy, make_remembering
+from tests.capsule_gym.test_trajectory import START
 
 T = np.arange(0.0, 3.0, 0.01)
 LOG = {"t": T, "torque": 0.1 * np.sin(T), "theta": 0.1 * np.sin(T)}
@@ -42,12 +43,24 @@ CALLS = [
     (lambda: CapsuleVectorEnv(2, render_mode="human"), ValueError, "render_mode of a batch must be None or"),
     (lambda: CapsuleSB3VecEnv(2, 0, privileged=True, task="goal", goal_env=True), ValueError, "privileged must be"),
     (lambda: CoreLaw("gait_candidate", torque_limit=(1.0, 2.0)), ValueError, "torque_limit must be 1 numbers, got"),
+    (lambda: CoreLaw("odd"), ValueError, "name must be one of none, adaptive, .*, got 'odd'"),
+    (lambda: CoreLaw("gait_candidate"), TypeError, "'gait_candidate' takes the constants torque_limit, got $"),
+    (lambda: CoreLaw("gait_candidate", torque_limit=1.0, K=1.0), TypeError, "the constants torque_limit, got .*, K$"),
+    (lambda: CoreLaw("none")(*ORIGIN, (0.0, 0.0), (0.0, 0.0)), ValueError, "must have the shapes"),
     (lambda: native.address(np.zeros((2, 2))[:, 0]), ValueError, "array must be C-contiguous"),
     (lambda: divide("control_dt", 0.02, "physics_dt", 1e-9), ValueError, "physics_dt must divide control_dt=0.02 s at"),
     (lambda: sensitivity(ORIGIN, [0.1], capsule="paper"), TypeError, "capsule must be a Capsule, got 'paper'"),
     (lambda: sensitivity(ORIGIN, [0.1], "mu"), TypeError, "wrt must be a sequence of names"),
     (lambda: sensitivity(ORIGIN, ["far"]), TypeError, "torques must be .*, got .*far"),
     (lambda: sensitivity((2.0, 0.0, 0.0, 0.0), [0.1]), ValueError, "state must be .*, got"),
+    (lambda: sensitivity(START, [0.1], ("nu",)), ValueError, "wrt must contain names out of .* got 'nu'"),
+    (lambda: sensitivity(START, [0.1], ("stribeck_speed",)), ValueError, "wrt may contain 'stribeck_speed' only where"),
+    (lambda: sensitivity(START, [9.0] * 20), ValueError, r"torques must keep .* in torques\[\d+\]"),
+    (lambda: sensitivity(START, [0.1], capsule=Capsule(c=20.0)), ValueError, "physics_dt must be at most"),
+    (lambda: identify(3.0), TypeError, "log must be the path of a CSV file or a mapping"),
+    (lambda: identify(LOG, known={"latancy": 0.01}), ValueError, "did you mean 'latency'"),
+    (lambda: identify(LOG, known={"latency": -1.0}), ValueError, r"known\['latency'\] must be"),
+    (lambda: identify(LOG, prior="narrow"), ValueError, "must be a Randomization or one of"),
     (lambda: identify(LOG, known=KNOWN, prior="none"), ValueError, "must leave a quantity to estimate"),
     (lambda: read_log({**LOG, "theta": ["far"] * len(T)}), ValueError, "column 'theta' must contain numbers"),
     (lambda: read_log({"t": T, "torque": T, "x": T}), ValueError, "must have a column 'theta' or 'theta_dot'"),
