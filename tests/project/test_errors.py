@@ -14,7 +14,7 @@ from agents.training.config import Config, RunError
 from baselines.drawing import style
 from baselines.evaluation.episodes import evaluate
 from baselines.evaluation.statistics import estimate
-from capsule_gym import Capsule, CapsuleVectorEnv, identify, native, sensitivity
+from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Randomization, identify, native, sensitivity
 from capsule_gym.checks import first_cause
 from capsule_gym.config import find_task
 from capsule_gym.controller import CoreLaw
@@ -39,6 +39,14 @@ LOG = {"t": T, "torque": 0.1 * np.sin(T), "theta": 0.1 * np.sin(T)}
 KNOWN = {name: getattr(NOMINAL, name) for name in PLANT} | dict.fromkeys(OTHERS, 0.0)
 ORIGIN = (0.0, 0.0, 0.0, 0.0)
 CALLS = [
+    (lambda: CapsuleEnv(randomization=Randomization(M=(0.001, 0.5), mu=(5.0, 20.0))), ValueError, "Painleve"),
+    (lambda: CapsuleEnv(render_mode=np.array(["human", "human"])), ValueError, "render_mode must be"),
+    (lambda: CapsuleEnv(tusk="goal"), TypeError, "unexpected keyword argument 'tusk'; did you mean 'task'"),
+    (lambda: CapsuleEnv(mu=0.1), TypeError, r"'mu'; every reset draws it from randomization=Randomization\(mu="),
+    (lambda: CapsuleEnv(capsule={"wheels": 4}), ValueError, r"^capsule must have fields out of .*, got 'wheels'"),
+    (lambda: CapsuleEnv(randomization={"M": 0.5}), TypeError, r"^randomization: Randomization.M must be a pair"),
+    (lambda: CapsuleEnv(task="fast"), ValueError, r"^task must be a Task or one of \[.*'speed'.*\], got "),
+    (lambda: CapsuleEnv(task=1), TypeError, r"^task must be a Task or one of \[.*'speed'.*\], got "),
     (lambda: CapsuleVectorEnv(2, max_episode_steps=0), ValueError, "max_episode_steps must be an integer >= 1, or -1"),
     (lambda: CapsuleVectorEnv(2, render_mode="human"), ValueError, "render_mode of a batch must be None or"),
     (lambda: CapsuleSB3VecEnv(2, 0, privileged=True, task="goal", goal_env=True), ValueError, "privileged must be"),
