@@ -1,10 +1,14 @@
+import hashlib
 import re
+from dataclasses import dataclass
+from pathlib import Path
 
+import matplotlib
 import numpy as np
 import pytest
 
 from agents.analysis import __main__ as analysis
-from agents.analysis import limit_cycle, sensitivity
+from agents.analysis import figures, limit_cycle, sensitivity
 from agents.analysis.data import read_learning
 from baselines.evaluation.policies import Candidate
 from capsule_gym.parameters import REAL, Disturbances
@@ -54,3 +58,58 @@ def test_a_limit_cycle_is_the_steady_one_from_its_smallest_angle_on():
 def test_stale_tables_are_found(tmp_path, capsys):
     assert analysis.main(["statistics", "--check", "--output", str(tmp_path)]) == 1
     assert re.search(r"statistics_tables\.md is not up to date: run `python -m", capsys.readouterr().out)
+
+
+ROOT = Path(__file__).resolve().parents[2]
+# Of the SVG files, which are those that were looked at: the same figure gives the same bytes.
+FIGURES = {
+    "learning": "7d3ba62d047e9eab",
+    "transport": "ab08cab4fe354286",
+    "limit_cycle": "6320fc8c0042d6b2",
+}
+
+
+@dataclass
+class FakeRow:
+    """A row whose speeds differ between five runs; a scripted one has one run, and at rest no cost."""
+
+    name: str
+    trained: bool
+    speed: float
+
+    def score(self, set_name, metric):
+        runs = 1.0 + 0.02 * np.arange(5 if self.trained else 1)[:, None]
+        speeds = self.speed * runs * (1.0 + 0.2 * np.linspace(-1.0, 1.0, 100) ** 3)
+        return speeds if metric == figures.SPEED else np.where(speeds > 0.0, 1.0 + speeds / 10.0, np.inf)
+
+
+ROWS = [
+    *(FakeRow(f"direct-{n}", True, 15.0 - n) for n in range(4)),
+    FakeRow("a-policy-with-a-long-name-of-several-words", True, 14.9),
+    FakeRow("law", False, 3.0),
+    FakeRow("rest", False, 0.0),
+]
+
+
+def test_the_figures_are_those_that_were_looked_at(tmp_path, monkeypatch):
+    # Matplotlib's versions draw other outlines.
+    if f"matplotlib=={matplotlib.__version__} " not in (ROOT / "constraints.txt").read_text(encoding="utf-8"):
+        pytest.skip("needs the pinned matplotlib")
+    monkeypatch.setattr(limit_cycle, "POLICIES", ("adaptive", "gait-guarded"))
+    document, steps = limit_cycle.document(), np.arange(1.0, 9.0) * 1e5
+    lines = document.sections["cycles"].splitlines()
+    assert set(lines) <= set((ROOT / "docs" / "limit_cycle_tables.md").read_text(encoding="utf-8").splitlines())
+    runs = {seed: (steps, 10.0 + seed - 1e6 / steps) for seed in range(3)}
+    # Five panels, so that a place of the grid is empty.
+    learning = {
+        "three": runs,
+        "again": runs,
+        "more": runs,
+        "one": {0: (steps, np.sqrt(steps) / 100.0)},
+        "point": {0: (steps[:1], steps[:1] / 1e5)},
+    }
+    figures.write_with(figures.draw_learning, learning)(tmp_path / "learning")
+    figures.write_with(figures.draw_transport, ROWS)(tmp_path / "transport")
+    document.figures["limit_cycle"](tmp_path / "limit_cycle")
+    drawn = {name: hashlib.sha256((tmp_path / f"{name}.svg").read_bytes()).hexdigest() for name in FIGURES}
+    assert {name: digest[:16] for name, digest in drawn.items()} == FIGURES

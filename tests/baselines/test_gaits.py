@@ -16,7 +16,7 @@ def test_episodes_draw_plants_evenly_and_disturb_every_second_one():
     M, mu = plants[0, :, :100]
     assert np.histogram(M, bins=100, range=(0.35, 0.75))[0].tolist() == [1] * 100
     assert np.histogram(np.log(mu), bins=100, range=np.log((0.005, 0.3)))[0].tolist() == [1] * 100
-    assert (actions[:, ::2] == 0.0).all() and (actions[:, 1::2] != 0.0).all()
+    assert (actions[:, ::2] == 0.0).all() and (actions[:, 1::2] != 0.0).all() and (np.abs(actions) <= 1.0).all()
     batch = make_batch(8)
     run_candidates(batch, np.tile(known_parameters(), (8, 1)), plants[..., :8], actions[:, :8])
     np.testing.assert_array_equal(batch.simulation.rows(Row.M, Row.mu + 1), plants[-1, :, :8])

@@ -28,6 +28,13 @@ def test_the_committed_cycle_is_closed_and_its_regulator_stable():
     assert np.abs(np.linalg.eigvals(closed)).max() < 1.0 < np.abs(np.linalg.eigvals(free)).max()
 
 
+def test_the_committed_regulator_is_one_of_the_designs():
+    content = json.loads(lqr.FILE.read_text(encoding="utf-8"))
+    designs = [each for each in lqr.candidates() if len(each["torques"]) == len(content["torques"])]
+    differences = [max(np.abs(np.subtract(each[name], content[name])).max() for name in content) for each in designs]
+    assert len(differences) == len(lqr.TORQUE_DEVIATIONS) and sorted(differences)[0] < 1e-6 < sorted(differences)[1]
+
+
 def test_corrections_close_a_cycle():
     content = {name: np.array(values) for name, values in json.loads(lqr.FILE.read_text(encoding="utf-8")).items()}
     transitions, disturbed = Transitions(Problem(), 9), content["states"][0] + [0.005, 0.05, 0.002]

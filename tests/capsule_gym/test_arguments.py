@@ -210,27 +210,6 @@ def test_a_short_episode(batch, data, drive, steps):
     env.close()
 
 
-PARADOX = Randomization(M=(0.001, 0.5), mu=(5.0, 20.0))
-TASK = r"^task must be a Task or one of \[.*'speed'.*\], got "
-
-
-@pytest.mark.parametrize(
-    ("kind", "kwargs", "error", "message"),
-    [
-        (CapsuleEnv, {"randomization": PARADOX}, ValueError, "Painleve"),
-        (CapsuleEnv, {"render_mode": np.array(["human", "human"])}, ValueError, "render_mode must be"),
-        (CapsuleEnv, {"tusk": "goal"}, TypeError, "unexpected keyword argument 'tusk'; did you mean 'task'"),
-        (CapsuleEnv, {"mu": 0.1}, TypeError, r"'mu'; every reset draws it from randomization=Randomization\(mu="),
-        (CapsuleEnv, {"capsule": {"wheels": 4}}, ValueError, r"^capsule must have fields out of .*, got 'wheels'"),
-        (CapsuleEnv, {"randomization": {"M": 0.5}}, TypeError, r"^randomization: Randomization.M must be a pair"),
-        *((CapsuleEnv, {"task": value}, error, TASK) for value, error in (("fast", ValueError), (1, TypeError))),
-    ],
-)
-def test_bad_arguments_are_named(kind, kwargs, error, message):
-    with pytest.raises(error, match=message):
-        kind(**kwargs)
-
-
 JUMP = {"t": 1.0, "M": 0.5, "mu": 0.01}
 COMMAND = {"t": 0.0, "v": 0.1}
 NO_GOAL = r"^options\['goal'\] must be a finite number of m within 1e\+06 of 0, got "

@@ -133,20 +133,3 @@ def test_many_calls_of_a_law_of_the_core_are_single_calls():
     one, other = (CoreLaw("feedback_linearising", **dict(order(LINEARISING.items()))) for order in (iter, reversed))
     assert one == other
     assert pickle.loads(pickle.dumps(law)) == law
-
-
-CONSTANTS = "'gait_candidate' takes the constants torque_limit, got $"
-
-
-@pytest.mark.parametrize(
-    ("error", "make", "message"),
-    [
-        (ValueError, lambda: CoreLaw("odd"), "name must be one of none, adaptive, .*, got 'odd'"),
-        (TypeError, lambda: CoreLaw("gait_candidate"), CONSTANTS),
-        (TypeError, lambda: CoreLaw("feedback_linearising", **LINEARISING, K=1.0), "the constants .*, got .*, K$"),
-        (ValueError, lambda: CoreLaw("none")(0.0, 0.0, 0.0, 0.0, (0.0, 0.0), (0.0, 0.0)), "must have the shapes"),
-    ],
-)
-def test_invalid_constants_and_shapes_raise_an_error(error, make, message):
-    with pytest.raises(error, match=message):
-        make()

@@ -149,21 +149,6 @@ def test_invalid_logs_name_the_column(log, change, text):
         identify(change(log))
 
 
-@pytest.mark.parametrize(
-    ("arguments", "error", "text"),
-    [
-        ({"known": {"latancy": 0.01}}, ValueError, "did you mean 'latency'"),
-        ({"known": {"latency": -1.0}}, ValueError, r"known\['latency'\] must be"),
-        ({"prior": "narrow"}, ValueError, "must be a Randomization or one of"),
-    ],
-)
-def test_invalid_arguments(log, arguments, error, text):
-    with pytest.raises(error, match=text):
-        identify(log, **arguments)
-    with pytest.raises(TypeError, match="log must be"):
-        identify(3.0)
-
-
 def test_record_writes_what_happens(tmp_path):
     env = CapsuleEnv(**OPTIONS, torque_limit=1.0)
     actions = []

@@ -17,6 +17,8 @@ def test_sb3_batch_is_the_native_batch_with_terminal_observations(kwargs):
     ours = CapsuleSB3VecEnv(6, seed=4, **kwargs)
     native = CapsuleVectorEnv(6, autoreset_mode=AutoresetMode.SAME_STEP, **kwargs)
     assert ours.reset().tobytes() == native.reset(seed=4)[0].tobytes()
+    with pytest.warns(UserWarning, match="draws nothing without a render_mode"):
+        assert ours.get_images() == [None] * 6
     rng = np.random.default_rng(0)
     seen = set()
     returns, lengths = np.zeros(6), np.zeros(6, int)

@@ -51,6 +51,31 @@ def test_committed_episodes_are_pythons(name: str) -> None:
     assert episodes.compute(committed) == committed
 
 
+def test_episodes_are_written_and_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    names = ("adaptive", "goal-pulses")
+    for name, value in {
+        "FILE": tmp_path / "episodes.json", "RECORDINGS": tmp_path / "recordings.npz", "SEEDS": 2, "EPISODE_STEPS": 30,
+        "RECORDED": ("dp-nominal",), "drivers": lambda: {each: episodes.ALL_SCRIPTED[each] for each in names},
+    }.items():  # fmt: skip
+        monkeypatch.setattr(episodes, name, value)
+    episodes.FILE.write_text("[]", encoding="utf-8")
+    assert episodes.main(["--write"]) == episodes.main([]) == 0
+    written = json.loads(episodes.FILE.read_text(encoding="utf-8"))
+    assert [(each["driver"], each["set"], each["plant"]) for each in written] == [
+        (names[0], "drift", 0),
+        (names[1], "goal", 1),
+    ]
+    recorded = dict(np.load(episodes.RECORDINGS))
+    assert {each.shape for each in recorded.values()} == {(2, 30)} and "dp-nominal paper" in recorded
+    np.savez_compressed(episodes.RECORDINGS, **{**recorded, "dp-nominal paper": recorded["dp-nominal paper"] + 1})
+    episodes.FILE.write_text(json.dumps([{**written[0], "steps": 3}, written[1]]), encoding="utf-8")
+    assert episodes.main([]) == 1
+    compared = 2 + len(recorded)
+    assert capsys.readouterr().out.splitlines()[-3:] == [
+        "adaptive: differs", "dp-nominal paper: differs", f"{compared} compared, 2 differ"
+    ]  # fmt: skip
+
+
 def test_a_single_bit_fails_the_check(node: Node, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     committed = {key: value for key, value in COMMITTED[0].items() if key not in ("set", "plant")}
     plant = data.describe_set(load_set(COMMITTED[0]["set"]))["plants"][COMMITTED[0]["plant"]]

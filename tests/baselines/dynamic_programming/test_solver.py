@@ -1,6 +1,7 @@
 """Grid, transitions and solver, compared with the environment, closed forms and value iteration in numpy."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,14 @@ from scipy.ndimage import map_coordinates
 from baselines.dynamic_programming import solver
 from baselines.dynamic_programming.grid import FAILED, Grid
 from baselines.dynamic_programming.problem import Problem, Transitions
-from baselines.dynamic_programming.solver import FAILURE_VALUE, final_solutions, run_policy, solve, transitions
+from baselines.dynamic_programming.solver import (
+    FAILURE_VALUE,
+    Solution,
+    final_solutions,
+    run_policy,
+    solve,
+    transitions,
+)
 from capsule_gym import CapsuleEnv
 from capsule_gym.task import START_THETA
 
@@ -112,3 +120,11 @@ def test_nothing_counts_after_the_end_of_an_episode(coarse):
     steady, ending = (run_policy(solution, start, final=each, horizon=4.0) for each in ((), final))
     # The last swing forwards ends with the episode.
     assert ending.metrics["distance"][0] > steady.metrics["distance"][0] + 0.02
+
+
+def test_the_curvature_of_a_parabola_of_values_is_its_coefficient():
+    problem, grid = Problem(), make_grid()
+    parabola = 1.5 * (grid.axes[2, 0] + grid.axes[2, 1] * np.arange(SHAPE[2]) - 1.0) ** 2
+    solution = Solution(problem, grid, np.broadcast_to(parabola, SHAPE).astype(np.float32), 0.0, 0.0)
+    states = np.zeros((round(2.0 * solver.SETTLED / problem.control_dt), 4, 3))
+    assert solver.curvature_of(solution, SimpleNamespace(states=states)) == pytest.approx(1.5, abs=1e-3)

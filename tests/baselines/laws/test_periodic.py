@@ -54,3 +54,14 @@ def test_the_oscillator_approaches_the_unit_circle_at_its_rate():
     # Spring and damper.
     (still, _), (moved, _) = (call(controller, (*s, 0.0, 0.0), memory, 0) for s in ((0.0, 0.0), (0.3, 2.0)))
     assert moved - still == pytest.approx(-0.3 - 0.2)
+
+
+def test_the_oscillators_torque_is_a_polynomial_of_its_state():
+    real, imaginary, E_a, E_b = np.array([(0.7, -0.3, 0.2), (0.5, 0.4, -0.6), (0.3, -0.2, 0.5), (-0.4, 0.6, 0.1)])
+    controller = periodic.oscillator((5.0, 20.0, *E_a, *E_b, 0.2, *real, *imaginary, 0.0, 0.0))
+    state, z = np.array([0.4, 0.3, 0.7, -0.2]), 0.6 - 0.5j
+    torque, memory = call(controller, state, (z.real, z.imag), 0)
+    entrained = z + LAW_DT * (20.0 * (1.0 - abs(z) ** 2) * z + 5.0j * z + (E_a + 1j * E_b) @ state[[0, 1, 3]])
+    assert complex(*memory) == pytest.approx(entrained)
+    powers = entrained ** np.arange(1, 4)
+    assert torque == pytest.approx(0.2 + real @ powers.real + imaginary @ powers.imag)

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from baselines.laws.pulses import goal_pulses, velocity_pulses
 from baselines.policies import TASK_SCRIPTED
-from capsule_gym import Capsule, CapsuleVectorEnv, Randomization
+from capsule_gym import Capsule, CapsuleVectorEnv, Randomization, _core
+from capsule_gym.parameters import NOMINAL
 
 PAPER = {"capsule": Capsule(), "randomization": "paper"}
 
@@ -59,3 +61,15 @@ def test_the_target_is_followed():
     assert metrics["failed"].sum() == 0.0 and metrics["unsettled"].mean() <= 0.01
     assert np.median(metrics["velocity_error"]) < 10.0
     assert np.mean([abs(info["error"]) for info in seen[75:]]) < 0.025
+
+
+@pytest.mark.parametrize("make", [goal_pulses, velocity_pulses])
+def test_a_fast_pendulum_is_stopped_before_the_end_of_its_range(make):
+    controller, p = make(), NOMINAL
+    reference = (0.0,) * _core.LAWS[controller.law.name][2]
+    for theta, rate in ((0.9, 8.0), (-0.9, -8.0), (0.6, 9.0), (0.2, -12.0)):
+        torque, _ = controller.law(theta, rate, 0.0, 0.0, controller.memory, reference)
+        # The platform sticks; the stop at 1.25 rad has a reserve of 5 %.
+        theta_ddot = (torque - p.k * theta - p.c * rate + p.m * p.l * p.g * np.sin(theta)) / (p.m * p.l**2)
+        room = 1.25 - theta * np.sign(rate)
+        assert theta_ddot == pytest.approx(-1.05 * np.sign(rate) * rate**2 / (2.0 * room))

@@ -51,6 +51,10 @@ def test_command_prints_every_published_number(made, monkeypatch, capsys, tmp_pa
         assert any(number.quantity in line and shown in line for line in text.splitlines())
     words = " ".join(text.split())
     assert all(row["claim"] in words for row in made["claims"])
+    # Every fastest profile is limited by a demand, but not by one that it need not satisfy.
+    for optimum in made["optimal_profiles"]:
+        binding = report._optimum(optimum)["binding"]
+        assert binding and not ("without Principle 4" in optimum.problem.label and "principle_4_force" in binding)
     (tmp_path / "file").touch()
     with pytest.raises(SystemExit):
         paper.main(["--figures", str(tmp_path / "file")])

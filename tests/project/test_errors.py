@@ -1,0 +1,138 @@
+"""What is refused: invalid arguments of functions and commands, and missing libraries; the error names them."""
+
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agents.distillation.__main__ import main as distil
+from agents.study.__main__ import main as study
+from agents.training.algorithms import make_env
+from agents.training.config import Config, RunError
+from baselines.drawing import style
+from baselines.evaluation.episodes import evaluate
+from baselines.evaluation.statistics import estimate
+from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Randomization, identify, native, sensitivity
+from capsule_gym.checks import first_cause
+from capsule_gym.config import find_task
+from capsule_gym.controller import CoreLaw
+from capsule_gym.demo import main as demo
+from capsule_gym.evaluation_sets import parse_set
+from capsule_gym.export import Exported
+from capsule_gym.export import main as export
+from capsule_gym.identification import OTHERS
+from capsule_gym.identify import main as identify_file
+from capsule_gym.parameters import NOMINAL
+from capsule_gym.recording import read_log
+from capsule_gym.rendering import write_gif
+from capsule_gym.sb3 import CapsuleSB3VecEnv
+from capsule_gym.settings import divide
+from capsule_gym.shooting import PLANT
+from tests.capsule_gym.test_evaluation_sets import plant
+from tests.capsule_gym.test_policy import make_policy, make_remembering
+from tests.capsule_gym.test_trajectory import START
+
+T = np.arange(0.0, 3.0, 0.01)
+LOG = {"t": T, "torque": 0.1 * np.sin(T), "theta": 0.1 * np.sin(T)}
+KNOWN = {name: getattr(NOMINAL, name) for name in PLANT} | dict.fromkeys(OTHERS, 0.0)
+ORIGIN = (0.0, 0.0, 0.0, 0.0)
+CALLS = [
+    (lambda: CapsuleEnv(randomization=Randomization(M=(0.001, 0.5), mu=(5.0, 20.0))), ValueError, "Painleve"),
+    (lambda: CapsuleEnv(render_mode=np.array(["human", "human"])), ValueError, "render_mode must be"),
+    (lambda: CapsuleEnv(tusk="goal"), TypeError, "unexpected keyword argument 'tusk'; did you mean 'task'"),
+    (lambda: CapsuleEnv(mu=0.1), TypeError, r"'mu'; every reset draws it from randomization=Randomization\(mu="),
+    (lambda: CapsuleEnv(capsule={"wheels": 4}), ValueError, r"^capsule must have fields out of .*, got 'wheels'"),
+    (lambda: CapsuleEnv(randomization={"M": 0.5}), TypeError, r"^randomization: Randomization.M must be a pair"),
+    (lambda: CapsuleEnv(task="fast"), ValueError, r"^task must be a Task or one of \[.*'speed'.*\], got "),
+    (lambda: CapsuleEnv(task=1), TypeError, r"^task must be a Task or one of \[.*'speed'.*\], got "),
+    (lambda: CapsuleVectorEnv(2, max_episode_steps=0), ValueError, "max_episode_steps must be an integer >= 1, or -1"),
+    (lambda: CapsuleVectorEnv(2, render_mode="human"), ValueError, "render_mode of a batch must be None or"),
+    (lambda: CapsuleSB3VecEnv(2, 0, privileged=True, task="goal", goal_env=True), ValueError, "privileged must be"),
+    (lambda: CoreLaw("gait_candidate", torque_limit=(1.0, 2.0)), ValueError, "torque_limit must be 1 numbers, got"),
+    (lambda: CoreLaw("odd"), ValueError, "name must be one of none, adaptive, .*, got 'odd'"),
+    (lambda: CoreLaw("gait_candidate"), TypeError, "'gait_candidate' takes the constants torque_limit, got $"),
+    (lambda: CoreLaw("gait_candidate", torque_limit=1.0, K=1.0), TypeError, "the constants torque_limit, got .*, K$"),
+    (lambda: CoreLaw("none")(*ORIGIN, (0.0, 0.0), (0.0, 0.0)), ValueError, "must have the shapes"),
+    (lambda: native.address(np.zeros((2, 2))[:, 0]), ValueError, "array must be C-contiguous"),
+    (lambda: divide("control_dt", 0.02, "physics_dt", 1e-9), ValueError, "physics_dt must divide control_dt=0.02 s at"),
+    (lambda: sensitivity(ORIGIN, [0.1], capsule="paper"), TypeError, "capsule must be a Capsule, got 'paper'"),
+    (lambda: sensitivity(ORIGIN, [0.1], "mu"), TypeError, "wrt must be a sequence of names"),
+    (lambda: sensitivity(ORIGIN, ["far"]), TypeError, "torques must be .*, got .*far"),
+    (lambda: sensitivity((2.0, 0.0, 0.0, 0.0), [0.1]), ValueError, "state must be .*, got"),
+    (lambda: sensitivity(START, [0.1], ("nu",)), ValueError, "wrt must contain names out of .* got 'nu'"),
+    (lambda: sensitivity(START, [0.1], ("stribeck_speed",)), ValueError, "wrt may contain 'stribeck_speed' only where"),
+    (lambda: sensitivity(START, [9.0] * 20), ValueError, r"torques must keep .* in torques\[\d+\]"),
+    (lambda: sensitivity(START, [0.1], capsule=Capsule(c=20.0)), ValueError, "physics_dt must be at most"),
+    (lambda: identify(3.0), TypeError, "log must be the path of a CSV file or a mapping"),
+    (lambda: identify(LOG, known={"latancy": 0.01}), ValueError, "did you mean 'latency'"),
+    (lambda: identify(LOG, known={"latency": -1.0}), ValueError, r"known\['latency'\] must be"),
+    (lambda: identify(LOG, prior="narrow"), ValueError, "must be a Randomization or one of"),
+    (lambda: identify(LOG, known=KNOWN, prior="none"), ValueError, "must leave a quantity to estimate"),
+    (lambda: read_log({**LOG, "theta": ["far"] * len(T)}), ValueError, "column 'theta' must contain numbers"),
+    (lambda: read_log({"t": T, "torque": T, "x": T}), ValueError, "must have a column 'theta' or 'theta_dot'"),
+    (lambda: write_gif([], Path("none.gif")), ValueError, "frames must contain at least one picture"),
+    (lambda: make_policy(revision=""), TypeError, "revision must be a string that is not empty, got ''"),
+    (lambda: make_policy(env_kwargs=[]), TypeError, r"env_kwargs must be a dict, got \[\]"),
+    (lambda: make_policy(env_kwargs={"controller": len}), TypeError, r"env_kwargs\['controller'\] must be None or an"),
+    (lambda: make_policy(env_kwargs={"task": find_task("goal")}), TypeError, r"env_kwargs\['task'\] must be the name"),
+    (lambda: make_policy(variance=-np.ones(5)), ValueError, "variance must be >= 0"),
+    (lambda: make_policy(variance=np.zeros(5), epsilon=0.0), ValueError, "and with epsilon > 0"),
+    (lambda: make_remembering()(np.zeros(5)), TypeError, "'made' identifies M and mu from one observation to the next"),
+    (lambda: parse_set({**plant(), "task": "fast"}), ValueError, "set.task must be one of"),
+    (lambda: parse_set({**plant(), "name": " "}), ValueError, "set.name must be a string that is not empty"),
+    (lambda: parse_set({**plant(), "plants": []}), ValueError, "set.plants must be a list of at least one plant"),
+    (lambda: parse_set(plant(capsule={"m": -1.0})), ValueError, r"plants\[0\].capsule: Capsule.m must be"),
+    (lambda: evaluate("direct-ppo", env_kwargs={}), TypeError, "env_kwargs must not be given with a policy's name"),
+    (lambda: make_env(Config(wrapper=("builtins:int",)), 0), RunError, "--wrapper .* not a subclass of"),
+]
+
+
+@pytest.mark.parametrize(("call", "error", "message"), CALLS, ids=[message for *_, message in CALLS])
+def test_an_invalid_argument_is_named(call, error, message):
+    with pytest.raises(error, match=message):
+        call()
+
+
+COMMANDS = [
+    (distil, ["nobody"], "NAME must be one of .*, got 'nobody'"),
+    (study, [], "NAME must be one or several of"),
+    (study, ["direct-ppo", "--jobs", "2", "--backend", "ray"], "--jobs needs --backend loky"),
+    (study, ["direct-ppo", "--backend", "ray"], "--backend ray needs Ray: pip install 'capsule-gym"),
+    (export, ["direct-ppo"], "at least one of --c and --onnx must be given"),
+    (export, ["direct-ppo", "--c", "policy.c"], "--c must name a file .h, got 'policy.c'"),
+    (demo, ["adaptive", "--output", "film.mp4"], "--output must name a GIF, got 'film.mp4'"),
+    (demo, ["adaptive", "--output", "nowhere/film.gif"], "--output must name a file in a folder that exists"),
+    (identify_file, ["nowhere.csv"], "log must be a file, got 'nowhere.csv'"),
+]
+
+
+@pytest.mark.parametrize(("main", "words", "message"), COMMANDS, ids=[message for *_, message in COMMANDS])
+def test_an_invalid_command_line_ends_with_2_and_names_the_option(main, words, message, monkeypatch, tmp_path, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert ended.value.code == 2
+    assert re.search(message, " ".join(re.sub("[│╭╮╰╯─]", "", capsys.readouterr().err).split()))
+
+
+MISSING = [
+    ("jinja2", lambda: Exported("direct-ppo").c(), "--c needs jinja2"),
+    ("onnx", lambda: Exported("direct-ppo").onnx(), "--onnx needs onnx"),
+    ("matplotlib", lambda: style().__enter__(), "figures need matplotlib"),
+    ("scipy.special", lambda: estimate(np.arange(12.0).reshape(3, 4)), "intervals need scipy"),
+]
+
+
+@pytest.mark.parametrize(("library", "call", "message"), MISSING, ids=[library for library, *_ in MISSING])
+def test_a_missing_library_is_named_with_its_extra(library, call, message, monkeypatch):
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(ImportError, match=rf"^{message}: pip install \"capsule-gym\[\w+\]\"$"):
+        call()
+
+
+def test_the_first_cause_of_an_error_is_one_line():
+    assert first_cause(ValueError("one\ntwo")) == "one"
+    assert first_cause(ValueError("because of:\n\n two\nthree")) == "because of: two"
