@@ -10,7 +10,6 @@ import numpy as np
 
 from capsule_gym.checks import check_number, short_repr
 from capsule_gym.elementary import log
-from capsule_gym.layout import Row
 from capsule_gym.native import evaluate
 from capsule_gym.parameters import (
     CONSTANTS,
@@ -35,15 +34,6 @@ class Stream(IntEnum):
     variation = 4
 
 
-class Kind(IntEnum):
-    """How a number is drawn, by its lowest value or its centre and a range; see `number_at` in `core/resets.hpp`."""
-
-    uniform = 0
-    signed = 1
-    around = 2
-    logarithmic = 3
-
-
 def make_key(seed: int) -> tuple[int, int]:
     """The key of the generator, two words of 64 bits, for a seed, any integer >= 0."""
     return seed % 2**64, (seed >> 64) % 2**64
@@ -60,18 +50,16 @@ def random_stream(seed: int, episode: int, stream: Stream) -> np.random.Generato
 
 
 def plant_ranges(randomization: Randomization, capsule: Capsule) -> np.ndarray:
-    """How M (kg) and mu are drawn: lowest value, range and `Kind` of each, float64, shape (2, 3)."""
+    """Lower end and width of the ranges of M (kg) and mu, and width of the range of log(mu); float64, shape (5,)."""
     M, mu = randomization.M or (capsule.M, capsule.M), randomization.mu or (capsule.mu, capsule.mu)
-    of_mu = mu[0], mu[1] - mu[0], Kind.uniform
-    if randomization.mu and randomization.log_mu:
-        of_mu = mu[0], float(log(mu[1] / mu[0])), Kind.logarithmic
-    return np.array([(M[0], M[1] - M[0], Kind.uniform), of_mu])
+    growth_of_log = float(log(mu[1] / mu[0])) if randomization.mu and randomization.log_mu else 0.0
+    return np.array([M[0], M[1] - M[0], mu[0], mu[1] - mu[0], growth_of_log])
 
 
 def plant_at(ranges: np.ndarray, share_M: float, share_mu: float) -> tuple[float, float]:
     """M in kg and mu at these shares, in [0, 1), of their ranges, or of the range of log(mu) where that is drawn."""
-    M, mu = evaluate("number_at", *ranges.T, np.array([share_M, share_mu]))[0].tolist()
-    return M, mu
+    M, mu = evaluate("plant_at", *ranges, share_M, share_mu)
+    return float(M), float(mu)
 
 
 def draw_plant(randomization: Randomization, capsule: Capsule, rng: np.random.Generator) -> tuple[float, float]:
@@ -83,20 +71,10 @@ def draw_table(first: int, stream: Stream, draws: Sequence[Draw]) -> np.ndarray:
     """The table that the core reads, shape (n, 6): a line for each number that an episode draws from a stream.
 
     A line is the row of the world, from `first` on, the stream, the number's place in it, its lowest value, the range
-    above that, and its `Kind`.
+    above that, and 1.0 where its sign is drawn.
     """
-    lines = [(first + n, stream, n, draw.low, draw.high - draw.low, Kind(draw.signed)) for n, draw in enumerate(draws)]
+    lines = [(first + n, stream, n, draw.low, draw.high - draw.low, draw.signed) for n, draw in enumerate(draws)]
     return np.array(lines, np.float64).reshape(-1, 6)
-
-
-def start_table(theta: float, theta_range: float, theta_dot_range: float, ranges: np.ndarray) -> np.ndarray:
-    """The lines of `draw_table` for the first rows of the world: theta, theta_dot, x, x_dot, M and mu.
-
-    theta (rad) is the middle of its distribution, the ranges are half widths (rad, rad/s); M and mu: `plant_ranges`.
-    """
-    state = (theta, theta_range, Kind.around), (0.0, theta_dot_range, Kind.around), (0.0,) * 3, (0.0,) * 3
-    lines = [(row, Stream.initial_state, row, *line) for row, line in enumerate(state)]
-    return np.array([*lines, *((Row.M + n, Stream.parameters, n, *line) for n, line in enumerate(ranges))])
 
 
 def write_options(drawn: np.ndarray, options: dict[str, Sequence[Any]], task: Task, settings: StepSettings) -> None:

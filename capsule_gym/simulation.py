@@ -58,6 +58,8 @@ class Simulation:
         observations: shape (num_envs, entries), float32, of the present state.
         entries: the bounds of the observation's entries by name, in order.
         arrays: the arrays that the core reads, by name; among them `settings`, in the order of `_core.SETTINGS`.
+        start: distribution of the initial states: middle (rad) and half width of theta's, half width of theta_dot's
+            (rad/s).
 
     Raises:
         TypeError: if an option is of the wrong type.
@@ -82,7 +84,7 @@ class Simulation:
         if options.initial_range and options.initial_noise > 0.0:
             raise ValueError(f"initial_noise must be 0 where initial_range is given, got {options.initial_noise}")
         at_rest = task.START_THETA, options.initial_noise, 0.0
-        start = (0.0, *options.initial_range) if options.initial_range else at_rest
+        self.start = np.array((0.0, *options.initial_range) if options.initial_range else at_rest)
         disturbed = Disturbances.named(options.disturbances) or Disturbances()
         # The lightest platform on the roughest floor is the stiffest plant.
         for corner in self.randomization.corners(self.capsule):
@@ -96,8 +98,7 @@ class Simulation:
         self.task_end = self.task_row + self.task.rows
         memories, filter_rows = 2 if self.settings.history else 1, _core.CELLS if options.observe_estimates else 0
         rows = self._law_end + memories * self.task.rows + layout.HISTORY_ROWS * self.settings.history + filter_rows
-        tables = [resets.start_table(*start, resets.plant_ranges(self.randomization, self.capsule))]
-        tables += [resets.draw_table(self.task_end - len(self.task.draws), resets.Stream.task, self.task.draws)]
+        tables = [resets.draw_table(self.task_end - len(self.task.draws), resets.Stream.task, self.task.draws)]
         if self.settings.history:
             constants = [getattr(self.randomization, name) or getattr(self.capsule, name) for name in CONSTANTS]
             ranges = [*constants, *(getattr(disturbed, name) for name in DISTURBANCES), (0.0, LARGEST_KEY)]
@@ -155,8 +156,9 @@ class Simulation:
         self.reference, self.memory = acting.reference, acting.memory
         plant, count = self.capsule.plant(), self.num_envs
         given = {**self.settings._asdict(), **plant._asdict(), "varied": bool(self.settings.history)}
-        # The environments that begin, and the values that their episodes draw.
-        self._rows, self._drawn = np.zeros(count, np.int64), np.zeros((len(self.draw_table), count))
+        # The first quantities of the environments that begin, and the other values that their episodes draw.
+        self._rows, self._starts = np.zeros(count, np.int64), np.zeros((Row.torque, count))
+        self._drawn = np.zeros((len(self.draw_table), count))
         observed = Row.read_theta if self.settings.law_reads else Row.theta
         # Exceptions of a law that Python calls.
         self._raised: list[Exception] = []
@@ -170,6 +172,9 @@ class Simulation:
             "keys": self._keys,
             "episodes": self._episodes,
             "rows": self._rows,
+            "starts": self._starts,
+            "ranges": resets.plant_ranges(self.randomization, self.capsule),
+            "start": self.start,
             "draw_table": self.draw_table,
             "drawn": self._drawn,
         }
@@ -257,7 +262,8 @@ class Simulation:
         if not fits or _core.call("draw_episodes", self._batch, count) >= 0:
             accepted = f"rows must be indices of environments, from 0 to {self.num_envs - 1}, each at most once"
             raise IndexError(f"{accepted}, got {short_repr(rows.tolist())}")
-        starts, drawn = np.split(self._drawn[:, :count], [Row.torque])
+        starts = self._starts[:, :count]
+        drawn = self._drawn[:, :count]
         resets.write_options(drawn, options, self.task, self.settings)
         if M is not None or mu is not None or options.get("capsule"):
             masses = starts[Row.M].tolist() if M is None else M

@@ -27,7 +27,6 @@ const SENSORS = ["theta", "theta_dot", "x_dot"];
 const ROW = numbered(CORE.rows);
 const SETTING = numbered(CORE.settings);
 const STATE = Object.keys(HEADER.constants.start);
-const GIVEN = STATE.length + 2;
 /** The quantities that are meaningful between two steps. */
 const SHOWN = CORE.rows.slice(0, ROW.clock + 1);
 
@@ -222,11 +221,10 @@ export class Capsule {
     view.reference.set(kind.reference);
     view.law_constants.set(kind.constants);
     view.memory.set(kind.memory);
-    // The first lines are those of the state, M and mu, which are given.
-    view.draw_table.set(Array.from({ length: GIVEN }, (_, row) => [row, 0, 0, 0, 0, 0]).concat(kind.table).flat());
+    view.draw_table.set(kind.table.flat());
     const fields = {
       ...address, num_envs: 1, lanes: 1, entries: settings.entries, task: tasks.indexOf(kind.task), law: kind.law,
-      task_size: TASKS[kind.task].memory.length, memory_size: kind.memory.length, draw_lines: GIVEN + kind.table.length,
+      task_size: TASKS[kind.task].memory.length, memory_size: kind.memory.length, draw_lines: kind.table.length,
       reference_rows: kind.reference.length / kind.columns, reference_size: kind.columns,
     };
     view.fields.set(CORE.batch.map((name) => fields[name] ?? 0));
@@ -290,8 +288,8 @@ export class Capsule {
       view.episodes[0] = 0n;
     }
     call.draw_episode();
-    view.drawn.set([...STATE.map((name) => start[name]), plant.M, plant.mu]);
-    table.forEach(([row], n) => (view.drawn[GIVEN + n] = overrides.get(row) ?? view.drawn[GIVEN + n]));
+    view.starts.set([...STATE.map((name) => start[name]), plant.M, plant.mu]);
+    table.forEach(([row], n) => (view.drawn[n] = overrides.get(row) ?? view.drawn[n]));
     [this.#changes, this.#due] = [schedule, 0];
     call.begin_episode();
     this.#advance(true);
@@ -594,8 +592,11 @@ async function prepare(controller, task, settings, given, driver) {
     keys: [BigUint64Array, 2],
     episodes: [BigInt64Array, 1],
     rows: [BigInt64Array, 1],
-    draw_table: [Float64Array, 6 * (GIVEN + kind.table.length)],
-    drawn: [Float64Array, GIVEN + kind.table.length],
+    starts: [Float64Array, 6],
+    ranges: [Float64Array, 5],
+    start: [Float64Array, 3],
+    draw_table: [Float64Array, 6 * kind.table.length],
+    drawn: [Float64Array, kind.table.length],
     fields: [Float64Array, CORE.batch.length],
     network: [Float64Array, network.length],
     cells: [Float64Array, CORE.cells],

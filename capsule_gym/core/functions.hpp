@@ -17,7 +17,7 @@ namespace LEVEL {
   F(step, 6, 10, (plant_step(State<double>{a[0], a[1], a[2], a[3]}, a[4], p, a[5])))                                   \
   F(sincos, 1, 2, (sincos(a[0]))) F(exp, 1, 1, (exp(a[0]))) F(tanh, 1, 1, (tanh(a[0]))) F(log, 1, 1, (log(a[0])))      \
   F(normals, 1, 2, (normals(scramble(bits_of(a[0])))))                                                                 \
-  F(number_at, 4, 1, (number_at(a[0], a[1], a[2], a[3]))) F(goal_rate, 2, 1, (Goal::rate(a[0], a[1])))
+  F(plant_at, 7, 2, (plant_at(a, a[5], a[6]))) F(goal_rate, 2, 1, (Goal::rate(a[0], a[1])))
 
 // The most general plant: one compiled function serves all.
 using AnyPlant = Plant<double, Kind::extended>;
@@ -27,7 +27,7 @@ using AnyPlant = Plant<double, Kind::extended>;
 inline void evaluate(long long number, const double* in, double* out, long long n, const AnyPlant* plant) {
   for (long long i = 0; i < n; i++, in++, out++) {
     AnyPlant p = {};
-    double a[6];
+    double a[7];
     if (plant) p = *plant, p.M = in[0], p.mu = in[n], p.mass_ratio = p.m / (p.M + p.m);
     const double* arguments = plant ? in + 2 * n : in;
     int place = 0;

@@ -111,10 +111,11 @@ typedef void (*UserLaw)(void* data, double* block, double* torques, long long n)
   FIELD(long long, law) FIELD(const double*, law_constants) FIELD(UserLaw, user_law) FIELD(void*, user_data)           \
   FIELD(const double*, memory) FIELD(long long, memory_size)                                                           \
   FIELD(const double*, reference) FIELD(long long, reference_rows) FIELD(long long, reference_size)                    \
-  /* Resets: keys (num_envs, 2), episodes since the seeding, and the environments that begin (count,). */              \
+  /* Resets: keys (num_envs, 2), episodes since the seeding, the environments that begin (count,), their first         \
+     quantities (6, num_envs), and the distributions of M and mu and of the initial state. */                          \
   FIELD(const unsigned long long*, keys) FIELD(long long*, episodes) FIELD(const long long*, rows)                     \
-  /* Draws: lines of (row, stream, place, low, range, kind), see `number_at`, and the values (lines, num_envs). The    \
-     first lines are those of the first rows, from theta to mu. */                                                     \
+  FIELD(double*, starts) FIELD(const double*, ranges) FIELD(const double*, start)                                      \
+  /* Further draws: lines of (row, stream, place, low, range, signed), and the values (lines, num_envs). */            \
   FIELD(const double*, draw_table) FIELD(long long, draw_lines) FIELD(double*, drawn)                                   \
   /* Rows of environment, time (s), M (kg) and mu, those of an environment in order of time. */                         \
   FIELD(const double*, changes) FIELD(long long, num_changes)

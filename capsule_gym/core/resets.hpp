@@ -4,30 +4,35 @@
 #include "random.hpp"
 
 namespace LEVEL {
-// How a number of the draw table follows from its share in [0, 1).
-constexpr double UNIFORM = 0.0, SIGNED = 1.0, AROUND = 2.0, LOGARITHMIC = 3.0;
-
-// The number at this share: at least `low` and within `range` above, where SIGNED with either sign; within +-`range`
-// around `low`; or with its logarithm within `range` above that of `low`.
-inline double number_at(double low, double range, double kind, double share) {
-  double twice = 2.0 * share - 1.0;
-  if (kind == UNIFORM) return low + range * share;
-  if (kind == AROUND) return low + range * twice;
-  if (kind == LOGARITHMIC) return low * exp(range * share);
-  // Each half of [0, 1) stands for one sign.
-  return copysign(low + range * abs(twice), twice);
+// M in kg and mu at these shares, in [0, 1), of their ranges, or of the range of log(mu) where that is drawn. `ranges`:
+// lowest M, width of its range, lowest mu, width of its range, and width of the range of log(mu), or 0.
+inline Two<double> plant_at(const double* ranges, double share_M, double share_mu) {
+  double log_width = ranges[4];
+  double mu = log_width > 0.0 ? ranges[2] * exp(log_width * share_mu) : ranges[2] + ranges[3] * share_mu;
+  return {ranges[0] + ranges[1] * share_M, mu};
 }
 
-// Draws the numbers of the next episodes of the first `count` environments in `rows` by the lines of the draw table.
-// Returns the place of a row that names no environment, or -1.
+// Draws the initial states and the plants of the next episodes of the first `count` environments in `rows`, and the
+// other values by the lines of the draw table. Returns the place of a row that names no environment, or -1.
 inline long long draw_episodes(const Batch& b, long long count) {
   for (long long n = 0; n < count; n++) {
     long long i = b.rows[n];
     if (i < 0 || i >= b.num_envs) return n;
+    const Word *key = b.keys + 2 * i, episode = (Word)b.episodes[i];
+    double theta = b.start[0], theta_dot = 0.0;
+    if (b.start[1] > 0.0 || b.start[2] > 0.0) {
+      theta += b.start[1] * (2.0 * draw(key, INITIAL_STATE, episode, 0) - 1.0);
+      theta_dot += b.start[2] * (2.0 * draw(key, INITIAL_STATE, episode, 1) - 1.0);
+    }
+    auto [M, mu] = plant_at(b.ranges, draw(key, PARAMETERS, episode, 0), draw(key, PARAMETERS, episode, 1));
+    const double values[] = {theta, theta_dot, 0.0, 0.0, M, mu};
+    for (int r = 0; r < 6; r++) b.starts[r * b.num_envs + n] = values[r];
     for (long long k = 0; k < b.draw_lines; k++) {
       const double* line = b.draw_table + 6 * k;
-      double share = draw(b.keys + 2 * i, (Word)line[1], (Word)b.episodes[i], (int)line[2]);
-      b.drawn[k * b.num_envs + n] = number_at(line[3], line[4], line[5], share);
+      double share = draw(key, (Word)line[1], episode, (int)line[2]), low = line[3], range = line[4];
+      // Where the sign is drawn, each half of [0, 1) stands for one sign.
+      double twice = 2.0 * share - 1.0, size = low + range * (line[5] != 0.0 ? abs(twice) : share);
+      b.drawn[k * b.num_envs + n] = line[5] != 0.0 ? copysign(size, twice) : size;
     }
   }
   return -1;
@@ -45,6 +50,7 @@ template <int N> void begin_blocks(const Batch& b, long long count, long long si
     long long plant = (double*)block.plant_m - (double*)&block, memory = sizeof(Block<N>) / 8;
     for (long long row = 0; row < plant; row += N) lane[row] = 0.0;
     for (long long row = memory; row < size; row += N) lane[row] = 0.0;
+    for (int r = 0; r < 6; r++) lane[r * N] = b.starts[r * b.num_envs + n];
     for (long long cell = 0; cell < b.memory_size; cell++) lane[memory + cell * N] = b.memory[cell];
     for (long long k = 0; k < b.draw_lines; k++) lane[(long long)b.draw_table[6 * k] * N] = b.drawn[k * b.num_envs + n];
     int j = (int)(i % N);
