@@ -59,6 +59,9 @@ def test_slopes_of_predictions_equal_differences(log):
     segments = problem.cut(0.8)
     unknowns = np.append(shares, problem.guess(segments).ravel())
     predicted, gaps = problem.predict(unknowns, segments)
+    # A gap is the end of a segment minus the state that the next one starts with.
+    starts = len(problem.names) + np.arange(gaps.shape[1]) + gaps.shape[1] * np.arange(1, 1 + len(gaps))[:, None]
+    assert (np.take_along_axis(gaps[..., 1:], starts[..., None], axis=2) == -1.0).all() and len(gaps) > 1
     smooth = [n for n in range(len(unknowns)) if n >= len(problem.names) or problem.names[n] != "latency"]
     for n in smooth:
         ends = []
