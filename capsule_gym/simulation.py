@@ -278,7 +278,8 @@ class Simulation:
         # Nothing above changes the environments, so a reset that raises an error leaves them unchanged.
         if changes or len(self._changes):
             others = self._changes[~np.isin(self._changes[:, 0], rows)]
-            self._set_changes(np.concatenate([others, np.reshape(changes, (-1, 4))]))
+            merged = np.concatenate([others, np.reshape(changes, (-1, 4))])
+            self._set_changes(merged[np.argsort(merged[:, 0], kind="stable")])
         _core.call("begin_episodes", self._batch, count)
         self._everyone = False
         self.resets += 1

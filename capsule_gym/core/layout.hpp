@@ -117,7 +117,7 @@ typedef void (*UserLaw)(void* data, double* block, double* torques, long long n)
   FIELD(double*, starts) FIELD(const double*, ranges) FIELD(const double*, start)                                      \
   /* Further draws: lines of (row, stream, place, low, range, signed), and the values (lines, num_envs). */            \
   FIELD(const double*, draw_table) FIELD(long long, draw_lines) FIELD(double*, drawn)                                   \
-  /* Rows of environment, time (s), M (kg) and mu, those of an environment in order of time. */                         \
+  /* Rows of environment, time (s), M (kg) and mu, in order of environment and time. */                                 \
   FIELD(const double*, changes) FIELD(long long, num_changes)
 
 struct Batch {

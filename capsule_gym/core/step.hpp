@@ -367,25 +367,27 @@ template <class T, int N> struct Step {
 };
 
 // Applies the changes of M and mu that are due to the n environments from `first` on: at the first agent step that starts
-// at or after their time.
-template <int N> void apply_changes(const Batch& batch, Block<N>& b, long long first, int n) {
-  for (const double* c = batch.changes; c < batch.changes + 4 * batch.num_changes; c += 4) {
-    long long j = (long long)c[0] - first;
-    if (0 <= j && j < n && c[1] <= b.steps[j] * batch.settings->control_dt() + TIME_TOLERANCE)
+// at or after their time. `c` is the first change to look at; returns the first one of later environments.
+template <int N>
+const double* apply_changes(const Batch& batch, const double* c, Block<N>& b, long long first, int n) {
+  const double *end = batch.changes + 4 * batch.num_changes, dt = batch.settings->control_dt();
+  for (; c < end && c[0] < first + n; c += 4)
+    if (long long j = (long long)c[0] - first; j >= 0 && c[1] <= b.steps[j] * dt + TIME_TOLERANCE)
       b.M[j] = c[2], b.mu[j] = c[3];
-  }
+  return c;
 }
 
 // Steps the environments first..last-1, or begins their episodes; `first` is a multiple of N. Returns the index of an
 // environment whose law returned a torque that is not finite, or -1.
 template <class T, int N> long long advance_blocks(const Batch& batch, long long first, long long last, bool begin) {
   long long broken = -1;
+  const double* changes = batch.changes;
   for (long long at = first; at < last; at += N) {
     auto& block = *(Block<N>*)(batch.world + at / N * block_size<N>(batch));
     // Whole vectors: lanes behind the last environment are inactive.
     int n = last - at < N ? (int)(last - at) : N, width = (n + WIDTH<T> - 1) / WIDTH<T> * WIDTH<T>;
     for (int j = n; j < width; j++) block.active[j] = 0.0;
-    if (!begin) apply_changes(batch, block, at, n);
+    if (!begin) changes = apply_changes(batch, changes, block, at, n);
     Step<T, N> step(batch, block, width, batch.observations + at * batch.entries);
     int number = 0;
 #define TASK(Task) \

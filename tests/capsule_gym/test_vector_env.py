@@ -234,6 +234,14 @@ def test_options_per_environment():
     assert (env.reset()[1]["M"] < 0.56).all()
 
 
+def test_changes_of_a_later_reset_apply_in_every_block():
+    n = 2 * LANES
+    env, first_block = CapsuleVectorEnv(n), np.arange(n) < LANES
+    for mask in (np.ones(n, bool), first_block):
+        env.reset(options={"reset_mask": mask, "changes": [[{"t": 0.0, "M": 0.8, "mu": 0.3}]] * n})
+    assert (env.step(np.zeros((n, 1), np.float32))[4]["M"] == 0.8).all()
+
+
 def test_no_step_before_every_environment_has_begun():
     env = CapsuleVectorEnv(3)
     env.reset(seed=0, options={"reset_mask": np.array([True, False, False])})
