@@ -352,8 +352,8 @@ class Simulation:
     def _report(self, broken: int) -> None:
         """Raises the exception of a law that has failed in an environment, or the error for its torque."""
         column = self.columns(np.array([broken]))[:, 0]
+        raised = self._raised[:]
         self._discard_failed()
-        raised, self._raised[:] = self._raised[:], ()
         if raised:
             raise raised[0]
         names = "theta", "theta_dot", "x", "x_dot"
@@ -372,7 +372,8 @@ class Simulation:
         )
 
     def _discard_failed(self) -> None:
-        """Discards the torques of failed laws, which a reset of other environments would return too."""
+        """Discards the exceptions of failed laws, and their torques, which a reset of others would return too."""
+        self._raised.clear()
         lost = np.flatnonzero(~np.isfinite(self.row(Row.law_torque)))
         self.world[lost // self.lanes, Row.law_torque, lost % self.lanes] = 0.0
         self.observations[lost] = np.nan_to_num(self.observations[lost])

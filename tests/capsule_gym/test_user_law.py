@@ -6,6 +6,7 @@ import sys
 import threading
 from dataclasses import replace
 from functools import partial
+from unittest.mock import Mock
 
 import numba
 import numpy as np
@@ -260,3 +261,14 @@ def test_ctrl_c_in_a_law_that_python_calls_ends_the_step(n, without_numba):
     assert len(calls) <= 3 * n + 1
     env.reset(seed=0)
     assert np.isfinite(env.step(np.zeros((n, 1), np.float32))[0]).all()
+
+
+@pytest.mark.usefixtures("without_numba")
+def test_an_interrupted_step_leaves_no_exception_to_a_later_one():
+    law = Mock([], return_value=(0.1, (0.0,)))
+    env = CapsuleVectorEnv(2, controller=Controller("broken", law, np.zeros((1, 2))))
+    env.reset(seed=0)
+    law.side_effect = ValueError("an earlier step"), KeyboardInterrupt(), *[(np.nan, (0.0,))] * 9
+    for error, message in ((KeyboardInterrupt, None), (ValueError, "finite")):
+        with pytest.raises(error, match=message):
+            env.step(np.zeros((2, 1), np.float32))
