@@ -10,7 +10,6 @@ import minari
 import numpy as np
 from d3rlpy.algos import BCConfig, IQLConfig
 from d3rlpy.dataset import MDPDataset
-from d3rlpy.models import VectorEncoderFactory
 from d3rlpy.preprocessing import MultiplyRewardScaler, StandardObservationScaler
 
 import capsule_gym
@@ -41,18 +40,10 @@ def main() -> None:
 
     dataset = load(args.quality)
     scaled = {"observation_scaler": StandardObservationScaler(), "batch_size": 256}
-    network = VectorEncoderFactory([64, 64])
+    rates = {"actor_learning_rate": 1e-3, "critic_learning_rate": 1e-3}
     algorithms = {
-        "BC": BCConfig(learning_rate=1e-3, encoder_factory=network, **scaled),
-        "IQL": IQLConfig(
-            actor_learning_rate=1e-3,
-            critic_learning_rate=1e-3,
-            actor_encoder_factory=network,
-            critic_encoder_factory=network,
-            value_encoder_factory=network,
-            reward_scaler=MultiplyRewardScaler(0.1),
-            **scaled,
-        ),
+        "BC": BCConfig(learning_rate=1e-3, **scaled),
+        "IQL": IQLConfig(reward_scaler=MultiplyRewardScaler(0.1), **rates, **scaled),
     }
     for name, config in algorithms.items():
         d3rlpy.seed(args.seed)

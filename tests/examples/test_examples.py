@@ -26,7 +26,6 @@ PROGRAMS = {
     "sb3-direct": ("stable_baselines3", f"{PLAIN} direct", "2,048 steps:"),
     "sb3-residual": ("stable_baselines3", f"{PLAIN} residual", "2,048 steps:"),
     "rl-zoo": ("rl_zoo3", f"{ZOO} --algo ppo --conf-file {EXAMPLES}/rl_zoo.yml", "Saving to"),
-    "rl-zoo-sac": ("rl_zoo3", f"{ZOO} --algo sac --conf-file {EXAMPLES}/rl_zoo_sac.py", "Saving to"),
     "rllib": ("ray.rllib", f"{EXAMPLES}/rllib_ppo.py --iterations 2 --batch 400", "steps, mean return -"),
     "skrl": ("skrl", f"{EXAMPLES}/skrl_ppo.py --steps 256", "256/256"),
     "tianshou": ("tianshou", f"{EXAMPLES}/tianshou_ppo.py --steps 64", "train_step=640"),
