@@ -10,7 +10,7 @@ from typing import Annotated
 
 from agents.distillation.config import STUDENTS
 from agents.training.config import LARGEST_SEED
-from agents.training.signals import INTERRUPTED, Stop
+from agents.training.signals import INTERRUPTED
 from capsule_gym.checks import check_integer
 from capsule_gym.command_line import Positional, arg, parse, refuse
 
@@ -53,12 +53,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if started := [str(folder) for folder in waiting.values() if folder.exists()]:
         refuse(PROG, f"{', '.join(started)} is an unfinished run: remove it, or choose another folder with --runs")
     try:
-        with Stop() as stop:
-            finished = all(distil(args.name, STUDENTS[args.name], *each, stop) for each in waiting.items())
+        for seed, folder in waiting.items():
+            distil(args.name, STUDENTS[args.name], seed, folder)
     except OSError as error:
         refuse(PROG, str(error))
-    if not finished:
-        print("Stopped; the best policy so far is kept.")
+    except KeyboardInterrupt:
+        print("\nStopped; the best policy so far is kept.")
         return INTERRUPTED
     print(f"Distilled; python -m agents.evaluate {args.runs / args.name} --against dp-oracle compares it.")
     return 0

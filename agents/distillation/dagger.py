@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
@@ -25,7 +24,6 @@ from agents.distillation.config import Student
 from agents.distillation.dataset import Dataset, collect
 from agents.evaluation.sets import validation_set
 from agents.training.checkpoint import git_revision
-from agents.training.signals import Stop
 from baselines.dynamic_programming.policy import NUM_TORQUES
 from baselines.evaluation.episodes import evaluate, scores
 from capsule_gym import Policy
@@ -74,8 +72,7 @@ class Network:
         rates: tuple[float, float],
         batch_size: int,
         rng: np.random.Generator,
-        callback: Callable[[float], bool] = lambda loss: True,
-    ) -> None:
+    ) -> list[float]:
         """Minimises the mean regret.
 
         Args:
@@ -84,12 +81,14 @@ class Network:
             rates: step sizes of Adam at the first and the last gradient step; linear in between.
             batch_size: states in each step.
             rng: random generator of the batches.
-            callback: called after every step with the loss of its batch (cm/s); returning False ends the fit.
+
+        Returns:
+            The loss of the batch of every step, cm/s.
         """
         raw = np.concatenate([dataset.inputs for dataset in datasets])
         scaled = np.clip((raw - self._mean) / np.sqrt(self._variance + EPSILON), -CLIP, CLIP)
         inputs = torch.from_numpy(scaled.astype(np.float32))
-        regrets = torch.from_numpy(np.concatenate([dataset.regrets for dataset in datasets]))
+        regrets, losses = torch.from_numpy(np.concatenate([dataset.regrets for dataset in datasets])), []
         for n in range(updates):
             self._optimiser.param_groups[0]["lr"] = rates[0] + (rates[1] - rates[0]) * n / updates
             batch = torch.from_numpy(rng.integers(len(inputs), size=batch_size))
@@ -98,8 +97,8 @@ class Network:
             loss.backward()
             nn.utils.clip_grad_norm_(self._module.parameters(), MAX_GRADIENT_NORM)
             self._optimiser.step()
-            if not callback(loss.item()):
-                break
+            losses.append(loss.item())
+        return losses
 
     def policy(self, name: str, student: Student, seed: int, revision: str) -> Policy:
         """The policy with the current weights."""
@@ -135,10 +134,10 @@ def schedule(student: Student) -> list[tuple[float | None, int, tuple[float, flo
     return [*rounds, *((None, student.final_updates // student.final_parts, rates) for rates in pairwise(final))]
 
 
-def distil(name: str, student: Student, seed: int, folder: Path, stop: Stop) -> bool:
-    """Trains a student in a new folder and returns whether the run is finished. Equal seeds give equal policies.
+def distil(name: str, student: Student, seed: int, folder: Path) -> None:
+    """Trains a student in a new folder. Equal seeds give equal policies.
 
-    `stop` ends the run early; the folder then holds the best policy so far, if any.
+    If the run is interrupted, the folder holds the best policy so far, if any.
 
     Raises:
         FileExistsError: if the folder exists.
@@ -159,11 +158,9 @@ def distil(name: str, student: Student, seed: int, folder: Path, stop: Stop) -> 
     for expert_share, updates, rates in bar:
         if expert_share is not None:
             act = policy.start(range(student.num_envs)) if policy else None
-            datasets.append(collect(student, rng, expert_share, act, lambda: stop.requested))
+            datasets.append(collect(student, rng, expert_share, act))
         network = network or Network(datasets[0], seed)
-        network.fit(datasets, updates, rates, student.batch_size, rng, lambda loss: not stop.requested)
-        if stop.requested:
-            return False
+        network.fit(datasets, updates, rates, student.batch_size, rng)
         policy = network.policy(name, student, seed, revision)
         episodes = evaluate(policy, plants)
         speed, failed = (float(scores(episodes, metric).mean()) for metric in ("mean_speed", "failed"))
@@ -175,4 +172,3 @@ def distil(name: str, student: Student, seed: int, folder: Path, stop: Stop) -> 
     seconds = round(time.process_time() - began, 1)
     result = {"mean_speed": best[1], "failed": best[2], "core_seconds": seconds, "revision": revision}
     write_atomically(folder / FINISHED, to_json(result))
-    return True

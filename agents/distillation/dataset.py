@@ -7,7 +7,6 @@ torque with the least mean regret over the plants that a state may belong to.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -42,9 +41,7 @@ class Dataset(NamedTuple):
     regrets: np.ndarray
 
 
-def collect(
-    student: Student, rng: np.random.Generator, expert_share: float, act: Act | None, stopped: Callable[[], bool]
-) -> Dataset:
+def collect(student: Student, rng: np.random.Generator, expert_share: float, act: Act | None) -> Dataset:
     """Runs a batch of episodes in which the expert acts for `expert_share` of the time, and the student's `act` else.
 
     `rng` draws the plants, the acting policy and the exploration. If `act` is None, only the expert acts.
@@ -77,7 +74,7 @@ def collect(
         actions = np.where(explore, rng.uniform(-1.0, 1.0, count), actions)
         observations, _, terminated, truncated, _ = env.step(actions[:, None].astype(np.float32))
         running &= ~(terminated | truncated)
-        if stopped() or not running.any():
+        if not running.any():
             break
     return Dataset(np.concatenate(inputs), np.concatenate(regrets))
 
