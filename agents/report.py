@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from agents.analysis.data import read_learning
+from agents.analysis.statistics import read_evaluations
 from agents.evaluate import comparison_table
 from agents.evaluation.criteria import CRITERIA
 from agents.leaderboard.rows import RESULTS, load_row
-from agents.training.config import Config, read_config
+from agents.training.config import EVALUATIONS, Config, read_config
 from agents.training.presets import ROWS
 from baselines.drawing import BLUE, DPI, MUTED, new_figure, style
 from baselines.evaluation.episodes import Episode, evaluate, scores
@@ -102,7 +102,7 @@ def _likely_reason(config: Config, row: Config, run: Path, theta: np.ndarray, *,
         return f"a one-sided gait about {np.degrees(middle):.0f} degrees, a local optimum that another --seed may avoid"
     if more_failures:
         return "more failures than in any run of the row, so that the policy is close to a limit of the plant"
-    ((steps, values),) = read_learning(run, config.env_task).values()
+    steps, values = read_evaluations(run / EVALUATIONS, config.env_task)
     best = np.argmin(values) if CRITERIA[config.env_task].ascending else np.argmax(values)
     if best == len(steps) - 1:
         return "the last evaluation was the best, so that more --total-steps may help"

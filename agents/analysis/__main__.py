@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from agents.analysis import limit_cycle, sensitivity, statistics
+from baselines.drawing import save, style
 from capsule_gym.command_line import Positional, arg, command, refuse
 from capsule_gym.files import write_atomically
 
@@ -51,8 +52,9 @@ def main(
                 stale = True
             continue
         (output / "figures").mkdir(parents=True, exist_ok=True)
-        for figure, write in document.figures.items():
-            write(output / "figures" / figure)
+        with style():
+            for figure, draw in document.figures.items():
+                save(draw(), output / "figures" / figure)
         write_atomically(path, text)
         print(f"Written: {name}", flush=True)
     return 1 if stale else 0

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.analysis.data import Document
-from agents.analysis.figures import write_with
+from agents.analysis.document import Document
 from baselines.drawing import BLUE, INK, MUTED, add_note, new_figure
 from baselines.evaluation.policies import find_candidate
 from baselines.tables import markdown_table
@@ -69,7 +68,7 @@ def document() -> Document:
         shares = (cycle[1:, 3] == 0.0).mean(), (np.abs(cycle[1:, 5]) >= TORQUE_LIMIT).mean()
         numbers = [f"{each:.2f}" for each in (period, distance, distance / period)]
         lines.append([name, *numbers, *(f"{100.0 * share:.0f} %" for share in shares)])
-    return Document({"cycles": markdown_table(lines)}, {"limit_cycle": write_with(draw, cycles)})
+    return Document({"cycles": markdown_table(lines)}, {"limit_cycle": lambda: draw(cycles)})
 
 
 def draw(cycles: dict[str, np.ndarray]) -> Any:

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from agents.analysis.data import SPEED, Document
-from agents.analysis.figures import write_with
+from agents.analysis.document import Document
 from agents.evaluation.sets import validation_set
 from baselines.drawing import INK, VERMILION, add_note, new_figure
 from baselines.evaluation.episodes import TABLE_METRICS, evaluate, failures, scores
@@ -20,6 +19,7 @@ from baselines.evaluation.statistics import interquartile_mean
 from baselines.tables import markdown_table
 from capsule_gym.parameters import DISTURBANCES, REAL, SENSORS, Disturbances
 
+SPEED = TABLE_METRICS["mean_speed"]
 # Multiples of the sizes below.
 SIZES = (0.5, 1.0, 2.0, 4.0)
 # Number and first seed of the episodes, on plants of randomization="paper".
@@ -76,7 +76,7 @@ def run(candidates: Sequence[Candidate], horizon: float | None = None) -> dict[s
         cells = {}
         for condition, disturbances in conditions().items():
             episodes = evaluate(candidate.policies[0], replace(plants, disturbances=disturbances), horizon=horizon)
-            cells[condition] = float(interquartile_mean(scores(episodes, SPEED)[0])), failures(episodes)
+            cells[condition] = float(interquartile_mean(scores(episodes, SPEED.name)[0])), failures(episodes)
         found[candidate.name] = cells
     return dict(sorted(found.items(), key=lambda row: -row[1][NONE, 1.0][0]))
 
@@ -87,7 +87,7 @@ def document() -> Document:
     fields = {name: ", ".join(f"`{each}={size}`" for each, size in given.items()) for name, given in DISTURBED.items()}
     fields[ALL] = '`disturbances="real"`'
     sizes = markdown_table([["disturbance", "at the size 1"], *([name, text] for name, text in fields.items())])
-    return Document({"sizes": sizes, "speeds": table(results)}, {"sensitivity": write_with(draw, results)})
+    return Document({"sizes": sizes, "speeds": table(results)}, {"sensitivity": lambda: draw(results)})
 
 
 def table(results: Mapping[str, Cells]) -> str:
@@ -98,7 +98,7 @@ def table(results: Mapping[str, Cells]) -> str:
         line = [policy]
         for name in columns:
             speed, failed = cells[name, 1.0]
-            line.append(TABLE_METRICS[SPEED].format(speed) + (f" ({failed})" if failed else ""))
+            line.append(SPEED.format(speed) + (f" ({failed})" if failed else ""))
         lines.append(line)
     return markdown_table(lines)
 

@@ -2,43 +2,158 @@
 
 from __future__ import annotations
 
+import csv
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from agents.analysis.data import SPEED, Document, Learning, rank, read_learning
-from agents.analysis.figures import draw_learning, draw_transport, write_with
+import numpy as np
+
+from agents.analysis.document import Document
+from agents.evaluation.criteria import CRITERIA
 from agents.leaderboard.rows import RESULTS, Row, load_rows
+from agents.training.config import EVALUATIONS
+from baselines.drawing import BLUE, GREEN, INK, MUTED, add_note, new_figure
+from baselines.dynamic_programming.tables import optimal_front
 from baselines.evaluation.episodes import TABLE_METRICS
 from baselines.evaluation.policies import CHECKPOINTS, all_candidates
-from baselines.evaluation.statistics import learning_curve
+from baselines.evaluation.statistics import estimate, learning_curve
 from baselines.tables import markdown_table
-from capsule_gym.evaluation_sets import SET_NAMES, load_set
 
 ROOT = Path(__file__).resolve().parents[2]
+SPEED = TABLE_METRICS["mean_speed"]
+FAINT = "#c5ccd6"
+# Distance between labels next to a scatter plot, relative to its height.
+LABEL_SPACING = 0.048
+# Evaluations on validation plants during training, by training seed: steps and mean speeds (cm/s).
+Learning = dict[int, tuple[np.ndarray, np.ndarray]]
 
 
 def document() -> Document:
     """Tables and figures of the leaderboard's stored results, without new evaluations."""
     rows = load_rows(ROOT / RESULTS, [candidate.name for candidate in all_candidates()])
-    rows = rank(rows, [load_set(name) for name in SET_NAMES])
-    trained = [row for row in rows if row.trained]
-    learning = {row.name: read_learning(CHECKPOINTS / row.name) for row in trained}
+    ranking_set = CRITERIA["speed"].ranking_set
+    rows.sort(key=lambda row: (-row.score(ranking_set, SPEED.name).mean(), row.name))
+    learning: dict[str, Learning] = {row.name: {} for row in rows if row.trained}
+    for path in sorted(CHECKPOINTS.glob(f"*/seed-*/{EVALUATIONS}")):
+        if (name := path.parts[-3]) in learning:
+            learning[name][int(path.parts[-2].removeprefix("seed-"))] = read_evaluations(path)
     figures = {
-        "statistics_transport": write_with(draw_transport, rows),
-        "statistics_learning": write_with(draw_learning, {name: runs for name, runs in learning.items() if runs}),
+        "statistics_transport": lambda: draw_transport(rows),
+        "statistics_learning": lambda: draw_learning({name: runs for name, runs in learning.items() if runs}),
     }
-    return Document({"learning": table(trained, learning)}, figures)
+    return Document({"learning": table(learning)}, figures)
 
 
-def table(trained: Sequence[Row], learning: Mapping[str, Learning]) -> str:
+def read_evaluations(path: Path, task: str = "speed") -> tuple[np.ndarray, np.ndarray]:
+    """The steps and the values of the task's metric in the evaluations of a run."""
+    with path.open(newline="", encoding="utf-8") as file:
+        # A run may be evaluated twice at the end of a stage; the last line is used.
+        lines = {int(line["steps"]): float(line[CRITERIA[task].column]) for line in csv.DictReader(file)}
+    steps, values = np.array(sorted(lines.items()), np.float64).T
+    return steps, values
+
+
+def table(learning: Mapping[str, Learning]) -> str:
     """A Markdown table of the speed at the end of training, and the steps to 90 % of this speed."""
-    metric, without = TABLE_METRICS[SPEED], [row.name for row in trained if not learning[row.name]]
-    lines = [["policy", "training seeds", "steps", f"{metric.label} at the end", "steps to 90 % of that"]]
-    for row in trained:
-        if runs := learning[row.name]:
+    lines = [["policy", "training seeds", "steps", f"{SPEED.label} at the end", "steps to 90 % of that"]]
+    for name, runs in learning.items():
+        if runs:
             curve = learning_curve(list(runs.values()))
             end = {"iqm": curve.value[-1], "low": curve.low[-1], "high": curve.high[-1]}
             reached = curve.x[curve.value >= 0.9 * curve.value[-1]][0]
-            cells = f"{curve.x[-1]:,.0f}", metric.with_interval(end), f"{reached:,.0f}"
-            lines.append([row.name, str(len(runs)), *cells])
+            cells = f"{curve.x[-1]:,.0f}", SPEED.with_interval(end), f"{reached:,.0f}"
+            lines.append([name, str(len(runs)), *cells])
+    without = [name for name, runs in learning.items() if not runs]
     return markdown_table(lines) + (f"\n\nWithout committed evaluations: {', '.join(without)}." if without else "")
+
+
+def draw_learning(learning: Mapping[str, Learning]) -> Any:
+    """Draws the mean speed of all seeds over steps, and its interquartile mean, one panel per row of `learning`."""
+    columns = min(4, len(learning))
+    lines = math.ceil(len(learning) / columns)
+    figure = new_figure(0.75 + 1.3 * lines)
+    grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
+    for axes, (name, runs) in zip(grid.flat, learning.items(), strict=False):
+        axes.set_title(name, parse_math=False)
+        for steps, values in runs.values():
+            # A run with a single evaluation is drawn as a point.
+            axes.plot(steps / 1e6, values, "." if len(values) == 1 else "-", color=MUTED, linewidth=0.5, alpha=0.6)
+        curve = learning_curve(list(runs.values()))
+        axes.fill_between(curve.x / 1e6, curve.low, curve.high, color=BLUE, alpha=0.18, linewidth=0.0)
+        axes.plot(curve.x / 1e6, curve.value, color=BLUE)
+    axes.set(xlim=(0.0, None), ylim=(0.0, None))
+    for n in range(len(learning), grid.size):
+        grid.flat[n].set_visible(False)
+        # The panel above an empty place shows the tick labels instead.
+        grid.flat[n - columns].tick_params(labelbottom=True)
+    figure.supylabel(SPEED.label, fontsize=8.0)
+    add_note(
+        figure,
+        "Horizontal: millions of agent steps. Evaluations on each run's validation plants, never on a frozen set; "
+        "grey: the training seeds; blue: their interquartile mean, band: 95 %.",
+    )
+    return figure
+
+
+def draw_transport(rows: Sequence[Row]) -> Any:
+    """Draws speed against cost of transport on the nominal plant, with the front of dynamic programming."""
+    from matplotlib.ticker import LogLocator
+
+    figure = new_figure(max(4.4, 1.4 + 0.145 * len(rows)))
+    # Room for the labels on the right, whose width the layout underestimates.
+    figure.get_layout_engine().set(rect=(0.0, 0.0, 0.985, 1.0))
+    axes = figure.subplots()
+    axes.plot(*zip(*optimal_front(), strict=True), ".-", color=GREEN, markersize=4.0, label="dynamic programming")
+    marks, absent = [], []
+    for row in rows:
+        cost, speed = (estimate(row.score("nominal", metric)) for metric in ("cost_of_transport", SPEED.name))
+        if not math.isfinite(cost.value):
+            absent.append(row.name)
+            continue
+        colour = BLUE if row.trained else INK
+        if row.trained and all(math.isfinite(end) for end in (cost.low, cost.high, speed.low, speed.high)):
+            axes.plot([cost.low, cost.high], [speed.value] * 2, color=colour, linewidth=0.9)
+            axes.plot([cost.value] * 2, [speed.low, speed.high], color=colour, linewidth=0.9)
+        axes.plot(cost.value, speed.value, "o" if row.trained else "s", color=colour, markersize=4.0)
+        marks.append((cost.value, speed.value, row.name, colour))
+    axes.plot([], [], "o-", color=BLUE, markersize=4.0, linewidth=0.9, label="trained, 95 % over seeds")
+    axes.plot([], [], "s", color=INK, markersize=4.0, label="scripted")
+    # Logarithmic: outside its training range, a policy can have thirty times the cost of the others.
+    axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter("")
+    axes.set(xlabel="cost of transport", ylabel="mean speed (cm/s)", xlim=(0.1, None), ylim=(-0.5, None))
+    _label_marks(axes, marks)
+    # Outside: every corner inside the axes contains a front, a policy or a label's line.
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=4)
+    axes.set_title("Speed against cost of transport, the paper's plant from 100 starts")
+    no_progress = f" Without forward progress, and so without a cost: {', '.join(absent)}." if absent else ""
+    add_note(
+        figure,
+        "Interquartile means over all episodes on nominal. Dynamic programming: with energy weights, from one start at "
+        f"rest over 33 s.{no_progress}",
+    )
+    return figure
+
+
+def _label_marks(axes: Any, marks: Sequence[tuple[float, float, str, str]]) -> None:
+    """Writes names next to axes with final limits, by height and without overlap, with a line to each mark.
+
+    A mark is x and y in data coordinates, name and colour.
+    """
+    from matplotlib.patches import ConnectionPatch
+
+    low, high = axes.get_ylim()
+    spacing = min(LABEL_SPACING, 1.0 / max(1, len(marks)))
+    place = 1.0 + spacing
+    # From top to bottom, with room for the following names.
+    for n, (x, y, name, colour) in enumerate(sorted(marks, key=lambda mark: -mark[1]), start=1):
+        place = min(max((y - low) / (high - low), (len(marks) - n) * spacing), place - spacing)
+        text = {"xytext": (4.0, 0.0), "textcoords": "offset points", "va": "center", "fontsize": 7.5, "color": colour}
+        axes.annotate(name, (1.0, place), xycoords="axes fraction", parse_math=False, **text)
+        line = ConnectionPatch((x, y), (1.0, place), "data", "axes fraction", axesA=axes, color=FAINT, linewidth=0.6)
+        line.set_in_layout(False)
+        axes.add_artist(line)

@@ -42,10 +42,6 @@ class Criteria:
         """Whether smaller values of the metric are better."""
         return self.weights[self.metric.name] < 0.0
 
-    def rank(self, value: float, name: str) -> tuple[float, str]:
-        """The sort key of a policy, from the interquartile mean of the metric and the policy's name."""
-        return (value if self.ascending else -value), name
-
     def score(self, means: Mapping[str, float]) -> float:
         """The score of a policy, from the means of the metrics in `weights`."""
         return sum(weight * means[name] for name, weight in self.weights.items())

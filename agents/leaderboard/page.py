@@ -90,8 +90,8 @@ def _ranked(rows: Sequence[Row], sets: Sequence[EvaluationSet], criteria: Criter
             pairs = {each.name: (row.score(each.name, metric), base.score(each.name, metric)) for each in sets}
             entry["minus_base"] = {name: paired_difference(*pair, mean=True).to_dict() for name, pair in pairs.items()}
         content.append(entry)
-    ranking = criteria.ranking_set
-    return sorted(content, key=lambda row: criteria.rank(row["results"][ranking][metric]["mean"], row["policy"]))
+    ranking, sign = criteria.ranking_set, 1.0 if criteria.ascending else -1.0
+    return sorted(content, key=lambda row: (sign * row["results"][ranking][metric]["mean"], row["policy"]))
 
 
 def grouped(board: Mapping[str, Any]) -> dict[str, list[Mapping[str, Any]]]:

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from agents.analysis import __main__ as analysis
-from agents.analysis import figures, limit_cycle, sensitivity
-from agents.analysis.data import read_learning
+from agents.analysis import limit_cycle, sensitivity, statistics
 from baselines.evaluation.policies import Candidate
 from capsule_gym.parameters import REAL, Disturbances
 from tests.agents.fakes import Sine
@@ -17,14 +16,10 @@ def cells(table):
 
 
 def test_the_last_of_two_evaluations_at_the_same_step_counts(tmp_path):
-    path = tmp_path / "seed-3" / "evaluations.csv"
-    path.parent.mkdir()
+    path = tmp_path / "evaluations.csv"
     path.write_text("steps,mean_speed_cm_s,failed\n100,1.0,0.0\n200,2.0,0.0\n200,5.0,0.0\n")
-    steps, speeds = read_learning(tmp_path)[3]
+    steps, speeds = statistics.read_evaluations(path)
     assert (steps.tolist(), speeds.tolist()) == ([100, 200], [1.0, 5.0])
-    path.write_text("steps,mean_speed_cm_s\n")
-    with pytest.raises(ValueError, match=r"evaluations\.csv must be the log of a training run"):
-        read_learning(tmp_path)
 
 
 def test_sensitivity_shows_speed_and_failures_under_disturbances_of_each_size(monkeypatch):
@@ -60,7 +55,7 @@ def test_stale_tables_are_found(tmp_path, capsys):
 def test_the_curves_of_a_row_are_those_of_its_runs():
     steps = np.arange(1.0, 9.0) * 1e5
     runs = {seed: (steps, 10.0 + seed - 1e6 / steps) for seed in range(3)}
-    drawn, empty = figures.draw_learning({"three": runs, **dict.fromkeys("abcdef", runs)}).axes[:8:7]
+    drawn, empty = statistics.draw_learning({"three": runs, **dict.fromkeys("abcdef", runs)}).axes[:8:7]
     assert drawn.get_title() == "three" and not empty.get_visible()
     for line, (x, y) in zip(drawn.lines, [*runs.values(), runs[1]], strict=True):  # the middle one is the mean
         np.testing.assert_allclose(line.get_xydata(), np.transpose([x / 1e6, y]), rtol=1e-12)
@@ -76,14 +71,14 @@ class FakeRow:
 
     def score(self, set_name, metric):
         speeds = self.speed * (1.0 + 0.2 * np.linspace(-1.0, 1.0, 101) ** 3) * np.ones((5, 1))
-        return speeds if metric == figures.SPEED else np.where(speeds > 0.0, 2.0, np.inf)
+        return speeds if metric == statistics.SPEED.name else np.where(speeds > 0.0, 2.0, np.inf)
 
 
 def test_policies_are_named_at_their_cost_and_speed_without_overlap():
     rows = [FakeRow(f"direct-{n}", True, 15.0 - 0.01 * n) for n in range(6)]
-    axes = figures.draw_transport([*rows, FakeRow("law", False, 3.0), FakeRow("rest", False, 0.0)]).axes[0]
+    axes = statistics.draw_transport([*rows, FakeRow("law", False, 3.0), FakeRow("rest", False, 0.0)]).axes[0]
     marks = [tuple(line.get_xydata()[0]) for line in axes.lines if line.get_marker() in "os" and len(line.get_xydata())]
     np.testing.assert_allclose(marks, [(2.0, row.speed) for row in rows] + [(2.0, 3.0)], rtol=1e-12)
     heights = [text.xy[1] for text in axes.texts]
     assert [text.get_text() for text in axes.texts] == [row.name for row in rows] + ["law"]
-    assert np.diff(heights).max() <= -figures.LABEL_SPACING + 1e-12 and max(heights) <= 1.0 and min(heights) >= 0.0
+    assert np.diff(heights).max() <= -statistics.LABEL_SPACING + 1e-12 and max(heights) <= 1.0 and min(heights) >= 0.0
