@@ -9,7 +9,6 @@ import numpy as np
 import torch
 from sb3_contrib import TQC
 from stable_baselines3 import HerReplayBuffer
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import VecEnvWrapper
@@ -20,26 +19,28 @@ from capsule_gym.sb3 import CapsuleSB3VecEnv
 # Long control intervals: rewards act on earlier actions after fewer updates. Episodes of 4 s, evaluated for 15 s.
 ENVS, DT = 64, 0.04
 STEPS, EVALUATED_STEPS = round(4.0 / DT), round(15.0 / DT)
-OPTIONS: dict[str, Any] = {"goal_env": True, "control_dt": DT}
+OPTIONS: dict[str, Any] = {"task": "goal", "goal_env": True, "control_dt": DT}
 # Standard deviation of the noise on the actions, and the time over which it is correlated, s.
 NOISE, NOISE_TIME = 0.25, 0.25
 # Factors of theta, theta_dot, x_dot, stick and the last action, and whether a mirror changes their signs.
 FACTORS, ODD = [2.0, 0.25, 6.0, 1.0, 1.0], [1, 1, 1, 0, 1]
 
 
-def mirror(observations: dict[str, np.ndarray], signs: np.ndarray) -> dict[str, np.ndarray]:
-    """The observations seen in a mirror where the sign is -1."""
-    return {name: part * signs ** (ODD if name == "observation" else 1) for name, part in observations.items()}
-
-
 class GoalsAhead(VecEnvWrapper):
     """Mirrors the episodes with a goal behind the capsule, since the task is symmetric."""
 
+    def mirror(self, observations: Any, signs: np.ndarray) -> dict[str, np.ndarray]:
+        """The observations seen in a mirror where the sign is -1."""
+        return {name: part * signs ** (ODD if name == "observation" else 1) for name, part in observations.items()}
+
+    def begin(self, observations: Any) -> dict[str, np.ndarray]:
+        """Mirrors observations, with the signs of their goals from now on."""
+        self.signs = np.sign(observations["desired_goal"][:, :1])
+        return self.mirror(observations, self.signs)
+
     def reset(self) -> VecEnvObs:
         """Begins new episodes."""
-        observations: Any = self.venv.reset()
-        self.signs = np.sign(observations["desired_goal"][:, :1])
-        return mirror(observations, self.signs)
+        return self.begin(self.venv.reset())
 
     def step_async(self, actions: np.ndarray) -> None:
         """Takes the actions of the next step."""
@@ -47,12 +48,10 @@ class GoalsAhead(VecEnvWrapper):
 
     def step_wait(self) -> VecEnvStepReturn:
         """Steps."""
-        observations: Any
         observations, rewards, dones, infos = self.venv.step_wait()
         for i in np.flatnonzero(dones):
-            infos[i]["terminal_observation"] = mirror(infos[i]["terminal_observation"], self.signs[i])
-        self.signs = np.sign(observations["desired_goal"][:, :1])
-        return mirror(observations, self.signs), rewards, dones, infos
+            infos[i]["terminal_observation"] = self.mirror(infos[i]["terminal_observation"], self.signs[i])
+        return self.begin(observations), rewards, dones, infos
 
 
 class Features(BaseFeaturesExtractor):
@@ -74,28 +73,19 @@ class Features(BaseFeaturesExtractor):
 
 def evaluate(model: TQC) -> str:
     """The distances from the goal at the end of 64 episodes without exploration, and the share of failures."""
-    options = {**OPTIONS, "autoreset_mode": "DISABLED", "max_episode_steps": EVALUATED_STEPS}
-    envs = gym.make_vec("capsule_gym:CapsuleGoal-v0", num_envs=64, **options)
     # These seeds are far from those of training.
-    observations, _ = envs.reset(seed=1_000_000)
-    signs = np.sign(observations["desired_goal"][:, :1])
-    terminated = truncated = np.zeros(64, bool)
-    while not (terminated | truncated).all():
-        actions, _ = model.predict(mirror(observations, signs), deterministic=True)
-        observations, _, terminated, truncated, info = envs.step(actions * signs)
-    errors = 100.0 * np.abs(info["error"])
+    env = GoalsAhead(CapsuleSB3VecEnv(64, 1_000_000, max_episode_steps=EVALUATED_STEPS, **OPTIONS))
+    observations: Any = env.reset()
+    ends: dict[Any, Any] = {}
+    while len(ends) < env.num_envs:
+        actions, _ = model.predict(observations, deterministic=True)
+        observations, _, dones, infos = env.step(actions)
+        ends = {i: infos[i] for i in np.flatnonzero(dones)} | ends
+    last = [end["terminal_observation"] for end in ends.values()]
+    errors = 100.0 * np.abs([(each["desired_goal"] - each["achieved_goal"])[0] for each in last])
+    failed = np.mean([not end["TimeLimit.truncated"] for end in ends.values()])
     distances = f"median {np.median(errors):.1f} cm, mean {errors.mean():.1f} cm"
-    return f"distance from the goal: {distances}; {terminated.mean():.0%} failed"
-
-
-class Evaluation(BaseCallback):
-    """Prints an evaluation every 20,000 steps."""
-
-    def _on_step(self) -> bool:
-        if self.num_timesteps % 20_000 < ENVS:
-            assert isinstance(self.model, TQC)
-            print(f"{self.num_timesteps:9,} steps: {evaluate(self.model)}", flush=True)
-        return True
+    return f"distance from the goal: {distances}; {failed:.0%} failed"
 
 
 def main() -> None:
@@ -106,14 +96,11 @@ def main() -> None:
     args = parser.parse_args()
 
     # Short episodes from many angles and rates contain the fast swings that move the platform.
-    batch = CapsuleSB3VecEnv(
-        ENVS, args.seed, task="goal", initial_range=(1.047, 8.0), max_episode_steps=STEPS, **OPTIONS
-    )
-    env = GoalsAhead(batch)
+    batch = CapsuleSB3VecEnv(ENVS, args.seed, initial_range=(1.047, 8.0), max_episode_steps=STEPS, **OPTIONS)
     sigma = np.full(1, NOISE * math.sqrt(2.0 / NOISE_TIME))
     model = TQC(
         "MultiInputPolicy",
-        env,
+        GoalsAhead(batch),
         replay_buffer_class=HerReplayBuffer,
         # The terms of the reward for energy and termination do not depend on the goal; they are in the infos.
         replay_buffer_kwargs={"copy_info_dict": True},
@@ -134,7 +121,7 @@ def main() -> None:
         device="cpu",
     )
     print("before:", evaluate(model))
-    model.learn(args.steps, callback=Evaluation())
+    model.learn(args.steps)
     print("after:", evaluate(model))
 
 
