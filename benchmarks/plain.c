@@ -25,7 +25,6 @@ typedef struct {
   double duration[N], episode_energy[N], weight_distance[N], torque_squared[N], peak_torque[N], forward[N], backward[N];
   double stuck[N], smallest_normal_ratio[N], largest_theta[N], largest_theta_dot[N];
   double slip[N], mass_ratio[N], before_x[N], event[N], halted[N], elapsed[N];
-  double next_theta[N], next_theta_dot[N], next_x[N], next_x_dot[N], smallest[N];  // of a substep with an event
 } Block;
 const int ROWS = sizeof(Block) / sizeof(double) / N;
 
@@ -139,8 +138,7 @@ INLINE void smooth_substep(Block *b, Settings q, int first, double h, int may_st
     }
     int event = crosses(before, rate, after, h) | ((p.slip != 0.0) & (e.x_dot == 0.0)) | (smallest < 0.0);
     double going = 1.0 - b->halted[j], counts = event | (fabs(e.theta) >= THETA_LIMIT) ? 0.0 : going;
-    b->event[j] = going - counts, b->smallest[j] = smallest;
-    b->next_theta[j] = e.theta, b->next_theta_dot[j] = e.theta_dot, b->next_x[j] = e.x, b->next_x_dot[j] = e.x_dot;
+    b->event[j] = going - counts;
     add_motion(b, j, s, e, h, counts, p.slip);
     State kept = {counts != 0.0 ? e.theta : s.theta, counts != 0.0 ? e.theta_dot : s.theta_dot,
                   counts != 0.0 ? e.x : s.x, counts != 0.0 ? e.x_dot : s.x_dot};
@@ -159,8 +157,9 @@ static double boundary(State s, double x_ddot, const Phase *p, double *rate) {
   return *rate = p->slip * x_ddot, p->slip * s.x_dot;
 }
 
-static Piece finish(const Start *at, double tau, State end, double smallest) {
-  double mu = kinetic(at->p.slip, at->p), normal = at->first.normal;
+static Piece take(const Start *at, double tau) {
+  double mu = kinetic(at->p.slip, at->p), normal = at->first.normal, smallest;
+  State end = runge_kutta(at->s, at->first, mu, at->p, tau, &smallest);
   if (smallest < 0.0) {  // the contact is lost: without friction
     Accelerations free = accelerate(at->s.theta, at->s.theta_dot, mu = 0.0, at->p);
     end = runge_kutta(at->s, free, mu, at->p, tau, &smallest), normal = free.normal;
@@ -168,12 +167,6 @@ static Piece finish(const Start *at, double tau, State end, double smallest) {
   Piece r = {tau, 0.0, 0.0, larger(0.0, normal), end, accelerate(end.theta, end.theta_dot, mu, at->p)};
   r.value = boundary(end, r.last.x, &at->p, &r.rate);
   return r;
-}
-
-static Piece take(const Start *at, double tau) {
-  double smallest;
-  State end = runge_kutta(at->s, at->first, kinetic(at->p.slip, at->p), at->p, tau, &smallest);
-  return finish(at, tau, end, smallest);
 }
 
 // The piece that ends on the boundary: Newton's method in a bracket, from the root of the cubic through its ends.
@@ -216,11 +209,10 @@ static Piece until_event(const Start *at, double before, double rate, Piece whol
 // A substep of one environment through every change of phase.
 static void step_with_events(Block *b, Settings q, int j, double h, double elapsed) {
   Start at = {.s = state_of(b, j), .p = phase_of(b, q, j)};
-  State next = {b->next_theta[j], b->next_theta_dot[j], b->next_x[j], b->next_x_dot[j]};
   double left = h, normal = LARGE, rate, force;
   for (int count = 0; count < 1000 && left > 0.0; count++) {
     at.first = accelerate(at.s.theta, at.s.theta_dot, kinetic(at.p.slip, at.p), at.p);
-    Piece r = count == 0 ? finish(&at, h, next, b->smallest[j]) : take(&at, left);
+    Piece r = take(&at, left);
     double before = boundary(at.s, at.first.x, &at.p, &rate);
     int crossed = crosses(before, rate, r.value, left) && count < 999, beyond = crossed && r.value < 0.0;
     if (crossed) r = until_event(&at, before, rate, r);
