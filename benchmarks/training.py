@@ -11,7 +11,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
@@ -32,34 +32,36 @@ from capsule_gym.task import ENV_ID
 COMMAND = "python -m benchmarks.training"
 CONFIG = PRESETS["direct", "ppo"]
 ID, ENV_KWARGS = f"capsule_gym:{ENV_ID}", CONFIG.env_kwargs()
-# Mean speed on validation plants that ends a training, cm/s.
-SPEED = 15.0
+# Mean speed on validation plants that ends a training, cm/s, and the processor time after which it is given up, s.
+SPEED, MOST_SECONDS = 15.0, 900.0
 # Agent steps between evaluations; environments of Stable-Baselines3 and SBX, whose documentation advises several.
 EVERY, NUM_ENVS = 32_768, 8
 
 
+@dataclass
 class Clock:
     """Measures the processor time of a training until its policy is fast enough, without evaluations.
 
     Attributes:
+        plants: validation plants.
         seconds: processor time so far, s.
         steps: agent steps so far.
         speed: mean speed in the last evaluation, cm/s.
-        over: whether the training has reached its aim, or is given up.
     """
 
-    def __init__(self, plants: EvaluationSet, most_seconds: float) -> None:
-        self.plants, self.most_seconds = plants, most_seconds
-        self.seconds, self.steps, self.speed, self.over, self.began = 0.0, 0, -np.inf, False, time.process_time()
+    plants: EvaluationSet
+    seconds: float = 0.0
+    steps: int = 0
+    speed: float = -np.inf
+    _began: float = field(default_factory=time.process_time)
 
     def check(self, steps: int, policy: Callable[[], Any]) -> bool:
         """Evaluates the policy if an evaluation is due; returns whether the training goes on."""
         if steps - self.steps >= EVERY:
-            self.seconds += time.process_time() - self.began
+            self.seconds += time.process_time() - self._began
             self.steps, self.speed = steps, float(scores(evaluate(policy(), self.plants), "mean_speed").mean())
-            self.over = self.speed >= SPEED or self.seconds >= self.most_seconds
-            self.began = time.process_time()
-        return not self.over
+            self._began = time.process_time()
+        return self.speed < SPEED and self.seconds < MOST_SECONDS
 
 
 def train_model(library: str, seed: int, clock: Clock) -> None:
@@ -173,8 +175,6 @@ class Args(OutputArgs):
 
     seeds: Count = 3
     """Training seeds, from 0 on."""
-    seconds: float = 900.0
-    """Processor time after which a training is given up, s."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -189,7 +189,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name, train in CONTENDERS.items():
         row, steps = [name], []
         for seed in range(args.seeds):
-            clock = Clock(validation_plants(replace(CONFIG, seed=seed)), args.seconds)
+            clock = Clock(validation_plants(replace(CONFIG, seed=seed)))
             train(seed, clock)
             reached = clock.speed >= SPEED
             row.append(f"{clock.seconds:.0f}" if reached else f"> {clock.seconds:.0f} ({clock.speed:.1f} cm/s)")
