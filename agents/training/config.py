@@ -152,7 +152,7 @@ class Config:
     @property
     def asymmetric(self) -> bool:
         """Whether the critic observes more than the actor."""
-        return False
+        return getattr(self, "privileged", False) and not self.wrapper
 
     @property
     def env_task(self) -> str:
@@ -203,11 +203,6 @@ class PPOConfig(Config):
     """Logarithm of the initial standard deviation of the action."""
     privileged: bool = False
     """The critic also observes the true plant and, where sensors are disturbed, the true state; not under wrappers."""
-
-    @property
-    def asymmetric(self) -> bool:
-        """Whether the critic observes more than the actor."""
-        return self.privileged and not self.wrapper
 
 
 @dataclass(frozen=True, kw_only=True)
