@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,46 +23,11 @@ from baselines.evaluation.episodes import (
 from baselines.evaluation.policies import find_candidate
 from baselines.evaluation.statistics import estimate, paired_difference
 from baselines.tables import text_table
-from capsule_gym.command_line import Positional, arg, check_output, parse, refuse
+from capsule_gym.command_line import Positional, arg, check_output, command, refuse
 from capsule_gym.evaluation_sets import load_set
 from capsule_gym.files import to_json, write_atomically
 
 PROG = "python -m agents.evaluate"
-
-
-@dataclass(frozen=True)
-class Args:
-    """Evaluates a policy on a frozen set, and compares it with a reference on the same episodes.
-
-    Prints interquartile means with 95 % intervals, and the paired difference to the reference.
-
-    Examples:
-      python -m agents.evaluate adaptive --set paper
-      python -m agents.evaluate residual-ppo/seed-0 --set drift --against residual-ppo
-      python -m agents.evaluate runs/my-run --set wide --json result.json
-      python -m agents.evaluate goal
-      python -m agents.evaluate my_module:policy --trust
-    """
-
-    policy: Annotated[Positional[str], arg(metavar="NAME_OR_PATH")]
-    """A scripted policy, a checkpoint (all training seeds; one as NAME/seed-0), the path of a run or policy file, or
-    module:attribute for a policy of another project."""
-    set: Annotated[str | None, arg(metavar="NAME_OR_PATH")] = None
-    """A frozen set, or the path of a JSON file of the same form; by default the set that ranks the policy's task."""
-    against: Annotated[str | None, arg(metavar="NAME_OR_PATH")] = None
-    """The reference of the paired difference; by default adaptive, or the scripted policy of the policy's task."""
-    json: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Write the result, with all episodes, to this file."""
-    overwrite: bool = False
-    """Let --json replace an existing file."""
-    trust: bool = False
-    """Accept a policy given as module:attribute: importing it runs its code."""
-    trust_controller: bool = False
-    """Accept a policy with a control law that is not of this package: importing it runs its code."""
-
-    def check(self) -> None:
-        """Raises an error for a file that cannot be written."""
-        check_output("--json", self.json, overwrite=self.overwrite)
 
 
 def comparison_table(name: str, episodes: Sequence[Episode], reference: str, others: Sequence[Episode]) -> str:
@@ -80,14 +45,44 @@ def comparison_table(name: str, episodes: Sequence[Episode], reference: str, oth
     return text_table(rows)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns the exit status."""
-    args = parse(Args, PROG, arguments)
+@command(PROG)
+def main(
+    policy: Annotated[Positional[str], arg(metavar="NAME_OR_PATH")],
+    set: Annotated[str | None, arg(metavar="NAME_OR_PATH")] = None,
+    against: Annotated[str | None, arg(metavar="NAME_OR_PATH")] = None,
+    json: Annotated[Path | None, arg(metavar="FILE")] = None,
+    overwrite: bool = False,
+    trust: bool = False,
+    trust_controller: bool = False,
+) -> int:
+    """Evaluates a policy on a frozen set, and compares it with a reference on the same episodes.
+
+    Prints interquartile means with 95 % intervals, and the paired difference to the reference.
+
+    Examples:
+      python -m agents.evaluate adaptive --set paper
+      python -m agents.evaluate residual-ppo/seed-0 --set drift --against residual-ppo
+      python -m agents.evaluate runs/my-run --set wide --json result.json
+      python -m agents.evaluate goal
+      python -m agents.evaluate my_module:policy --trust
+
+    Args:
+        policy: A scripted policy, a checkpoint (all training seeds; one as NAME/seed-0), the path of a run or policy
+            file, or module:attribute for a policy of another project.
+        set: A frozen set, or the path of a JSON file of the same form; by default the set that ranks the policy's task.
+        against: The reference of the paired difference; by default adaptive, or the scripted policy of the policy's
+            task.
+        json: Write the result, with all episodes, to this file.
+        overwrite: Let --json replace an existing file.
+        trust: Accept a policy given as module:attribute: importing it runs its code.
+        trust_controller: Accept a policy with a control law that is not of this package: importing it runs its code.
+    """
     try:
-        trusted = {"trust": args.trust, "trust_controller": args.trust_controller}
-        candidate = find_candidate(args.policy, **trusted)
-        evaluation_set = load_set(args.set or CRITERIA[candidate.task].ranking_set)
-        reference = find_candidate(args.against or CRITERIA[evaluation_set.task].baseline, **trusted)
+        check_output("--json", json, overwrite=overwrite)
+        trusted = {"trust": trust, "trust_controller": trust_controller}
+        candidate = find_candidate(policy, **trusted)
+        evaluation_set = load_set(set or CRITERIA[candidate.task].ranking_set)
+        reference = find_candidate(against or CRITERIA[evaluation_set.task].baseline, **trusted)
         for each in (candidate, reference):
             check_task(each, evaluation_set)
     except ValueError as error:
@@ -96,10 +91,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     others = episodes if candidate.name == reference.name else evaluate(reference, evaluation_set)
     summary = summarise(episodes)
     # Written before printing, so that a closed pipe does not lose the result.
-    if args.json is not None:
+    if json is not None:
         result: dict[str, Any] = {"policy": candidate.name, "set": evaluation_set.name, "set_hash": evaluation_set.hash}
         result |= {"versions": versions(), "episodes": episodes, "summary": summary}
-        write_atomically(args.json, to_json(result))
+        write_atomically(json, to_json(result))
     count = f"{len(evaluation_set.plants)} episodes, {evaluation_set.hash[:12]}"
     print(f"{candidate.name} on the set {evaluation_set.name} ({count})\n")
     print(comparison_table(candidate.name, episodes, reference.name, others))
