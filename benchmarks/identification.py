@@ -30,13 +30,13 @@ SENSORS = {"white": replace(ALL, **NONE), "real": ALL}
 
 
 def make_logs(
-    count: int, seed: int, disturbances: Disturbances
+    count: int, seed: int, disturbances: Disturbances, amplitude: float
 ) -> Iterator[tuple[dict[str, np.ndarray], dict[str, float]]]:
     """Logs of random plants, and their quantities; plants on which the excitation ends the episode are left out."""
     env = CapsuleEnv(randomization=DRAWN, disturbances=disturbances, control_dt=CONTROL_DT, physics_dt=PHYSICS_DT)
     while count:
         _, info = env.reset(seed=seed)
-        log = record(env, Excitation(seed=seed), seed=seed)
+        log = record(env, Excitation(seed=seed, amplitude=amplitude), seed=seed)
         seed += 1
         if len(log["t"]) * CONTROL_DT > 19.9:
             count -= 1
@@ -45,19 +45,26 @@ def make_logs(
 
 
 @command("python -m benchmarks.identification")
-def main(plants: Count = 150, seed: Count = 0, sensors: Literal["white", "real"] = "real") -> None:
+def main(
+    plants: Count = 150,
+    seed: Count = 0,
+    sensors: Literal["white", "real"] = "real",
+    amplitude: float = Excitation.amplitude,
+) -> None:
     """Identifies random plants, and prints errors, the coverage of the 95 % intervals, and the time.
 
     Examples:
       python -m benchmarks.identification --plants 150
+      python -m benchmarks.identification --plants 40 --sensors white --amplitude 0.55
 
     Args:
         plants: Number of plants.
         seed: Seed of the first plant.
         sensors: Errors of the sensors: white noise, or noise, bias and drift.
+        amplitude: Root mean square of the excitation, N m. With 0.55 it ends a quarter of the episodes.
     """
     rows, seconds, chi2 = [], [], list[float]()
-    for log, truth in tqdm(make_logs(plants, seed, SENSORS[sensors]), total=plants, mininterval=10.0):
+    for log, truth in tqdm(make_logs(plants, seed, SENSORS[sensors], amplitude), total=plants, mininterval=10.0):
         start = time.process_time()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
