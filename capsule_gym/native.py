@@ -22,10 +22,6 @@ _core.select_level(LEVEL)
 
 # Float64 in a cache line.
 LINE = 8
-# The number of each function that `evaluate` knows, and of its results, by name.
-_FUNCTIONS = {
-    name: (number, int(results)) for number, entry in enumerate(_core.FUNCTIONS) for name, results in [entry.split(":")]
-}
 
 
 def aligned_zeros(shape: tuple[int, ...]) -> np.ndarray:
@@ -56,19 +52,18 @@ def evaluate(name: str, *arguments: np.ndarray | float, plant: np.ndarray | None
     """Evaluates a function of the core at every entry of its arguments, which are broadcast.
 
     Args:
-        name: one of `_core.FUNCTIONS`; those of the plant need `plant`.
+        name: a function of `core/functions.hpp`; those of the plant need `plant`.
         *arguments: for a function of the plant M and mu come first.
         plant: the plant's constants, in the order of `_core.PLANT`; the arguments replace M and mu.
 
     Returns:
         The results, float64 arrays of the common shape.
     """
-    number, results = _FUNCTIONS[name]
     # `np.broadcast_arrays` takes several times as long as a function of a few numbers.
     inputs = np.empty((len(arguments), *np.broadcast_shapes(*map(np.shape, arguments))))
     for row, argument in enumerate(arguments):
         inputs[row] = argument
-    outputs = np.empty((results, *inputs.shape[1:]))
+    outputs = np.empty((_core.MOST_RESULTS, *inputs.shape[1:]))
     given = 0 if plant is None else address(plant)
-    _core.call("evaluate", number, address(inputs), address(outputs), math.prod(inputs.shape[1:]), given)
-    return tuple(outputs)
+    count = _core.call(name, address(inputs), address(outputs), math.prod(inputs.shape[1:]), given)
+    return tuple(outputs[:count])

@@ -181,6 +181,7 @@ class Simulation:
         fields = {
             **{name: native.address(array) for name, array in self.arrays.items()},
             **law,
+            "block_rows": self.world.shape[1],
             "num_envs": count,
             "lanes": self.lanes,
             "entries": self.observations.shape[1],
