@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -41,6 +42,16 @@ def address(array: np.ndarray) -> int:
     if not array.flags.c_contiguous:
         raise ValueError("array must be C-contiguous")
     return array.ctypes.data
+
+
+def addressed(values: Iterable[Any]) -> list[float]:
+    """Numbers as they are, and arrays by their addresses."""
+    return [address(value) if isinstance(value, np.ndarray) else value for value in values]
+
+
+def call(name: str, *values: np.ndarray | float) -> int:
+    """Calls a function of `core/level.cpp` with numbers and arrays, and returns what it returns."""
+    return _core.call(name, *addressed(values))
 
 
 def ordered(names: Iterable[str], values: Mapping[str, float]) -> np.ndarray:
