@@ -10,8 +10,7 @@
 
 namespace LEVEL {
 constexpr double AT_REST = 2.0;  // stands for the phase of a platform at rest until `smooth_substep` has found it
-// |theta_dot| + |x_dot| (rad/s, m/s) at an event, such as the end of an episode, beyond which the motion counts as
-// lost.
+// |theta_dot| + |x_dot| (rad/s, m/s) after a substep with an event beyond which the motion counts as lost.
 constexpr double RATE_LIMIT = 1e4;
 // The cost of a step is 1 where less than this share of the weight presses on the floor, or of pi/2 remains.
 constexpr double MARGIN = 0.1;
@@ -356,8 +355,8 @@ template <class T, int N> struct Step {
   }
 };
 
-// Applies the changes of M and mu that are due to the n environments from `first` on: at the first agent step that starts
-// at or after their time. `c` is the first change to look at; returns the first one of later environments.
+// Applies the changes of M and mu that are due to the n environments from `first` on: at the first agent step that
+// starts at or after their time. `c` is the first change to look at; returns the first one of later environments.
 template <int N>
 const double* apply_changes(const Batch& batch, const double* c, Block<N>& b, long long first, int n) {
   const double *end = batch.changes + 4 * batch.num_changes, dt = batch.settings->control_dt();
