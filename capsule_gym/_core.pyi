@@ -4,7 +4,6 @@ ROWS: list[str]
 SETTINGS: list[str]
 PLANT: list[str]
 TRAJECTORY: list[str]
-FUNCTIONS: list[str]
 OBSERVED: list[str]
 FUSED: str
 LAWS: dict[str, tuple[str, int, int]]
@@ -15,6 +14,7 @@ HISTORY_ROWS: int
 MOST_CELLS: int
 COMMANDS: int
 DIRECTIONS: int
+MOST_RESULTS: int
 THETA_LIMIT: float
 THETA_DOT_BOUND: float
 X_DOT_BOUND: float
@@ -37,8 +37,8 @@ BATCH: list[str]
 
 def select_level(name: str) -> None: ...
 
-# Both call a function of capsule_gym/core/level.cpp and return the index of an environment whose law has failed, or -1;
-# `call` releases the interpreter's lock.
+# Both call a function of capsule_gym/core/level.cpp: the result is the index of an environment whose law has failed, or
+# -1; of functions over arrays it is the number of their results. `call` releases the lock.
 def call(name: str, /, *arguments: float) -> int: ...
 def call_locked(name: str, /, *arguments: float) -> int: ...
 

@@ -86,8 +86,7 @@ class CoreLaw:
         expected = (n, 4), (n, self.cells), (n, columns)
         if (given.shape, renewed.shape, rows.shape) != expected:
             raise ValueError(f"states, memories and rows of {self.name!r} must have the shapes {expected}")
-        addresses = map(native.address, (constants, given, renewed, rows, torques))
-        _core.call("law_torques", self.number, *addresses, n)
+        native.call("law_torques", self.number, constants, given, renewed, rows, torques, n)
         return torques, renewed
 
     def __call__(self, *state_memory_reference: Any) -> tuple[float, tuple[float, ...]]:
@@ -97,22 +96,17 @@ class CoreLaw:
         return float(torques[0]), tuple(renewed[0].tolist())
 
 
-def bind_law(controller: Controller, lanes: int, state: int, raised: list[Exception]) -> tuple[dict[str, int], Any]:
+def bind_law(controller: Controller, lanes: int, state: int, raised: list[Exception]) -> dict[str, Any]:
     """The law of a controller as fields of the core's `Batch`, for blocks of `lanes` environments.
 
     The law observes theta in the row `state`, and theta_dot, x and x_dot in the next ones. `raised` receives the
     exceptions of a law that Python calls.
-
-    Returns:
-        The fields, and what must be kept alive.
     """
     law = controller.law
     if isinstance(law, CoreLaw):
-        constants = np.array([*law.constants, 0.0])
-        return {"law": law.number, "law_constants": native.address(constants)}, constants
+        return {"law": law.number, "law_constants": np.array([*law.constants, 0.0])}
     size = controller.reference.shape[1] + controller.task_size
-    function, data, kept = bind_user_law(controller, size, lanes, state, raised)
-    return {"law": len(_core.LAWS), "user_law": function, "user_data": data}, kept
+    return {"law": len(_core.LAWS), **bind_user_law(controller, size, lanes, state, raised)}
 
 
 @dataclass(frozen=True, eq=False)

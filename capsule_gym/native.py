@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -22,10 +23,6 @@ _core.select_level(LEVEL)
 
 # Float64 in a cache line.
 LINE = 8
-# The number of each function that `evaluate` knows, and of its results, by name.
-_FUNCTIONS = {
-    name: (number, int(results)) for number, entry in enumerate(_core.FUNCTIONS) for name, results in [entry.split(":")]
-}
 
 
 def aligned_zeros(shape: tuple[int, ...]) -> np.ndarray:
@@ -47,6 +44,16 @@ def address(array: np.ndarray) -> int:
     return array.ctypes.data
 
 
+def addressed(values: Iterable[Any]) -> list[float]:
+    """Numbers as they are, and arrays by their addresses."""
+    return [address(value) if isinstance(value, np.ndarray) else value for value in values]
+
+
+def call(name: str, *values: np.ndarray | float) -> int:
+    """Calls a function of `core/level.cpp` with numbers and arrays, and returns what it returns."""
+    return _core.call(name, *addressed(values))
+
+
 def ordered(names: Iterable[str], values: Mapping[str, float]) -> np.ndarray:
     """Numbers by name in the order in which the core reads them, float64."""
     return np.array([values[name] for name in names], np.float64)
@@ -56,19 +63,18 @@ def evaluate(name: str, *arguments: np.ndarray | float, plant: np.ndarray | None
     """Evaluates a function of the core at every entry of its arguments, which are broadcast.
 
     Args:
-        name: one of `_core.FUNCTIONS`; those of the plant need `plant`.
+        name: a function of `core/functions.hpp`; those of the plant need `plant`.
         *arguments: for a function of the plant M and mu come first.
         plant: the plant's constants, in the order of `_core.PLANT`; the arguments replace M and mu.
 
     Returns:
         The results, float64 arrays of the common shape.
     """
-    number, results = _FUNCTIONS[name]
     # `np.broadcast_arrays` takes several times as long as a function of a few numbers.
     inputs = np.empty((len(arguments), *np.broadcast_shapes(*map(np.shape, arguments))))
     for row, argument in enumerate(arguments):
         inputs[row] = argument
-    outputs = np.empty((results, *inputs.shape[1:]))
+    outputs = np.empty((_core.MOST_RESULTS, *inputs.shape[1:]))
     given = 0 if plant is None else address(plant)
-    _core.call("evaluate", number, address(inputs), address(outputs), math.prod(inputs.shape[1:]), given)
-    return tuple(outputs)
+    count = _core.call(name, address(inputs), address(outputs), math.prod(inputs.shape[1:]), given)
+    return tuple(outputs[:count])

@@ -38,7 +38,7 @@ def make_header(options: EnvConfig, *, identifies: bool, **network: Any) -> Head
 
 
 def pack(layers: Sequence[Layer], mean: np.ndarray, scale: np.ndarray, header: Header) -> np.ndarray:
-    """A network in one array, as `Network` in `core/network.hpp` takes it.
+    """A network in one array, as `act_together` in `core/network.hpp` takes it.
 
     Layers are weights (outputs, inputs) and biases (outputs,), in order; the last has one output. The mean is
     subtracted from the inputs, and the difference multiplied by the scale, both of shape (inputs,).
@@ -66,9 +66,7 @@ def write_inputs(header: Header, observations: np.ndarray, memory: np.ndarray, i
         inputs: written.
     """
     values = native.ordered(_core.NETWORK, header)
-    addresses = native.address(values), native.address(observations)
-    further = native.address(memory), native.address(inputs)
-    _core.call("write_inputs", *addresses, *observations.shape[::-1], *further)
+    native.call("write_inputs", values, observations, *observations.shape[::-1], memory, inputs)
 
 
 def act(network: np.ndarray, observations: np.ndarray, memory: np.ndarray) -> np.ndarray:
@@ -110,11 +108,8 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
             f"{policy.entries}"
         )
     memory = np.zeros(simulation.num_envs * _core.CELLS)
-    given = steps, native.address(policy._network), native.address(memory)
-
-    def run(first: int, last: int) -> int:
-        return _core.call("run_episodes", simulation._batch, first, last, *given)
-
     simulation._everyone = False
-    simulation.run(run)
+    simulation.run(
+        lambda first, last: native.call("run_episodes", simulation._fields, first, last, steps, policy._network, memory)
+    )
     return simulation.metrics(np.arange(simulation.num_envs), steps)

@@ -57,7 +57,7 @@ class Simulation:
             environments.
         observations: shape (num_envs, entries), float32, of the present state.
         entries: the bounds of the observation's entries by name, in order.
-        arrays: the arrays that the core reads, by name; among them `settings`, in the order of `_core.SETTINGS`.
+        fields: the numbers and arrays of the core's `Batch` by name; `settings` is in the order of `_core.SETTINGS`.
         start: distribution of the initial states: middle (rad) and half width of theta's, half width of theta_dot's
             (rad/s).
 
@@ -162,13 +162,22 @@ class Simulation:
         observed = Row.read_theta if self.settings.law_reads else Row.theta
         # Exceptions of a law that Python calls.
         self._raised: list[Exception] = []
-        law, self._law = bind_law(acting, self.lanes, observed, self._raised)
-        self.arrays = {
+        self.fields: dict[str, Any] = {
+            **bind_law(acting, self.lanes, observed, self._raised),
             "world": self.world,
+            "block_rows": self.world.shape[1],
+            "num_envs": count,
+            "lanes": self.lanes,
             "observations": self.observations,
+            "entries": self.observations.shape[1],
             "settings": native.ordered(_core.SETTINGS, given),
+            "task": self.task.number,
+            "task_size": self.task.rows,
             "memory": np.array(self.memory),
+            "memory_size": len(self.memory),
             "reference": self.reference,
+            "reference_rows": len(self.reference),
+            "reference_size": self.reference.shape[1],
             "keys": self._keys,
             "episodes": self._episodes,
             "rows": self._rows,
@@ -176,22 +185,10 @@ class Simulation:
             "ranges": resets.plant_ranges(self.randomization, self.capsule),
             "start": self.start,
             "draw_table": self.draw_table,
+            "draw_lines": len(self.draw_table),
             "drawn": self._drawn,
         }
-        fields = {
-            **{name: native.address(array) for name, array in self.arrays.items()},
-            **law,
-            "num_envs": count,
-            "lanes": self.lanes,
-            "entries": self.observations.shape[1],
-            "task": self.task.number,
-            "task_size": self.task.rows,
-            "memory_size": len(self.memory),
-            "reference_rows": len(self.reference),
-            "reference_size": self.reference.shape[1],
-            "draw_lines": len(self.draw_table),
-        }
-        self._fields = np.array([fields.get(name, 0) for name in _core.BATCH])
+        self._fields = np.array(native.addressed(self.fields.get(name, 0) for name in _core.BATCH))
         self._batch = native.address(self._fields)
         self._set_changes(np.zeros((0, 4)))
         # Looking the arguments up each time takes a tenth of a step.

@@ -10,7 +10,7 @@ import numpy as np
 from capsule_gym import _core
 from capsule_gym.checks import nearest, short_repr
 from capsule_gym.config import DIRECT_PHYSICS_DT, LARGEST_TORQUE, EnvConfig
-from capsule_gym.native import address, ordered
+from capsule_gym.native import call, ordered
 from capsule_gym.parameters import NOMINAL, Capsule
 from capsule_gym.settings import check_step, make_settings
 from capsule_gym.task import CONTROL_DT, LARGEST_STATE
@@ -59,8 +59,7 @@ def simulate(
         if partials is not None:
             part = partials[:, first : first + width]
             seeds[:, : part.shape[1]] = part
-        at = address(inputs), address(seeds) if directions else 0
-        ended = _core.call("trajectory", *at, count, steps, physics_dt, address(states), address(found))
+        ended = call("trajectory", inputs, seeds if directions else 0, count, steps, physics_dt, states, found)
         slopes[..., first : first + width] = found[..., : directions - first]
     return states, slopes, ended
 

@@ -21,7 +21,6 @@ import numpy as np
 from capsule_gym import _core
 from capsule_gym.checks import first_cause
 from capsule_gym.layout import ROWS
-from capsule_gym.native import address
 
 # Loops over the environments of a block. The source is generated since numba's public interface cannot make a tuple of
 # a part of an array. All rows are at constant offsets from one pointer: with a pointer for each kind of row LLVM cannot
@@ -57,9 +56,7 @@ _compiled: WeakKeyDictionary[Any, dict[tuple[int, int], Any]] = WeakKeyDictionar
 _lock = threading.Lock()
 
 
-def bind_user_law(
-    controller: Any, row_size: int, lanes: int, state: int, raised: list[Exception]
-) -> tuple[int, int, Any]:
+def bind_user_law(controller: Any, row_size: int, lanes: int, state: int, raised: list[Exception]) -> dict[str, Any]:
     """Makes the law of a `Controller` callable for the core.
 
     Args:
@@ -70,7 +67,7 @@ def bind_user_law(
         raised: receives the exceptions of a law that Python calls.
 
     Returns:
-        The addresses of the function and of its data, and what must be kept alive while they are used.
+        The fields `user_law` and `user_data` of the core's `Batch`, and what must be kept alive while they are used.
     """
     if importlib.util.find_spec("numba") is not None:
         with _lock:
@@ -80,11 +77,12 @@ def bind_user_law(
                 failed = None in known.values()
                 known[lanes, state] = None if failed else _compile(controller, row_size, lanes, state)
             if (compiled := known[lanes, state]) is not None:
-                return compiled.address, 0, compiled
-    plain, cells = _plain(controller.law, len(controller.memory), raised), len(controller.memory)
+                return {"user_law": compiled.address, "compiled": compiled}
+    cells = len(controller.memory)
+    plain = _plain(controller.law, cells, raised)
     # The core's `PlainLaw`.
     data = np.array([id(plain), cells, cells + row_size, lanes, state], np.int64)
-    return _core.PLAIN_LAW, address(data), (plain, data)
+    return {"user_law": _core.PLAIN_LAW, "user_data": data, "plain": plain}
 
 
 def _plain(law: Callable[..., Any], cells: int, raised: list[Exception]) -> Callable[..., tuple[float, ...]]:

@@ -223,7 +223,8 @@ export class Capsule {
     view.memory.set(kind.memory);
     view.draw_table.set(kind.table.flat());
     const fields = {
-      ...address, num_envs: 1, lanes: 1, entries: settings.entries, task: tasks.indexOf(kind.task), law: kind.law,
+      ...address, block_rows: view.world.length, num_envs: 1, lanes: 1, entries: settings.entries,
+      task: tasks.indexOf(kind.task), law: kind.law,
       task_size: TASKS[kind.task].memory.length, memory_size: kind.memory.length, draw_lines: kind.table.length,
       reference_rows: kind.reference.length / kind.columns, reference_size: kind.columns,
     };

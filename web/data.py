@@ -137,8 +137,8 @@ def describe_settings(options: EnvConfig) -> dict[str, Any]:
         Simulation(1, replace(options, randomization="none", disturbances=given)) for given in ("none", Disturbances())
     )
     return {
-        "ideal": ideal.arrays["settings"].tolist(),
-        "disturbed": disturbed.arrays["settings"].tolist(),
+        "ideal": ideal.fields["settings"].tolist(),
+        "disturbed": disturbed.fields["settings"].tolist(),
         **_common(capsule, options.disturbances),
         "entries": ideal.observations.shape[1],
         "control_dt": options.control_dt,

@@ -29,9 +29,8 @@ def platform_motion(
         Shape (3, n), from rest at x = 0: m, m/s, m/s^2.
     """
     motion, plant = np.zeros((3, len(angle))), native.ordered(_core.PLANT, p._asdict())
-    arrays = [np.ascontiguousarray(values, np.float64) for values in (angle, velocity, acceleration)]
-    addresses = map(native.address, arrays)
-    _core.call("platform_motion", *addresses, len(angle), float(h), native.address(plant), native.address(motion))
+    arrays = (np.ascontiguousarray(values, np.float64) for values in (angle, velocity, acceleration))
+    native.call("platform_motion", *arrays, len(angle), float(h), plant, motion)
     return motion
 
 

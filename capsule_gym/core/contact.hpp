@@ -58,23 +58,21 @@ template <class P> struct Phase {
   P p;
   Accelerations<T> first;
 
-  // The piece of tau seconds that has led to this state; x_ddot and normal are those at its start.
-  NOINLINE Piece<T> finish(T tau, const State<T>& end, T x_ddot, T normal) const {
-    auto a = p.accelerations(end.theta, end.theta_dot, end.x_dot, slip, u);
-    return {tau, end, p.boundary(end, a.x_ddot, slip, u), a.theta_ddot, a.x_ddot, x_ddot, max(T(0.0), normal)};
+  // The piece of this step of tau seconds.
+  NOINLINE Piece<T> finish(T tau, const Stepped<T>& r) const {
+    auto a = p.accelerations(r.end.theta, r.end.theta_dot, r.end.x_dot, slip, u);
+    return {tau, r.end, p.boundary(r.end, a.x_ddot, slip, u), a.theta_ddot, a.x_ddot, r.first.x_ddot,
+            max(T(0.0), r.first.normal)};
   }
 
   // A step of tau seconds in one phase, even if the phase would end earlier. It is always a full Runge-Kutta step from
   // the phase's start, so that an event is as accurate as the integrator itself. A step in which the contact is lost is
   // taken without friction.
   NOINLINE Piece<T> piece(T tau) const {
-    auto start = first;
-    auto r = p.runge_kutta(s, slip, p.kinetic_friction(slip), u, tau, start);
-    if (!(r.smallest >= 0.0)) {
-      start = p.pressed_accelerations(s.theta, s.theta_dot, s.x_dot, slip, 0.0, u);
-      r = p.runge_kutta(s, slip, 0.0, u, tau, start);
-    }
-    return finish(tau, r.end, start.x_ddot, start.normal);
+    auto r = p.runge_kutta(s, slip, p.kinetic_friction(slip), u, tau, first);
+    if (!(r.smallest >= 0.0))
+      r = p.runge_kutta(s, slip, 0.0, u, tau, p.pressed_accelerations(s.theta, s.theta_dot, s.x_dot, slip, 0.0, u));
+    return finish(tau, r);
   }
 
   // The piece that ends on the boundary: Newton's method on re-taken steps, kept inside a bracket. The first guess is
@@ -187,17 +185,17 @@ template <class T, class M> struct Passed {
 };
 
 // `event_step` from slip through one moment of rest, free of branches, with the same bits. Not valid where `holds` is
-// false: if another event happens, or if locating the moment takes more than one trial. The three numbers are the state
-// after h seconds if the phase lasted.
+// false: if another event happens, or if locating the moment takes more than one trial. `lasting` is the state after h
+// seconds if the phase lasted.
 template <class P, class T = Number<P>>
-INLINE auto pass_rest(const Phase<P>& start, T theta_1, T theta_dot_1, T x_dot_1, T h) {
+INLINE auto pass_rest(const Phase<P>& start, const State<T>& lasting, T h) {
   const auto& [s, slip, u, p, first] = start;
   T mu = p.kinetic_friction(slip);
-  T before = slip * s.x_dot, after = slip * x_dot_1;
-  auto at_end = p.pressed_accelerations(theta_1, theta_dot_1, x_dot_1, slip, mu, u);
+  T before = slip * s.x_dot, after = slip * lasting.x_dot;
+  auto at_end = p.pressed_accelerations(lasting.theta, lasting.theta_dot, lasting.x_dot, slip, mu, u);
   auto holds = (slip != 0.0) & (before > EVENT_TOLERANCE) & (after < 0.0) & (at_end.normal >= 0.0);
   T tau = first_guess(before, slip * first.x_ddot, after, slip * at_end.x_ddot, h);
-  auto [m, smallest] = p.runge_kutta(s, slip, mu, u, tau, first);
+  auto [m, unused, smallest] = p.runge_kutta(s, slip, mu, u, tau, first);
   auto a = p.pressed_accelerations(m.theta, m.theta_dot, m.x_dot, slip, mu, u);
   T correction = -(slip * m.x_dot) / (slip * a.x_ddot);
   holds = holds & (smallest >= 0.0) & (a.normal >= 0.0) & (slip * a.x_ddot < 0.0) &
@@ -207,14 +205,14 @@ INLINE auto pass_rest(const Phase<P>& start, T theta_1, T theta_dot_1, T x_dot_1
                    m.x + correction * m.x_dot, 0.0};
   T next_slip = p.phase_at_rest(rest.theta, rest.theta_dot, u);
   T remaining = h - tau;
-  auto last = p.template smooth_step<true>(rest, next_slip, u, remaining);
+  auto [last, lasts] = p.template smooth_step<true>(rest, next_slip, u, remaining);
   const State<T>& e = last.end;
   T turned = swept(s.theta_dot, rest.theta_dot, rest.theta - s.theta, tau) +
              swept(rest.theta_dot, e.theta_dot, e.theta - rest.theta, remaining);
   T forward = max(T(0.0), rest.x - s.x) + max(T(0.0), e.x - rest.x);
   T backward = max(T(0.0), s.x - rest.x) + max(T(0.0), rest.x - e.x);
   T stuck = select(next_slip == 0.0, remaining, T(0.0));
-  holds = holds & last.lasts & (remaining > 0.0);
+  holds = holds & lasts & (remaining > 0.0);
   return Passed<T, decltype(holds)>{
       {e, forward, backward, stuck, turned, min(first.normal, last.first.normal), 1.0}, next_slip, holds};
 }

@@ -23,8 +23,7 @@ template <class T> INLINE T rounded(T value, T resolution) {
   return select(rounds, ((value / unit + ROUNDING) - ROUNDING) * unit, value);
 }
 
-// Disturbances of a block of N environments, with the number type T; `history` holds the last states, HISTORY_ROWS
-// each.
+// Disturbances of a block of N environments, with the number type T; `history` holds the last states.
 template <class T, int N> struct Disturbed {
   const Settings& q;
   Block<N>& b;
@@ -40,9 +39,7 @@ template <class T, int N> struct Disturbed {
   NOINLINE void begin() {
     for (int j = 0; j < n; j++) {
       if (b.active[j] == 0.0) continue;
-#define FIELD(name) b.drawn_##name[j],
-      Constants<double> drawn = {CAPSULE_CONSTANTS(FIELD)};
-#undef FIELD
+      auto drawn = load_record<Constants<double>, double, N>(FROM(drawn_m), j);
       drawn.motor_friction += b.motor_friction[j];
       auto p = derive(drawn);
 #define FIELD(name) b.plant_##name[j] = p.name;
@@ -59,10 +56,8 @@ template <class T, int N> struct Disturbed {
       b.drift_of_x_dot[j] = b.x_dot_drift[j] * normals(word_of(key, 0.0, 7)).first;
       b.read_x[j] = b.x[j];
       b.readings[j] = b.motor[j] = 0.0;
-      for (int i = 0; i < (int)q.history; i++) {
-        double* state = entry(i) + j;
-        state[0] = b.theta[j], state[N] = b.theta_dot[j], state[2 * N] = b.x_dot[j], state[3 * N] = b.x[j];
-      }
+      for (int i = 0; i < (int)q.history; i++)
+        store_record<double, N>(entry(i), j, load_record<State<double>, double, N>(FROM(theta), j));
     }
   }
 
@@ -86,16 +81,13 @@ template <class T, int N> struct Disturbed {
     if (!begins) {
       int next = (int)b.cursor[0] + 1;
       b.cursor[0] = next < (int)q.history ? next : 0;
-      double* here = entry((int)b.cursor[0]);
-      EACH store(here + j, GET(theta)), store(here + N + j, GET(theta_dot)), store(here + 2 * N + j, GET(x_dot)),
-          store(here + 3 * N + j, GET(x));
+      EACH store_record<T, N>(entry((int)b.cursor[0]), j, load_record<State<T>, T, N>(FROM(theta), j));
     }
     if (!begins && !last && q.with_reference == 0.0) return;
     for (int j = 0; j < n; j++) {
       int place = (int)b.cursor[0] - (int)b.delay[j];
-      const double* state = entry(place < 0 ? place + (int)q.history : place) + j;
-      b.late_theta[j] = state[0], b.late_theta_dot[j] = state[N], b.late_x_dot[j] = state[2 * N];
-      b.late_x[j] = state[3 * N];
+      const double* state = entry(place < 0 ? place + (int)q.history : place);
+      store_record<double, N>(FROM(late_theta), j, load_record<State<double>, double, N>(state, j));
     }
     double pause = time_between_readings();
     EACH {

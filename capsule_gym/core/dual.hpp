@@ -1,11 +1,13 @@
-// Forward differentiation: a number and its derivatives along N directions, under the operators of one environment. The
-// values have the bits of a double; conditions depend on them alone.
+// Forward differentiation: a number and its derivatives along several directions, under the operators of one
+// environment. The values have the bits of a double; conditions depend on them alone.
 #pragma once
 #include "elementary.hpp"
 
 namespace LEVEL {
-template <int N> struct Dual {
-  static constexpr int COUNT = N / PACK;
+constexpr int DIRECTIONS = 8;
+
+struct Dual {
+  static constexpr int COUNT = DIRECTIONS / PACK;
   double v;
   // As many registers as they need: compilers spill vectors that are wider than a register.
   Doubles d[COUNT];
@@ -47,18 +49,16 @@ template <int N> struct Dual {
   friend INLINE Dual operator*(double a, const Dual& b) { return b * a; }
 #undef PARTIAL
 
-  friend INLINE bool operator<(const Dual& a, const Dual& b) { return a.v < b.v; }
-  friend INLINE bool operator>(const Dual& a, const Dual& b) { return a.v > b.v; }
-  friend INLINE bool operator<=(const Dual& a, const Dual& b) { return a.v <= b.v; }
-  friend INLINE bool operator>=(const Dual& a, const Dual& b) { return a.v >= b.v; }
-  friend INLINE bool operator==(const Dual& a, const Dual& b) { return a.v == b.v; }
-
+#define COMPARISON(symbol) \
+  friend INLINE bool operator symbol(const Dual& a, const Dual& b) { return a.v symbol b.v; }
+  COMPARISON(<) COMPARISON(>) COMPARISON(<=) COMPARISON(>=) COMPARISON(==)
+#undef COMPARISON
   friend INLINE Dual select(bool condition, const Dual& a, const Dual& b) { return condition ? a : b; }
   friend INLINE Dual abs(const Dual& a) { return a.v < 0.0 ? -a : a; }
   // A factor that is zero counts where it has a derivative.
   friend INLINE bool acts(const Dual& a) {
     bool any = a.v != 0.0;
-    for (int i = 0; i < N; i++) any |= ((const double*)&a.d)[i] != 0.0;
+    for (int i = 0; i < DIRECTIONS; i++) any |= ((const double*)&a.d)[i] != 0.0;
     return any;
   }
 };

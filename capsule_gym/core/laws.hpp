@@ -18,8 +18,7 @@ struct NoLaw {
 
   template <class T> INLINE T torque(const State<T>&, NoMemory<T>&, const NoReference<T>&) const { return 0.0; }
 };
-}  // namespace LEVEL
 
-#define CAPSULE_LAWS(LAW)                                                                                              \
-  LAW(NoLaw) LAW(Adaptive) LAW(FeedbackLinearising) LAW(Gait) LAW(GaitCandidate) LAW(GaitPredictive)                   \
-  LAW(GoalPulses) LAW(VelocityPulses) LAW(Tracking) LAW(Oscillator)
+using Laws = List<NoLaw, Adaptive, FeedbackLinearising, Gait, GaitCandidate, GaitPredictive, GoalPulses,
+                  VelocityPulses, Tracking, Oscillator>;
+}  // namespace LEVEL

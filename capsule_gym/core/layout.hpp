@@ -4,13 +4,6 @@
 #include "identification.hpp"
 #include "plant.hpp"
 
-// The sizes of an episode's disturbances, as in `Disturbances`.
-#define CAPSULE_DISTURBANCES                                                                                           \
-  ROW(theta_noise) ROW(theta_dot_noise) ROW(x_dot_noise) ROW(theta_bias) ROW(theta_dot_bias) ROW(x_dot_bias)           \
-  ROW(theta_drift) ROW(theta_dot_drift) ROW(x_dot_drift) ROW(drift_time) ROW(theta_resolution)                         \
-  ROW(theta_dot_resolution) ROW(x_dot_resolution) ROW(latency) ROW(lag) ROW(motor_friction) ROW(torque_resolution)     \
-  ROW(push)
-
 // The quantities of an environment; SI units. `info` shows the first ones under these names.
 #define CAPSULE_ROWS                                                                                                   \
   ROW(theta) ROW(theta_dot) ROW(x) ROW(x_dot) ROW(M) ROW(mu) ROW(torque) ROW(law_torque) ROW(normal_force) ROW(energy) \
@@ -34,8 +27,12 @@
   ROW(next_theta) ROW(next_theta_dot) ROW(next_x) ROW(next_x_dot) ROW(theta_ddot) ROW(x_ddot)                          \
   ROW(first_normal_force) ROW(least_normal_force)                                                                      \
   /* Down to the end only for varied plants. The constants of `Plant`, those that the episode has drawn, its           \
-     disturbances, and the key of its noise. */                                                                        \
-  CAPSULE_PLANT(PLANT_ROW) CAPSULE_CONSTANTS(DRAWN) CAPSULE_DISTURBANCES ROW(key)                                      \
+     disturbances as in `Disturbances`, and the key of its noise. */                                                   \
+  CAPSULE_PLANT(PLANT_ROW) CAPSULE_CONSTANTS(DRAWN)                                                                    \
+  ROW(theta_noise) ROW(theta_dot_noise) ROW(x_dot_noise) ROW(theta_bias) ROW(theta_dot_bias) ROW(x_dot_bias)           \
+  ROW(theta_drift) ROW(theta_dot_drift) ROW(x_dot_drift) ROW(drift_time) ROW(theta_resolution)                         \
+  ROW(theta_dot_resolution) ROW(x_dot_resolution) ROW(latency) ROW(lag) ROW(motor_friction) ROW(torque_resolution)     \
+  ROW(push) ROW(key)                                                                                                   \
   /* Derived: the latency in periods, the shares of drift and of motor lag after one period; readings so far. */       \
   ROW(delay) ROW(drift_share) ROW(motor_share) ROW(readings)                                                           \
   /* In the first lane: the entry of the history that was written last. */                                             \
@@ -45,7 +42,7 @@
   /* The last reading; x is the integral of its x_dot, or that of a sensor. */                                         \
   ROW(read_theta) ROW(read_theta_dot) ROW(read_x) ROW(read_x_dot)                                                      \
   /* The state that the next reading shows. */                                                                         \
-  ROW(late_theta) ROW(late_theta_dot) ROW(late_x_dot) ROW(late_x)                                                      \
+  ROW(late_theta) ROW(late_theta_dot) ROW(late_x) ROW(late_x_dot)                                                      \
   /* The measured x at the start of the agent step. */                                                                 \
   ROW(read_before_x)
 #define PLANT_ROW(name) ROW(plant_##name)
@@ -66,11 +63,13 @@ template <int N> struct Block {
 #define EACH for (int j = 0; j < n; j += WIDTH<T>)
 #define GET(row) load<T>(b.row + j)
 #define PUT(row, value) store<T>(b.row + j, value)
+// The rows from this one on, whose numbers are the fields of a struct.
+#define FROM(row) ((double*)&b + __builtin_offsetof(Block<N>, row) / sizeof(double))
 
 // Values of the row `halt`: under way; stopped in the present substep, with one call of the law left; and halted.
 constexpr double UNDER_WAY = 0.0, ENDING = 1.0, HALTED = 2.0;
-constexpr int HISTORY_ROWS = 4;  // rows of a state in the history: theta, theta_dot, x_dot, x
-constexpr int FILTER_ROWS = sizeof(LEVEL::Identification) / sizeof(double);  // only with observed estimates
+constexpr int HISTORY_ROWS = LEVEL::WIDTH<LEVEL::State<double>>;  // of each state in the history
+constexpr int CELLS = LEVEL::WIDTH<LEVEL::Identification>;  // rows of the filter, only with observed estimates
 
 // The settings of a step, SI units; conditions are 0.0 or 1.0.
 #define CAPSULE_SETTINGS(FIELD)                                                                                        \
@@ -101,8 +100,8 @@ typedef void (*UserLaw)(void* data, double* block, double* torques, long long n)
 #define CAPSULE_BATCH(FIELD)                                                                                           \
   /* The blocks, each with the law's memory, its line of the reference, the task's memory, the history and the filter  \
      of the estimates behind it. A varied plant has two memories of the task, with true and with measured values; the  \
-     law observes the first. `lanes` is LANES or 1. */                                                                 \
-  FIELD(double*, world) FIELD(long long, num_envs) FIELD(long long, lanes)                                             \
+     law observes the first. `block_rows` includes them; `lanes` is LANES or 1. */                                     \
+  FIELD(double*, world) FIELD(long long, block_rows) FIELD(long long, num_envs) FIELD(long long, lanes)                \
   /* Shape (num_envs, entries). */                                                                                     \
   FIELD(float*, observations) FIELD(long long, entries)                                                                \
   FIELD(const Settings*, settings)                                                                                     \
@@ -116,8 +115,8 @@ typedef void (*UserLaw)(void* data, double* block, double* torques, long long n)
   FIELD(const unsigned long long*, keys) FIELD(long long*, episodes) FIELD(const long long*, rows)                     \
   FIELD(double*, starts) FIELD(const double*, ranges) FIELD(const double*, start)                                      \
   /* Further draws: lines of (row, stream, place, low, range, signed), and the values (lines, num_envs). */            \
-  FIELD(const double*, draw_table) FIELD(long long, draw_lines) FIELD(double*, drawn)                                   \
-  /* Rows of environment, time (s), M (kg) and mu, in order of environment and time. */                                 \
+  FIELD(const double*, draw_table) FIELD(long long, draw_lines) FIELD(double*, drawn)                                  \
+  /* Rows of environment, time (s), M (kg) and mu, in order of environment and time. */                                \
   FIELD(const double*, changes) FIELD(long long, num_changes)
 
 struct Batch {
@@ -126,12 +125,9 @@ struct Batch {
 #undef FIELD
 };
 
-// Doubles of a block of N environments.
-template <int N> constexpr long long block_size(const Batch& batch) {
-  long long rows = batch.memory_size + batch.reference_size + (batch.settings->varied != 0.0 ? 2 : 1) * batch.task_size;
-  long long history = HISTORY_ROWS * (long long)batch.settings->history;
-  long long filter = batch.settings->with_estimates != 0.0 ? FILTER_ROWS : 0;
-  return sizeof(Block<N>) / 8 + (rows + history + filter) * N;
+// The block of N environments that holds environment i.
+template <int N> INLINE Block<N>& block_of(const Batch& batch, long long i) {
+  return *(Block<N>*)(batch.world + i / N * batch.block_rows * N);
 }
 
 // An argument of a function of level.cpp: a whole or real number, or an address.

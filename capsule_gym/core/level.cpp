@@ -1,7 +1,5 @@
 // The core at one level of instructions: compiled once for each, with -DLEVEL=name and its -march.
 #include "functions.hpp"
-#include "resets.hpp"
-#include "rollout.hpp"
 #include "trajectory.hpp"
 
 #define CALL_AT(level) CALL_OF(level)
@@ -12,23 +10,18 @@ extern "C" Call CALL_AT(LEVEL);
 long long CALL_AT(LEVEL)(const char* function, const Argument* a) {
   using namespace LEVEL;
   auto is = [&](const char* name) { return !__builtin_strcmp(function, name); };
-  if (is("advance")) return advance(*(const Batch*)a[0], a[1], a[2], (long long)a[3] != 0);
-  if (is("step_one")) return step_one(*(const Batch*)a[0], a[1]);
-  if (is("evaluate")) return evaluate(a[0], a[1], a[2], a[3], a[4]), -1;
+  const Batch& batch = *(const Batch*)a[0];
+  if (is("advance")) return advance(batch, a[1], a[2], (long long)a[3] != 0);
+  if (is("step_one")) return step_one(batch, a[1]);
+  if (is("draw_episodes")) return draw_episodes(batch, a[1]);
+  if (is("begin_episodes")) return (batch.lanes == 1 ? begin_episodes<1> : begin_episodes<LANES>)(batch, a[1]), -1;
+  if (is("run_episodes"))
+    return (batch.lanes == 1 ? run_episodes<1> : run_episodes<LANES>)(batch, a[1], a[2], a[3], a[4], a[5]);
+  if (is("trajectory"))
+    return ((const double*)a[1] ? trajectory<Dual> : trajectory<double>)(a[0], a[1], a[2], a[3], a[4], a[5], a[6]);
   if (is("law_torques")) return law_torques(a[0], a[1], a[2], a[3], a[4], a[5], a[6]), -1;
   if (is("platform_motion")) return platform_motion(a[0], a[1], a[2], a[3], a[4], *(const AnyPlant*)a[5], a[6]), -1;
-  if (is("trajectory")) {
-    auto run = (const double*)a[1] ? trajectory<DIRECTIONS> : trajectory<0>;
-    return run(a[0], a[1], a[2], a[3], a[4], a[5], a[6]);
-  }
   if (is("write_inputs")) return write_inputs(*(const Header*)a[0], a[1], a[2], a[3], a[4], a[5]), -1;
-  if (is("act")) return act(Network(a[0]), a[1], a[2], a[3], a[4], a[5]), -1;
-  const Batch& batch = *(const Batch*)a[0];
-  if (is("draw_episodes")) return draw_episodes(batch, a[1]);
-  if (is("begin_episodes")) return begin_episodes(batch, a[1]), -1;
-  if (is("run_episodes")) {
-    auto run = batch.lanes == 1 ? run_episodes<1> : run_episodes<LANES>;
-    return run(batch, a[1], a[2], a[3], Network(a[4]), a[5]);
-  }
-  return UNKNOWN;
+  if (is("act")) return act(a[0], a[1], a[2], a[3], a[4], a[5]), -1;
+  return evaluate(function, a[0], a[1], a[2], a[3]);
 }

@@ -9,8 +9,6 @@
 #include <cpuid.h>
 #endif
 
-#include "functions.hpp"
-#include "rollout.hpp"
 #include "trace.hpp"
 #include "trajectory.hpp"
 
@@ -129,50 +127,44 @@ PyObject* names_in(const char* text) {
 }
 
 int fill(PyObject* module) {
-  char levels[64] = "";
-  for (int i = BEST; i < NUM_LEVELS; i++) __builtin_strcat(__builtin_strcat(levels, LEVELS[i].name), " ");
-  PyObject *laws = PyDict_New(), *tasks = PyDict_New();
-  int failed = !laws || !tasks;
-  auto add = [&](const char* name, PyObject* value) { failed |= PyModule_AddObject(module, name, value); };
-  add("LEVELS", names_in(levels)), add("LAWS", laws), add("TASKS", tasks);
-#define ROW(name) CAPSULE_NAME(name)
-  add("ROWS", names_in(CAPSULE_ROWS));
-#undef ROW
-  add("SETTINGS", names_in(CAPSULE_SETTINGS(CAPSULE_NAME))), add("NETWORK", names_in(CAPSULE_NETWORK(CAPSULE_NAME)));
-#define FIELD(type, name) CAPSULE_NAME(name)
-  add("BATCH", names_in(CAPSULE_BATCH(FIELD)));
-#undef FIELD
-  add("PLANT", names_in(NOMINAL_CONSTANTS(CAPSULE_NAME)));
-  add("TRAJECTORY", names_in(CAPSULE_TRAJECTORY(CAPSULE_NAME)));
-#define FUNCTION(name, arguments, results, call) #name ":" #results " "
-  add("FUNCTIONS", names_in(CAPSULE_EVALUATED(FUNCTION)));
-  add("OBSERVED", names_in(OBSERVED(CAPSULE_NAME)));
-#define CAPSULE_C(...) #__VA_ARGS__
-  add("FUSED", PyUnicode_FromString(
-#include "fused.h"
-  ));
-#undef CAPSULE_C
-  // Laws and tasks in the order of their numbers.
+  using namespace portable;
+  int failed = 0;
   auto put = [&](PyObject* entries, const char* name, PyObject* value) {
     failed |= value && entries ? PyDict_SetItemString(entries, name, value) : -1;
     Py_XDECREF(value);
   };
-#define LAW(Law) put(laws, portable::Law::NAME, \
-                     Py_BuildValue("(sii)", portable::Law::CONSTANTS, portable::Law::MEMORY, portable::Law::COLUMNS));
-#define TASK(Task) put(tasks, portable::Task::NAME, PyUnicode_FromString(portable::Task::FIELDS));
-  CAPSULE_LAWS(LAW) CAPSULE_TASKS(TASK)
-#define REAL(name) add(#name, PyFloat_FromDouble(portable::name));
+  PyObject *own = PyModule_GetDict(module), *laws = PyDict_New(), *tasks = PyDict_New();
+  put(own, "LAWS", laws), put(own, "TASKS", tasks);
+  // In the order of their numbers.
+  [&]<class... Law>(List<Law...>) {
+    (put(laws, Law::NAME, Py_BuildValue("(sii)", Law::CONSTANTS, Law::MEMORY, Law::COLUMNS)), ...);
+  }(Laws());
+  [&]<class... Task>(List<Task...>) { (put(tasks, Task::NAME, PyUnicode_FromString(Task::FIELDS)), ...); }(Tasks());
+  char levels[64] = "";
+  for (int i = BEST; i < NUM_LEVELS; i++) __builtin_strcat(__builtin_strcat(levels, LEVELS[i].name), " ");
+#define FIELD(type, name) CAPSULE_NAME(name)
+#define ROW(name) CAPSULE_NAME(name)
+#define NAMES(name, text) put(own, #name, names_in(text));
+  NAMES(LEVELS, levels) NAMES(ROWS, CAPSULE_ROWS) NAMES(BATCH, CAPSULE_BATCH(FIELD))
+  NAMES(SETTINGS, CAPSULE_SETTINGS(CAPSULE_NAME)) NAMES(NETWORK, CAPSULE_NETWORK(CAPSULE_NAME))
+  NAMES(PLANT, NOMINAL_CONSTANTS(CAPSULE_NAME)) NAMES(TRAJECTORY, CAPSULE_TRAJECTORY(CAPSULE_NAME))
+  NAMES(OBSERVED, OBSERVED(CAPSULE_NAME))
+#define CAPSULE_C(...) #__VA_ARGS__
+  put(own, "FUSED", PyUnicode_FromString(
+#include "fused.h"
+  ));
+#define REAL(name) put(own, #name, PyFloat_FromDouble(name));
   REAL(THETA_LIMIT) REAL(THETA_DOT_BOUND) REAL(X_DOT_BOUND) REAL(MOTOR_WIDTH) REAL(MOTOR_SLOPE)
   REAL(ERROR_BOUND) REAL(TOLERANCE) REAL(HOLD) REAL(TIME_TOLERANCE) REAL(SPEED_BOUND) REAL(SETTLING) REAL(MEASURED)
   REAL(ROUNDING)
-  using I = portable::Identification;
-  add("ESTIMATES", Py_BuildValue("{s(dd)s(dd)s(dd)s(dd)}", "M_estimate", I::LOW_M, I::HIGH_M, "log_mu_estimate",
-                                 I::LOW_LOG_MU, I::HIGH_LOG_MU, "M_deviation", 0.0, I::DEVIATION_M,
-                                 "log_mu_deviation", 0.0, I::DEVIATION_LOG_MU));
-#define WHOLE(name, value) add(#name, PyLong_FromLongLong((long long)(value)));
-  WHOLE(LANES, LANES) WHOLE(HISTORY_ROWS, HISTORY_ROWS) WHOLE(MOST_CELLS, MOST_CELLS) WHOLE(PADDING, portable::PADDING)
-  WHOLE(COMMANDS, portable::COMMANDS) WHOLE(CELLS, portable::WIDTH<portable::Identification>)
-  WHOLE(DIRECTIONS, portable::DIRECTIONS) WHOLE(PLAIN_LAW, &call_plain)
+#define WHOLE(name) put(own, #name, PyLong_FromLongLong(name));
+  WHOLE(LANES) WHOLE(HISTORY_ROWS) WHOLE(MOST_CELLS) WHOLE(PADDING) WHOLE(COMMANDS) WHOLE(CELLS) WHOLE(DIRECTIONS)
+  WHOLE(MOST_RESULTS)
+  put(own, "PLAIN_LAW", PyLong_FromVoidPtr((void*)&call_plain));
+  using I = Identification;
+  put(own, "ESTIMATES", Py_BuildValue("{s(dd)s(dd)s(dd)s(dd)}", "M_estimate", I::LOW_M, I::HIGH_M, "log_mu_estimate",
+                                      I::LOW_LOG_MU, I::HIGH_LOG_MU, "M_deviation", 0.0, I::DEVIATION_M,
+                                      "log_mu_deviation", 0.0, I::DEVIATION_LOG_MU));
   return failed;
 }
 

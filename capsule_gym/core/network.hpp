@@ -24,25 +24,6 @@ constexpr int PADDING = 8;   // units are padded to multiples of it: the numbers
 constexpr int TOGETHER = 4;  // environments for which a weight is read once
 constexpr int padded(int width) { return (width + PADDING - 1) / PADDING * PADDING; }
 
-// A packed network, aligned to 64 bytes. Its parts follow each other, each padded with zeros to a multiple of PADDING:
-// header, widths (inputs and the units of each layer), mean and scale of the inputs, and for each layer the biases and
-// the weights, one row of padded units for each input.
-struct Network {
-  const Header& header;
-  const double *widths, *mean, *scale, *layers;
-  int widest = 0;  // largest number of inputs or units, padded
-
-  explicit Network(const double* packed)
-      : header(*(const Header*)packed),
-        widths(packed + padded(sizeof(Header) / sizeof(double))),
-        mean(widths + padded((int)header.layers + 1)),
-        scale(mean + padded((int)header.inputs)),
-        layers(scale + padded((int)header.inputs)) {
-    for (int i = 0; i <= header.layers; i++)
-      if (int width = padded((int)widths[i]); width > widest) widest = width;
-  }
-};
-
 struct Layer {
   int inputs, units;  // the units are padded
   const double *bias, *weights;
@@ -89,11 +70,19 @@ inline void write_inputs(const Header& header, const float* observations, long l
 }
 
 // The actions in [-1, 1] of ROWS environments, for the arguments of `write_inputs`.
+//
+// `network` is aligned to 64 bytes. Its parts follow each other, each padded with zeros to a multiple of PADDING:
+// header, widths (inputs and the units of each layer), mean and scale of the inputs, and for each layer the biases and
+// the weights, one row of padded units for each input.
 template <class T, int ROWS>
-NOINLINE void act_together(const Network& network, const float* observations, long long entries,
+NOINLINE void act_together(const double* network, const float* observations, long long entries,
                            Identification* memory, float* actions) {
-  const Header& header = network.header;
-  const int inputs = (int)header.inputs, layers = (int)header.layers, width = network.widest;
+  const Header& header = *(const Header*)network;
+  const int inputs = (int)header.inputs, layers = (int)header.layers;
+  const double *widths = network + padded(WIDTH<Header>), *mean = widths + padded(layers + 1);
+  const double *scale = mean + padded(inputs), *next = scale + padded(inputs);
+  int width = 0;  // largest number of inputs or units, padded
+  for (int i = 0; i <= layers; i++) width = padded((int)widths[i]) > width ? padded((int)widths[i]) : width;
   float* given = (float*)__builtin_alloca(ROWS * inputs * sizeof(float));
   write_inputs(header, observations, entries, ROWS, memory, given);
   // A wide load that crosses a cache line takes twice as long.
@@ -101,12 +90,11 @@ NOINLINE void act_together(const Network& network, const float* observations, lo
          *sums = values + ROWS * width;
   for (int r = 0; r < ROWS; r++)
     for (int i = 0; i < inputs; i++)
-      values[r * width + i] = clip((given[r * inputs + i] - network.mean[i]) * network.scale[i], header.clip);
+      values[r * width + i] = clip((given[r * inputs + i] - mean[i]) * scale[i], header.clip);
   // Registers of PADDING units, and as many as can be added to at once.
   constexpr int NARROW = PADDING / WIDTH<T>, WIDE = ROWS == 1 ? 8 : NARROW == 1 ? 4 : NARROW;
-  const double* next = network.layers;
   for (int n = 0; n < layers; n++) {
-    Layer layer = {(int)network.widths[n], padded((int)network.widths[n + 1]), next, next};
+    Layer layer = {(int)widths[n], padded((int)widths[n + 1]), next, next};
     layer.weights += layer.units;
     next = layer.weights + layer.inputs * layer.units;
     int k = 0;
@@ -125,7 +113,7 @@ NOINLINE void act_together(const Network& network, const float* observations, lo
 }
 
 // The same for any number of environments.
-inline void act(const Network& network, const float* observations, long long entries, long long n,
+inline void act(const double* network, const float* observations, long long entries, long long n,
                 Identification* memory, float* actions) {
   for (long long i = 0; i < n;) {
     bool together = n - i >= TOGETHER;

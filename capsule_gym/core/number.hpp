@@ -89,17 +89,12 @@ struct Pack {
   INLINE Pack(Doubles v) : v(v) {}
   // The difference is x in all lanes, also for -0.0 and NaN.
   INLINE Pack(double x) : v(x - Doubles{}) {}
-  friend INLINE Pack operator+(Pack a, Pack b) { return a.v + b.v; }
-  friend INLINE Pack operator-(Pack a, Pack b) { return a.v - b.v; }
-  friend INLINE Pack operator*(Pack a, Pack b) { return a.v * b.v; }
-  friend INLINE Pack operator/(Pack a, Pack b) { return a.v / b.v; }
+#define OPERATOR(Result, symbol) \
+  friend INLINE Result operator symbol(Pack a, Pack b) { return {a.v symbol b.v}; }
+  OPERATOR(Pack, +) OPERATOR(Pack, -) OPERATOR(Pack, *) OPERATOR(Pack, /) OPERATOR(Mask, ==) OPERATOR(Mask, !=)
+  OPERATOR(Mask, <) OPERATOR(Mask, >) OPERATOR(Mask, <=) OPERATOR(Mask, >=)
+#undef OPERATOR
   friend INLINE Pack operator-(Pack a) { return -a.v; }
-  friend INLINE Mask operator<(Pack a, Pack b) { return {a.v < b.v}; }
-  friend INLINE Mask operator>(Pack a, Pack b) { return {a.v > b.v}; }
-  friend INLINE Mask operator<=(Pack a, Pack b) { return {a.v <= b.v}; }
-  friend INLINE Mask operator>=(Pack a, Pack b) { return {a.v >= b.v}; }
-  friend INLINE Mask operator==(Pack a, Pack b) { return {a.v == b.v}; }
-  friend INLINE Mask operator!=(Pack a, Pack b) { return {a.v != b.v}; }
 };
 
 INLINE Pack select(Mask condition, Pack a, Pack b) { return condition.m ? a.v : b.v; }
@@ -156,13 +151,21 @@ template <> INLINE void store(double* at, double value) { *at = value; }
 // Not by a copy of bytes, which the compiler would take for a write to anything, also to pointers.
 typedef double Unaligned __attribute__((vector_size(8 * PACK), aligned(8)));
 template <> INLINE void store(double* at, Pack values) { *(Unaligned*)at = values.v; }
-// A struct of numbers T from consecutive rows of N lanes, at the lanes from j on.
-template <class Record, class T, int N> INLINE Record load_record(const double* rows, int j) {
+// A struct of numbers from consecutive rows of N lanes, of each of which `read` gives the numbers.
+template <class Record, int N, class Read> INLINE Record read_record(const double* rows, Read read) {
+  using T = decltype(read(rows));
   Record record;
-  for (int r = 0; r < (int)(sizeof record / sizeof(T)); r++) ((T*)&record)[r] = load<T>(rows + r * N + j);
+  for (int r = 0; r < (int)(sizeof record / sizeof(T)); r++) ((T*)&record)[r] = read(rows + r * N);
   return record;
 }
-// The reverse in the lanes where `renews`; the others keep theirs.
+// The numbers T at the lanes from j on.
+template <class Record, class T, int N> INLINE Record load_record(const double* rows, int j) {
+  return read_record<Record, N>(rows, [j](const double* row) { return load<T>(row + j); });
+}
+template <class T, int N, class Record> INLINE void store_record(double* rows, int j, const Record& record) {
+  for (int r = 0; r < (int)(sizeof record / sizeof(T)); r++) store<T>(rows + r * N + j, ((const T*)&record)[r]);
+}
+// Only in the lanes where `renews`; the others keep theirs.
 template <class T, int N, class Record, class M>
 INLINE void store_record(double* rows, int j, const Record& record, M renews) {
   for (int r = 0; r < (int)(sizeof record / sizeof(T)); r++)
@@ -180,4 +183,12 @@ template <class T> INLINE T clip(T value, T limit) {
   return select(value > limit, limit, select(value < -limit, -limit, value));
 }
 template <class T> INLINE T sign_of(T x) { return select(x > 0.0, T(1.0), select(x < 0.0, T(-1.0), T(0.0))); }
+
+// Types, each of which has its place as its number.
+template <class... Types> struct List {};
+// Calls f<Type>() for the type with a number; returns whether there is one.
+template <class... Types, class F> INLINE bool with_type(List<Types...>, long long number, F f) {
+  long long place = 0;
+  return ((number == place++ && (f.template operator()<Types>(), true)) || ...);
+}
 }  // namespace LEVEL

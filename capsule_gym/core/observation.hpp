@@ -27,19 +27,8 @@ INLINE void put_entries(const Settings& q, const Observed<T>& o, const typename 
   if (q.with_task != 0.0) Task::observe(memory, put);
 }
 
-// Updates the estimates of M and mu with an observation, and writes them to it; returns the end of what is written. The
-// filter lies in the rows from `cells` on.
-template <int N>
-NOINLINE float* estimate(const Settings& q, double* cells, int j, const float* observed, float* next) {
-  auto f = load_record<Identification, double, N>(cells, j);
-  struct { double m, l, g, dt; } nominal = {q.m, q.l, q.g, q.control_dt()};
-  identify<double>(f, observed[0], observed[1], observed[2], nominal);
-  store_record<double, N>(cells, j, f, true);
-  return write_estimates(f, next);
-}
-
 // Writes the observations of the first n environments of a block. `line`: that of the reference; `task`: the task's
-// memory with the values that the agent observes; `filters`: the rows of the filter of the estimates.
+// memory with the values that the agent observes; `filters`: the rows of the filter of M and mu.
 template <class Task, int N>
 NOINLINE void observe(const Batch& batch, const Block<N>& b, int n, const double* line, const double* task,
                       double* filters, float* observations, bool begin) {
@@ -57,7 +46,14 @@ NOINLINE void observe(const Batch& batch, const Block<N>& b, int n, const double
     float* next = out;
     put_entries<Task>(
         q, seen, load_record<typename Task::template Memory<double>, double, N>(task, j),
-        [&](double entry) { *next++ = (float)entry; }, [&] { next = estimate<N>(q, filters, j, out, next); });
+        [&](double entry) { *next++ = (float)entry; },
+        [&]() __attribute__((noinline)) {
+          auto f = load_record<Identification, double, N>(filters, j);
+          struct { double m, l, g, dt; } nominal = {q.m, q.l, q.g, q.control_dt()};
+          identify<double>(f, out[0], out[1], out[2], nominal);
+          store_record<double, N>(filters, j, f);
+          next = write_estimates(f, next);
+        });
     if (begin)
       for (int entry = entries; entry < all; entry++) out[entry] = out[entry - entries];
   }

@@ -67,15 +67,13 @@ template <class T> struct Margin { T value, force; };
 template <class T> struct Boundary { T value, rate; };
 template <class T> struct Stepped {
   State<T> end;
+  Accelerations<T> first;  // at the start
   // The smallest N of the stages: if it is negative, the platform did not press on the floor during the whole step.
   T smallest;
 };
 template <class T, class M> struct Smooth {
-  State<T> end;
-  Accelerations<T> first;
-  T smallest;
-  // Whether the phase lasts; if not, `event_step` takes the step.
-  M lasts;
+  Stepped<T> step;
+  M lasts;  // whether the phase lasts; if not, `event_step` takes the step
 };
 
 // Rate in rad/s below which the motor's Coulomb friction is smooth, so that the integrator resolves a change of sign,
@@ -263,6 +261,7 @@ template <class T, Kind kind_> struct Plant {
              s.theta_dot + sixth * (a1 + 2.0 * (a2 + a3) + a4),
              s.x + h * s.x_dot + h * sixth * (b1 + b2 + b3),
              s.x_dot + sixth * (b1 + 2.0 * (b2 + b3) + b4)},
+            first,
             min(min(normal_1, normal_2), min(normal_3, normal_4))};
   }
 
@@ -278,8 +277,8 @@ template <class T, Kind kind_> struct Plant {
   template <bool may_stick>
   INLINE auto smooth_step(const State<T>& s, T slip, T u, T h) const {
     T mu = kinetic_friction(slip);
-    auto first = pressed_accelerations(s.theta, s.theta_dot, s.x_dot, slip, mu, u);
-    auto [end, smallest] = runge_kutta(s, slip, mu, u, h, first);
+    auto r = runge_kutta(s, slip, mu, u, h, pressed_accelerations(s.theta, s.theta_dot, s.x_dot, slip, mu, u));
+    const auto& [end, first, smallest] = r;
     T before = slip * s.x_dot, rate = slip * first.x_ddot, after = slip * end.x_dot;
     auto stopped = end.x_dot == 0.0;
     if constexpr (may_stick) {
@@ -290,7 +289,7 @@ template <class T, Kind kind_> struct Plant {
       stopped = stopped & !sticks;
     }
     auto lasts = !(crosses(before, rate, after, h) | stopped | (smallest < 0.0));
-    return Smooth<T, decltype(lasts)>{end, first, smallest, lasts};
+    return Smooth<T, decltype(lasts)>{r, lasts};
   }
 };
 

@@ -39,21 +39,20 @@ inline long long draw_episodes(const Batch& b, long long count) {
 }
 
 // Writes the initial values of the next episodes of these environments, and deactivates the others for one step.
-template <int N> void begin_blocks(const Batch& b, long long count, long long size) {
+template <int N> void begin_episodes(const Batch& b, long long count) {
   for (long long at = 0; at < b.num_envs; at += N)
-    for (int j = 0; j < N; j++) ((Block<N>*)(b.world + at / N * size))->active[j] = 0.0;
+    for (int j = 0; j < N; j++) block_of<N>(b, at).active[j] = 0.0;
   for (long long n = 0; n < count; n++) {
-    long long i = b.rows[n];
-    double* lane = b.world + i / N * size + i % N;
-    auto& block = *(Block<N>*)(b.world + i / N * size);
+    long long i = b.rows[n], j = i % N;
+    auto& block = block_of<N>(b, i);
+    double* lane = (double*)&block + j;
     // The constants of varied plants are derived when their episode begins.
-    long long plant = (double*)block.plant_m - (double*)&block, memory = sizeof(Block<N>) / 8;
-    for (long long row = 0; row < plant; row += N) lane[row] = 0.0;
-    for (long long row = memory; row < size; row += N) lane[row] = 0.0;
+    long long plant = (block.plant_m - (double*)&block) / N, memory = sizeof block / sizeof block.theta;
+    for (long long row = 0; row < plant; row++) lane[row * N] = 0.0;
+    for (long long row = memory; row < b.block_rows; row++) lane[row * N] = 0.0;
     for (int r = 0; r < 6; r++) lane[r * N] = b.starts[r * b.num_envs + n];
-    for (long long cell = 0; cell < b.memory_size; cell++) lane[memory + cell * N] = b.memory[cell];
+    for (long long cell = 0; cell < b.memory_size; cell++) lane[(memory + cell) * N] = b.memory[cell];
     for (long long k = 0; k < b.draw_lines; k++) lane[(long long)b.draw_table[6 * k] * N] = b.drawn[k * b.num_envs + n];
-    int j = (int)(i % N);
     block.start_x[j] = block.x[j];
     block.smallest_normal_ratio[j] = INFINITE;
     block.largest_theta[j] = abs(block.theta[j]), block.largest_theta_dot[j] = abs(block.theta_dot[j]);
@@ -61,10 +60,5 @@ template <int N> void begin_blocks(const Batch& b, long long count, long long si
     block.active[j] = 1.0;
     b.episodes[i]++;
   }
-}
-
-inline void begin_episodes(const Batch& b, long long count) {
-  if (b.lanes == 1) begin_blocks<1>(b, count, block_size<1>(b));
-  else begin_blocks<LANES>(b, count, block_size<LANES>(b));
 }
 }  // namespace LEVEL

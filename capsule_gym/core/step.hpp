@@ -10,8 +10,7 @@
 
 namespace LEVEL {
 constexpr double AT_REST = 2.0;  // stands for the phase of a platform at rest until `smooth_substep` has found it
-// |theta_dot| + |x_dot| (rad/s, m/s) at an event, such as the end of an episode, beyond which the motion counts as
-// lost.
+// |theta_dot| + |x_dot| (rad/s, m/s) after a substep with an event beyond which the motion counts as lost.
 constexpr double RATE_LIMIT = 1e4;
 // The cost of a step is 1 where less than this share of the weight presses on the floor, or of pi/2 remains.
 constexpr double MARGIN = 0.1;
@@ -53,10 +52,10 @@ template <class T, int N> struct Step {
 
   Step(const Batch& batch, Block<N>& block, int n, float* observations)
       : batch(batch), q(*batch.settings), b(block), n(n), observations(observations),
-        seen(q.law_reads != 0.0 ? b.read_theta : b.theta), memory((double*)(&block + 1)),
+        seen(q.law_reads != 0.0 ? FROM(read_theta) : FROM(theta)), memory((double*)(&block + 1)),
         line(memory + batch.memory_size * N),
         task(line + (batch.reference_size + (q.law_reads != 0.0 ? batch.task_size : 0)) * N),
-        read_task(line + (batch.reference_size + (q.law_reads != 0.0 ? 0 : batch.task_size)) * N),
+        read_task(task + (q.law_reads != 0.0 ? -1 : 1) * batch.task_size * N),
         disturbed{q, block, line + (batch.reference_size + (q.varied != 0.0 ? 2 : 1) * batch.task_size) * N, n} {}
 
   // One agent step, or with `begin` the first call of the law in an episode.
@@ -149,22 +148,19 @@ template <class T, int N> struct Step {
   // Takes the lanes from j on through one substep, unless it has an event: then they are listed.
   template <Kind kind, bool may_stick> INLINE void smooth_substep(int j, T slip, T h, const Settings& q) {
     auto p = read_plant<Plant<T, kind>>(q, [j](const double* row) { return load<T>(row + j); });
-    State<T> s = {GET(theta), GET(theta_dot), GET(x), GET(x_dot)};
+    auto s = load_record<State<T>, T, N>(FROM(theta), j);
     T torque = GET(torque);
     if constexpr (may_stick) {
       slip = select(slip == AT_REST, p.phase_at_rest(s.theta, s.theta_dot, torque), slip);
       PUT(slip, slip);
     }
-    auto r = p.template smooth_step<may_stick>(s, slip, torque, h);
+    auto [r, lasts] = p.template smooth_step<may_stick>(s, slip, torque, h);
     auto going = GET(halt) == UNDER_WAY;
-    auto smooth = r.lasts & continues(r.end.theta, r.first.normal);
+    auto smooth = lasts & continues(r.end.theta, r.first.normal);
     auto commit = going & smooth;
     if (unsigned eventful = lanes(going & !smooth)) {
       for (; eventful; eventful &= eventful - 1) events[count++] = j + __builtin_ctz(eventful);
-      PUT(next_theta, r.end.theta), PUT(next_theta_dot, r.end.theta_dot);
-      PUT(next_x, r.end.x), PUT(next_x_dot, r.end.x_dot);
-      PUT(theta_ddot, r.first.theta_ddot), PUT(x_ddot, r.first.x_ddot);
-      PUT(first_normal_force, r.first.normal), PUT(least_normal_force, r.smallest);
+      store_record<T, N>(FROM(next_theta), j, r);
     }
     T moved = select(commit, r.end.x - s.x, T(0.0));
     T turned = select(commit, swept(s.theta_dot, r.end.theta_dot, r.end.theta - s.theta, h), T(0.0));
@@ -177,8 +173,7 @@ template <class T, int N> struct Step {
 
   // Writes the state at the end of a substep, and adds its contributions to the step and to the episode.
   template <class S, bool may_stick = true> INLINE void add_motion(int j, const Motion<S>& m) {
-    store(b.theta + j, m.end.theta), store(b.theta_dot + j, m.end.theta_dot);
-    store(b.x + j, m.end.x), store(b.x_dot + j, m.end.x_dot);
+    store_record<S, N>(FROM(theta), j, m.end);
     auto add = [j](double* row, S amount) { store(row + j, load<S>(row + j) + amount); };
     add(b.energy, abs(load<S>(b.torque + j)) * m.swept), add(b.forward, m.forward), add(b.backward, m.backward);
     if constexpr (may_stick) add(b.stuck, m.stuck);
@@ -195,12 +190,12 @@ template <class T, int N> struct Step {
       int many = count - first < WIDTH<T> ? count - first : WIDTH<T>, lane[WIDTH<T>];
       for (int i = 0; i < WIDTH<T>; i++) lane[i] = events[first + (i < many ? i : many - 1)];
       auto at = [&lane](const double* row) { return gather(row, lane); };
-      Phase<Plant<T, kind>> start = {{at(b.theta), at(b.theta_dot), at(b.x), at(b.x_dot)}, at(b.slip), at(b.torque),
-                                     read_plant<Plant<T, kind>>(q, at),
-                                     {at(b.theta_ddot), at(b.x_ddot), at(b.first_normal_force)}};
-      auto [m, slip, holds] = pass_rest(start, at(b.next_theta), at(b.next_theta_dot), at(b.next_x_dot), T(h));
+      auto whole = read_record<Stepped<T>, N>(FROM(next_theta), at);
+      Phase<Plant<T, kind>> start = {read_record<State<T>, N>(FROM(theta), at), at(b.slip), at(b.torque),
+                                     read_plant<Plant<T, kind>>(q, at), whole.first};
+      auto [m, slip, holds] = pass_rest(start, whole.end, T(h));
       holds = holds & continues(m.end.theta, m.normal_force) & bounded(m.end.theta_dot, m.end.x_dot) &
-              (abs(m.end.x + m.swept) < INFINITE) & (at(b.least_normal_force) >= 0.0);
+              (abs(m.end.x + m.swept) < INFINITE) & (whole.smallest >= 0.0);
       unsigned passed = lanes(holds);
       for (int i = 0; i < many; i++) {
         if (!(passed >> i & 1)) {
@@ -219,12 +214,10 @@ template <class T, int N> struct Step {
   // Steps one environment through a substep with any event.
   template <Kind kind> NOINLINE void step_with_events(int j, double h, double elapsed) {
     auto p = read_plant<Plant<double, kind>>(q, [j](const double* row) { return row[j]; });
-    State<double> s = {b.theta[j], b.theta_dot[j], b.x[j], b.x_dot[j]};
-    Accelerations<double> first = {b.theta_ddot[j], b.x_ddot[j], b.first_normal_force[j]};
-    Phase<Plant<double, kind>> start = {s, b.slip[j], b.torque[j], p, first};
-    State<double> end = {b.next_theta[j], b.next_theta_dot[j], b.next_x[j], b.next_x_dot[j]};
-    auto whole = b.least_normal_force[j] >= 0.0 ? start.finish(h, end, first.x_ddot, first.normal) : start.piece(h);
-    auto m = event_step(start, whole);
+    auto s = load_record<State<double>, double, N>(FROM(theta), j);
+    auto whole = load_record<Stepped<double>, double, N>(FROM(next_theta), j);
+    Phase<Plant<double, kind>> start = {s, b.slip[j], b.torque[j], p, whole.first};
+    auto m = event_step(start, whole.smallest >= 0.0 ? start.finish(h, whole) : start.piece(h));
     double sum = m.end.theta + m.end.x + m.swept + m.normal_force;
     if (!(bounded(m.end.theta_dot, m.end.x_dot) && abs(sum) < INFINITE)) {
       // The substep is discarded: the environment keeps the state at its start.
@@ -248,12 +241,8 @@ template <class T, int N> struct Step {
   NOINLINE void call_law(double tick) {
     // The only row of a reference stays where the first call has written it.
     if (batch.reference_rows > 1 || tick == 0.0) read_reference(tick);
-    int number = 0;
-#define LAW(Law) \
-  if (batch.law == number++) return evaluate_law(*(const Law*)batch.law_constants, tick);
-    CAPSULE_LAWS(LAW)
-#undef LAW
-    evaluate_user_law(tick);
+    auto evaluate = [&]<class Law>() { evaluate_law(*(const Law*)batch.law_constants, tick); };
+    if (!with_type(Laws(), batch.law, evaluate)) evaluate_user_law(tick);
   }
 
   // Writes the present lines of the reference, `tick` rows further on.
@@ -366,8 +355,8 @@ template <class T, int N> struct Step {
   }
 };
 
-// Applies the changes of M and mu that are due to the n environments from `first` on: at the first agent step that starts
-// at or after their time. `c` is the first change to look at; returns the first one of later environments.
+// Applies the changes of M and mu that are due to the n environments from `first` on: at the first agent step that
+// starts at or after their time. `c` is the first change to look at; returns the first one of later environments.
 template <int N>
 const double* apply_changes(const Batch& batch, const double* c, Block<N>& b, long long first, int n) {
   const double *end = batch.changes + 4 * batch.num_changes, dt = batch.settings->control_dt();
@@ -383,17 +372,13 @@ template <class T, int N> long long advance_blocks(const Batch& batch, long long
   long long broken = -1;
   const double* changes = batch.changes;
   for (long long at = first; at < last; at += N) {
-    auto& block = *(Block<N>*)(batch.world + at / N * block_size<N>(batch));
+    auto& block = block_of<N>(batch, at);
     // Whole vectors: lanes behind the last environment are inactive.
     int n = last - at < N ? (int)(last - at) : N, width = (n + WIDTH<T> - 1) / WIDTH<T> * WIDTH<T>;
     for (int j = n; j < width; j++) block.active[j] = 0.0;
     if (!begin) changes = apply_changes(batch, changes, block, at, n);
     Step<T, N> step(batch, block, width, batch.observations + at * batch.entries);
-    int number = 0;
-#define TASK(Task) \
-  if (batch.task == number++) step.template run<Task>(begin);
-    CAPSULE_TASKS(TASK)
-#undef TASK
+    with_type(Tasks(), batch.task, [&]<class Task>() { step.template run<Task>(begin); });
     for (int j = 0; j < n; j++)
       if (block.active[j] != 0.0 && !(abs(block.law_torque[j]) < INFINITE)) broken = at + j;
   }

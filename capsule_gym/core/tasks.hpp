@@ -4,8 +4,6 @@
 #pragma once
 #include "elementary.hpp"
 
-#define CAPSULE_TASKS(TASK) TASK(Speed) TASK(Goal) TASK(Velocity)
-
 namespace LEVEL {
 constexpr double TIME_TOLERANCE = 1e-9;  // tolerance of times, s, which are sums of the agent's steps
 
@@ -143,4 +141,6 @@ struct Velocity {
     put(clip(memory.speed, T(SPEED_BOUND)));
   }
 };
+
+using Tasks = List<Speed, Goal, Velocity>;
 }  // namespace LEVEL

@@ -7,8 +7,6 @@
 #include <Python.h>
 
 #include "functions.hpp"
-#include "network.hpp"
-#include "step.hpp"
 
 namespace LEVEL {
 inline struct {
@@ -99,34 +97,29 @@ inline PyObject* trace(const char* function, long long number, const double* con
     identify(filter, theta, theta_dot, x_dot, nominal);
     give(filter), give(deviation(filter.P_MM)), give(deviation(filter.P_ff));
   }
-  int law = 0, task = 0;
-#define LAW(Law)                                                                      \
-  if (is("law") && number == law++) {                                                 \
-    auto memory = given<Law::Cells<Trace>>();                                         \
-    auto state = given<State<Trace>>();                                               \
-    auto row = given<Law::Line<Trace>>();                                             \
-    give(Law(constants).torque(state, memory, row)), give(memory);                    \
-  }
-  CAPSULE_LAWS(LAW)
-#undef LAW
+  auto trace_law = [&]<class Law>() {
+    auto memory = given<typename Law::template Cells<Trace>>();
+    auto state = given<State<Trace>>();
+    auto row = given<typename Law::template Line<Trace>>();
+    give(Law(constants).torque(state, memory, row)), give(memory);
+  };
   // A task: its memory, x, and for an observation the x of the previous one and what is observed.
-#define TASK(Task)                                                                                                    \
-  if ((is("begin") || is("observe")) && number == task++) {                                                           \
-    auto memory = given<Task::Memory<Trace>>();                                                                       \
-    Trace x = given<Trace>();                                                                                         \
-    if (is("begin")) Task::begin(x, memory);                                                                          \
-    else {                                                                                                            \
-      Trace before = given<Trace>();                                                                                  \
-      auto begun = given<Trace>() != 0.0;                                                                             \
-      auto seen = given<Observed<Trace>>();                                                                           \
-      double rest = settings.agent_reads != 0.0 ? settings.stick_threshold : 0.0;                                      \
-      if (auto taken = when(begun)) Task::reward(x, seen.x_dot, x - before, settings.control_dt(), rest, memory);      \
-      put_entries<Task>(settings, seen, memory, give<Trace>, [] { give(given<Estimates>()); });                        \
-    }                                                                                                                 \
-    give(memory);                                                                                                     \
-  }
-  CAPSULE_TASKS(TASK)
-#undef TASK
+  auto trace_task = [&]<class Task>() {
+    auto memory = given<typename Task::template Memory<Trace>>();
+    Trace x = given<Trace>();
+    if (is("begin")) Task::begin(x, memory);
+    else {
+      Trace before = given<Trace>();
+      auto begun = given<Trace>() != 0.0;
+      auto seen = given<Observed<Trace>>();
+      double rest = settings.agent_reads != 0.0 ? settings.stick_threshold : 0.0;
+      if (auto taken = when(begun)) Task::reward(x, seen.x_dot, x - before, settings.control_dt(), rest, memory);
+      put_entries<Task>(settings, seen, memory, give<Trace>, [] { give(given<Estimates>()); });
+    }
+    give(memory);
+  };
+  if (is("law")) with_type(Laws(), number, trace_law);
+  if (is("begin") || is("observe")) with_type(Tasks(), number, trace_task);
   if (PyErr_Occurred()) Py_CLEAR(recording.rows);
   return recording.rows;
 }

@@ -4,43 +4,38 @@
 #include "dual.hpp"
 
 namespace LEVEL {
-constexpr int DIRECTIONS = 8;  // of one pass of forward differentiation
-
 // The inputs of a trajectory before its torques: constants as in `Capsule`, 1.0 for the paper's normal force, state.
 #define CAPSULE_TRAJECTORY(FIELD)                                                                                      \
   FIELD(M) FIELD(mu) CAPSULE_CONSTANTS(FIELD) FIELD(paper) FIELD(theta) FIELD(theta_dot) FIELD(x) FIELD(x_dot)
 template <class T> struct TrajectoryInputs { CAPSULE_TRAJECTORY(CAPSULE_NUMBER) };
 
-// Takes n intervals of `steps` integrator steps of h seconds. `values`: the inputs, then n torques in N m; `partials`:
-// their derivatives along N directions, one row each. Writes theta, theta_dot, x, x_dot and the number of events so
+// Takes n intervals of `steps` integrator steps of h seconds. `values`: the inputs, then n torques in N m; `partials`,
+// for dual numbers: their derivatives, one row each. Writes theta, theta_dot, x, x_dot and the number of events so
 // far at every end of an interval, n + 1 rows of `states`, and the derivatives of the state, `slopes`. Returns the
 // interval in which the environment's episode would have terminated, or -1.
-template <int N>
+template <class T>
 long long trajectory(const double* values, const double* partials, long long n, long long steps, double h,
                      double* states, double* slopes) {
-  using T = typename Choose<N == 0, double, Dual<N>>::type;
-  constexpr int SIZE = WIDTH<TrajectoryInputs<double>>;
+  constexpr int SIZE = WIDTH<TrajectoryInputs<double>>, N = sizeof(T) > sizeof(double) ? DIRECTIONS : 0;
   auto input = [&](long long i) {
     T number = values[i];
     if constexpr (N > 0) __builtin_memcpy(&number.d, partials + N * i, sizeof number.d);
     return number;
   };
-  auto output = [](const T& number, double& value, double* partials) {
-    value = (const double&)number;  // the first member of a dual number
-    if constexpr (N > 0) __builtin_memcpy(partials, &number.d, sizeof number.d);
-  };
   TrajectoryInputs<T> in;
   for (int i = 0; i < SIZE; i++) ((T*)&in)[i] = input(i);
-#define FIELD(name) in.name,
-  auto p = derive(Constants<T>{CAPSULE_CONSTANTS(FIELD)});
-#undef FIELD
-  p.M = in.M, p.mu = in.mu, p.mass_ratio = in.m / (in.M + in.m), p.pivot_torque_on_contact = values[SIZE - 5];
-  State<T> s = {in.theta, in.theta_dot, in.x, in.x_dot};
+  auto p = derive((const Constants<T>&)in.m);
+  p.M = in.M, p.mu = in.mu, p.mass_ratio = p.m / (p.M + p.m), p.pivot_torque_on_contact = (const double&)in.paper;
+  auto s = (const State<T>&)in.theta;
   double events = 0.0;
   long long ended = -1;
   for (long long i = 0;; i++, states += 5) {
     states[4] = events;
-    for (int k = 0; k < 4; k++, slopes += N) output(((const T*)&s)[k], states[k], slopes);
+    for (int k = 0; k < 4; k++, slopes += N) {
+      const T& number = ((const T*)&s)[k];
+      states[k] = (const double&)number;  // the first member of a dual number
+      if constexpr (N > 0) __builtin_memcpy(slopes, &number.d, sizeof number.d);
+    }
     if (i == n) return ended;
     T u = input(SIZE + i);
     for (long long step = 0; step < steps; step++) {
