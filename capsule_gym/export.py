@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,7 +16,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from capsule_gym import __version__, _core, native
-from capsule_gym.command_line import Positional, arg, check_output, parse, refuse
+from capsule_gym.command_line import Positional, arg, check_output, command
 from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.controller import CoreLaw, find_controller
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, load_set
@@ -263,8 +263,15 @@ def _read(simulation: Simulation) -> dict[str, float]:
     return {**shown, "phase": clock / len(simulation.reference)}
 
 
-@dataclass(frozen=True)
-class Args:
+@command(PROG, ImportError, OSError, TypeError, ValueError)
+def main(
+    policy: Positional[str],
+    c: Path | None = None,
+    onnx: Path | None = None,
+    single: Annotated[bool, arg(name="float")] = False,
+    law: bool = False,
+    overwrite: bool = False,
+) -> None:
     """Exports a trained policy, and the control law that it acts on, as C99 or as ONNX.
 
     FILE.h of --c has no dependency and allocates nothing; FILE_test.c, next to it, checks it on an episode of an
@@ -274,49 +281,29 @@ class Args:
       python -m capsule_gym.export direct-ppo --c policy.h
       python -m capsule_gym.export residual-real --c policy.h --float --law
       python -m capsule_gym.export runs/mine --onnx policy.onnx
+
+    Args:
+        policy: Name of a pretrained policy, path of a policy file or of a run's folder, or import string of a control
+            law.
+        c: C header to write.
+        onnx: ONNX model to write.
+        single: Compute in float instead of double, which has the bits of this package.
+        law: Export the control law, too.
+        overwrite: Replace existing files.
     """
-
-    policy: Positional[str]
-    """Name of a pretrained policy, path of a policy file or of a run's folder, or import string of a control law."""
-    c: Path | None = None
-    """C header to write."""
-    onnx: Path | None = None
-    """ONNX model to write."""
-    single: Annotated[bool, arg(name="float")] = False
-    """Compute in float instead of double, which has the bits of this package."""
-    law: bool = False
-    """Export the control law, too."""
-    overwrite: bool = False
-    """Replace existing files."""
-
-    def check(self) -> None:
-        """Raises an error without an output, or for one that cannot be written."""
-        if self.c is None and self.onnx is None:
-            raise ValueError("at least one of --c and --onnx must be given")
-        if self.c is not None and self.c.suffix != ".h":
-            raise ValueError(f"--c must name a file .h, got {str(self.c)!r}")
-        check_output("--c", self.c, overwrite=self.overwrite)
-        check_output("--c", self.c and _test_file(self.c), overwrite=self.overwrite)
-        check_output("--onnx", self.onnx, overwrite=self.overwrite)
-
-
-def _test_file(header: Path) -> Path:
-    return header.with_name(f"{header.stem}_test.c")
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns the exit status."""
-    args = parse(Args, PROG, arguments)
-    try:
-        exported = Exported(args.policy, args.law)
-        if args.onnx is not None:
-            write_atomically(args.onnx, exported.onnx(single=args.single))
-        if args.c is not None:
-            write_atomically(args.c, exported.c(single=args.single))
-            write_atomically(_test_file(args.c), exported.c_test(args.c.name, single=args.single))
-    except (ImportError, OSError, TypeError, ValueError) as error:
-        refuse(PROG, str(error))
-    return 0
+    if c is None and onnx is None:
+        raise ValueError("at least one of --c and --onnx must be given")
+    if c is not None and c.suffix != ".h":
+        raise ValueError(f"--c must name a file .h, got {str(c)!r}")
+    test = c and c.with_name(f"{c.stem}_test.c")
+    for option, path in (("--c", c), ("--c", test), ("--onnx", onnx)):
+        check_output(option, path, overwrite=overwrite)
+    exported = Exported(policy, law)
+    if onnx is not None:
+        write_atomically(onnx, exported.onnx(single=single))
+    if c is not None and test is not None:
+        write_atomically(c, exported.c(single=single))
+        write_atomically(test, exported.c_test(c.name, single=single))
 
 
 if __name__ == "__main__":
