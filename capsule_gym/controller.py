@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from capsule_gym import _core, native
-from capsule_gym.checks import check_number, first_cause, short_repr
+from capsule_gym.checks import check_number, first_cause, require, short_repr
 from capsule_gym.config import LAW_DT, find_task
 from capsule_gym.task import Task
 from capsule_gym.user_law import bind_user_law
@@ -46,16 +46,14 @@ class CoreLaw:
             TypeError: if a constant is missing, or the law has none of that name.
             ValueError: if there is no such law, or a constant has a wrong number of values or is NaN.
         """
-        if name not in _core.LAWS:
-            raise ValueError(f"name must be one of {', '.join(_core.LAWS)}, got {short_repr(name)}")
+        require(name in _core.LAWS, "name", f"one of {', '.join(_core.LAWS)}", name)
         items = [item.partition(":") for item in _core.LAWS[name][0].split()]
         counts, numbers = {key: int(count or 1) for key, _, count in items}, []
         if counts.keys() != constants.keys():
             raise TypeError(f"the law {name!r} takes the constants {', '.join(counts)}, got {', '.join(constants)}")
         for key, count in counts.items():
             numbers += (given := np.ravel(np.asarray(constants[key], np.float64))).tolist()
-            if given.size != count or np.isnan(given).any():
-                raise ValueError(f"{key} must be {count} numbers, got {short_repr(constants[key])}")
+            require(given.size == count and not np.isnan(given).any(), key, f"{count} numbers", constants[key])
         object.__setattr__(self, "name", name)
         object.__setattr__(self, "constants", tuple(numbers))
 
@@ -155,8 +153,7 @@ class Controller:
     task: str | Task | None = None
 
     def __post_init__(self) -> None:
-        if not callable(self.law):
-            raise TypeError(f"Controller.law must be a function, got {short_repr(self.law)}")
+        require(callable(self.law), "Controller.law", "a function", self.law, TypeError)
         object.__setattr__(self, "reference", _check_reference(self.reference))
         object.__setattr__(self, "memory", _check_memory(self.memory))
         check_number("Controller.dt", self.dt, "a finite number > 0 (s)", 0.0, open_low=True)
@@ -210,10 +207,8 @@ def _check_reference(reference: Any) -> np.ndarray:
 def _check_memory(memory: Any) -> tuple[float, ...]:
     """A law's memory as a tuple of floats."""
     accepted = f"a tuple of 1 to {MOST_COLUMNS} finite numbers; a law without memory carries (0.0,)"
-    if not isinstance(memory, (tuple, list)):
-        raise TypeError(f"Controller.memory must be {accepted}, got {short_repr(memory)}")
-    if not 1 <= len(memory) <= MOST_COLUMNS:
-        raise ValueError(f"Controller.memory must be {accepted}, got {len(memory)}")
+    require(isinstance(memory, (tuple, list)), "Controller.memory", accepted, memory, TypeError)
+    require(1 <= len(memory) <= MOST_COLUMNS, "Controller.memory", accepted, len(memory))
     return tuple(check_number("Controller.memory", cell, accepted) for cell in memory)
 
 

@@ -31,8 +31,6 @@ from capsule_gym.trace import c_number, c_table, record, to_c, to_onnx
 from capsule_gym.vector_env import CapsuleVectorEnv
 
 PROG = "python -m capsule_gym.export"
-# The set whose first episode gives the test vectors, by the task, or "real" for disturbances.
-SETS = {"speed": "paper", "goal": "goal", "velocity": "velocity", "real": "real"}
 INTERVALS = 100  # control intervals of the test vectors; a law alone has a quarter
 
 
@@ -128,7 +126,7 @@ class Exported:
     def c_test(self, file: str, *, single: bool = False) -> str:
         """A C99 program that checks the header `file` on the first episode of an evaluation set."""
         disturbed = Disturbances.named(self.options.disturbances)
-        chosen = load_set(SETS["real" if disturbed else self.task.name])
+        chosen = load_set("real" if disturbed else {"speed": "paper"}.get(self.task.name, self.task.name))
         plant = chosen.plants[0]
         kwargs = {**chosen.env_kwargs, **self.env_kwargs, **EPISODE_SETTINGS, "autoreset_mode": AutoresetMode.DISABLED}
         if disturbed:
@@ -175,10 +173,9 @@ class Exported:
             raise ImportError('--c needs jinja2: pip install "capsule-gym[export]"') from error
         options: dict[str, Any] = {"trim_blocks": True, "lstrip_blocks": True, "undefined": StrictUndefined}
         environment = Environment(loader=FileSystemLoader(Path(__file__).parent), keep_trailing_newline=True, **options)
-        filters = {"number": c_number, "table": c_table}
         environment.filters |= {
-            name: lambda value, kind=single, function=function: function(value, kind)
-            for name, function in filters.items()
+            "number": lambda value, kind=single: c_number(value, kind),
+            "table": lambda value, kind=single: c_table(value, kind),
         }
         text: str = environment.get_template(template).render({**vars(self), **values, "single": single})
         return text.replace("NAME", self.name).replace("REAL", "float" if single else "double")

@@ -6,7 +6,7 @@ import math
 import os
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -24,10 +24,11 @@ RANGES = {
     **{"theta_bias": (-0.1, 0.1), "theta_dot_bias": (-0.5, 0.5), "x_dot_bias": (-0.1, 0.1)},
 }
 OTHERS = tuple(name for name in RANGES if name not in PLANT)
+QUANTITIES = (*PLANT, *OTHERS)
 # Duration of a segment of the first fit, s.
 SHORT = 0.2
 # Starts of the fit: shares of the ranges of latency and mu; the best ones of the first fit begin the second.
-STARTS, KEPT = tuple((latency, mu) for latency in (0.2, 0.5, 0.8) for mu in (0.25, 0.7)), 2
+STARTS, KEPT = tuple({"latency": latency, "mu": mu} for latency in (0.2, 0.5, 0.8) for mu in (0.25, 0.7)), 2
 LARGEST_CHI2 = 1.2
 # Width of an interval in units of the range's from which on it is the prior's.
 OPEN = 0.8
@@ -103,10 +104,8 @@ class Fit:
 
     def env_kwargs(self, level: float = 0.95) -> dict[str, Any]:
         """Arguments of the environment that stands for the rig: plant and disturbances, drawn from their intervals."""
-        found = self.intervals(level)
-        drawn = {name: value for name, value in found.items() if name in vars(self.disturbances)}
-        drawn.pop("motor_friction", None)
-        disturbances = Disturbances(**{**vars(self.disturbances), **drawn})
+        drawn: dict[str, Any] = {name: value for name, value in self.intervals(level).items() if name in OTHERS}
+        disturbances = replace(self.disturbances, **drawn)
         return {"capsule": self.capsule, "randomization": self.randomization(level), "disturbances": disturbances}
 
     def table(self) -> str:
@@ -176,16 +175,15 @@ def identify(
     columns, prior, known = read_log(log), Randomization.named(prior), dict(known or {})
     physics_dt = check_number("physics_dt", physics_dt, "a number of s from 1e-5 to 0.01", 1e-5, 0.01)
     for name, value in known.items():
-        if name not in (*PLANT, *OTHERS):
-            raise ValueError(
-                f"known must have keys out of {(*PLANT, *OTHERS)}, got {name!r}{nearest(str(name), (*PLANT, *OTHERS))}"
-            )
+        if name not in QUANTITIES:
+            raise ValueError(f"known must have keys out of {QUANTITIES}, got {name!r}{nearest(str(name), QUANTITIES)}")
         low, high = Disturbances.limits(name) if name in OTHERS else (-math.inf, math.inf)
         known[name] = check_number(f"known[{name!r}]", value, f"a finite number from {low:g} to {high:g}", low, high)
-    capsule = Capsule(**{**vars(NOMINAL), **{name: value for name, value in known.items() if name in PLANT}})
+    constants: dict[str, Any] = {name: value for name, value in known.items() if name in PLANT}
+    capsule = replace(NOMINAL, **constants)
     prior.corners(capsule)
     ranges = {}
-    for name in (*PLANT, *OTHERS):
+    for name in QUANTITIES:
         given = getattr(prior, name, None) or RANGES.get(name)
         if given and name not in known and (name[-5:] != "_bias" or name[:-5] in columns):
             ranges[name] = given
@@ -193,18 +191,15 @@ def identify(
         raise ValueError(f"known and prior must leave a quantity to estimate, got known={known} and prior={prior}")
     problem = Problem(columns, capsule, ranges, prior.log_mu, {**dict.fromkeys(OTHERS, 0.0), **known}, physics_dt)
     short, long = problem.cut(SHORT), problem.cut(DISTANCE)
-    count, ends = len(problem.names), []
-    for latency, mu in STARTS:
-        shares = np.full(count, 0.5)
-        for name, share in (("latency", latency), ("mu", mu)):
-            if name in problem.names:
-                shares[problem.names.index(name)] = share
-        unknowns, cost = problem.fit(
-            np.append(shares, problem.guess(short).ravel()), short, joined=False, tolerance=1.0
-        )
-        ends.append((cost, unknowns[:count]))
-    ends = sorted(ends, key=lambda end: end[0])[:KEPT]
-    fits = [problem.fit(np.append(shares, problem.guess(long).ravel()), long, True, 1.0) for _, shares in ends]
+    ends = []
+    for start in STARTS:
+        unknowns = np.append([start.get(name, 0.5) for name in problem.names], problem.guess(short).ravel())
+        ends.append(problem.fit(unknowns, short, joined=False, tolerance=1.0))
+    ends.sort(key=lambda end: end[1])
+    fits = []
+    for unknowns, _ in ends[:KEPT]:
+        unknowns = np.append(unknowns[: len(problem.names)], problem.guess(long).ravel())
+        fits.append(problem.fit(unknowns, long, joined=True, tolerance=1.0))
     for tolerance in (1.0, 0.03):
         fits.sort(key=lambda end: end[1])
         problem.estimate_noise(fits[0][0], long)
@@ -227,7 +222,7 @@ def identify(
         estimates=estimates,
         known=known,
         samples=samples,
-        capsule=Capsule(**{**vars(capsule), **constants}),
+        capsule=replace(capsule, **constants),
         disturbances=Disturbances(
             **sizes, **{name: values[name] for name in OTHERS}, drift_time=time, unmeasured=unmeasured
         ),
@@ -237,21 +232,16 @@ def identify(
         _problem=problem,
         _found=(found, long),
     )
-    _warn(fit, found[:count])
-    return fit
-
-
-def _warn(fit: Fit, shares: np.ndarray) -> None:
-    """Warns of what makes a fit doubtful."""
     doubts = []
     if fit.chi2 > LARGEST_CHI2:
         doubts.append(f"chi2 is {fit.chi2:.2f}: the model does not explain the log, and the intervals are too short")
     # The table shows what else is open.
     if open_ones := [name for name, width in fit.widths.items() if width > OPEN and name not in RANGES]:
         doubts.append(f"the log does not determine {', '.join(open_ones)}: the intervals are the prior's")
-    names = np.array(list(fit.estimates))
-    at_end = ((shares <= 0.0) | (shares >= 1.0)) & (np.array(list(fit.widths.values())) < 0.1)
+    names, best = np.array(problem.names), found[: len(problem.names)]
+    at_end = ((best <= 0.0) | (best >= 1.0)) & (np.array(list(fit.widths.values())) < 0.1)
     if at_end.any():
         doubts.append(f"{', '.join(names[at_end])} lies at the end of its range: give a wider prior")
     for doubt in doubts:
-        warnings.warn(doubt, UserWarning, stacklevel=3)
+        warnings.warn(doubt, UserWarning, stacklevel=2)
+    return fit

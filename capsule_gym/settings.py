@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from capsule_gym import layout
+from capsule_gym.checks import require
 from capsule_gym.config import DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, MOST_SUBSTEPS, EnvConfig, find_task
 from capsule_gym.controller import Controller, CoreLaw
 from capsule_gym.parameters import SENSORS, Capsule, Disturbances, Randomization
@@ -53,12 +54,9 @@ class StepSettings(NamedTuple):
 
 def divide(name: str, whole: float, part_name: str, part: float) -> int:
     """The whole number of times that `part` fits into `whole`, both in seconds; a ValueError if it does not."""
-    ratio = whole / part
-    if ratio > MOST_SUBSTEPS:
-        raise ValueError(f"{part_name} must divide {name}={whole!r} s at most {MOST_SUBSTEPS} times, got {part!r} s")
-    count = round(ratio)
-    if count < 1 or abs(count * part - whole) > 1e-9 * whole:
-        raise ValueError(f"{part_name} must divide {name}={whole!r} s a whole number of times, got {part!r} s")
+    count = round(min(whole / part, 2.0 * MOST_SUBSTEPS))
+    fits = 1 <= count <= MOST_SUBSTEPS and abs(count * part - whole) <= 1e-9 * whole
+    require(fits, part_name, f"{name}={whole!r} s over a whole number, at most {MOST_SUBSTEPS}", part)
     return count
 
 
@@ -91,11 +89,8 @@ def make_settings(options: EnvConfig, controller: Controller | None) -> StepSett
     varied = disturbed is not None or bool(Randomization.named(options.randomization).drawn)
     # A latency, and a motor's lag, need a shorter period than an agent's step.
     law_dt = controller.dt if controller else physics_dt if varied else options.control_dt
-    if options.control_dt / physics_dt > MOST_SUBSTEPS:
-        raise ValueError(
-            f"control_dt must be at most {MOST_SUBSTEPS} times physics_dt={physics_dt!r} s, "
-            f"got {options.control_dt!r} s"
-        )
+    accepted = f"at most {MOST_SUBSTEPS} times physics_dt={physics_dt!r} s"
+    require(options.control_dt / physics_dt <= MOST_SUBSTEPS, "control_dt", accepted, options.control_dt)
     law_name, step_name = ("the law's step", "the controller's dt") if controller else ("control_dt", "physics_dt")
     settings = StepSettings(
         torque_limit=torque_limit,
