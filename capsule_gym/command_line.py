@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import inspect
 import io
-import math
 import os
 import signal
 import sys
@@ -33,10 +32,7 @@ NO_NEGATIONS = (tyro.conf.FlagCreatePairsOff,)
 
 
 def _count(text: str) -> int:
-    try:
-        value = float(text.replace("_", ""))
-    except ValueError:
-        value = math.nan
+    value = float(text.replace("_", ""))
     if not value.is_integer() or value < 0:
         raise ValueError(f"must be an integer >= 0, got {text!r}")
     return int(value)

@@ -64,11 +64,6 @@ def find_task(value: Any) -> Task:
     return found
 
 
-def _check_task(name: str, value: Any) -> Any:
-    find_task(value)
-    return value
-
-
 def check_object(name: str, value: Any, kind: Any) -> Any:
     """Checks a `Capsule`, a `Randomization` or a `Disturbances`, or makes it of the dict that JSON contains instead."""
     if isinstance(value, dict):
@@ -139,7 +134,7 @@ class EnvConfig:
     render_mode: str | None = _option(
         None, partial(check_choice, choices=RENDER_MODES, accepted=f"None or one of {RENDER_MODES}")
     )
-    task: str | Task = _option("speed", _check_task)
+    task: str | Task = _option("speed", lambda name, value: find_task(value) and value)
     goal_env: bool = _option(False, check_flag)
 
     def __init__(self, **options: Any) -> None:

@@ -157,25 +157,23 @@ class Controller:
         object.__setattr__(self, "reference", _check_reference(self.reference))
         object.__setattr__(self, "memory", _check_memory(self.memory))
         check_number("Controller.dt", self.dt, "a finite number > 0 (s)", 0.0, open_low=True)
-        # A trial call, so that a wrong signature raises an error here and not inside compiled code.
+        # A trial call, so that a wrong signature raises an error here and not inside compiled code, which also does not
+        # check indices.
         row = (*(float(value) for value in self.reference[0]), *([0.0] * self.task_size))
-        # Compiled code does not check indices.
         law = getattr(self.law, "py_func", self.law)
+        must = (
+            f"the control law of {self.name!r} must be law(theta, theta_dot, x, x_dot, memory, reference) -> (torque, "
+            f"memory) with finite numbers and as many memory cells as it is given ({len(self.memory)})"
+        )
         try:
             torque, memory = law(row[0], row[1], 0.0, 0.0, self.memory, row)
             values = (float(torque), *(float(cell) for cell in memory))
         except Exception as error:
             # An arithmetic error comes from the values of the reference, not from the types.
             kind = ValueError if isinstance(error, ArithmeticError) else TypeError
-            raise kind(
-                f"the control law of {self.name!r} must be law(theta, theta_dot, x, x_dot, memory, reference) -> "
-                f"(torque, memory) with finite numbers, but a trial call on its reference failed: {first_cause(error)}"
-            ) from error
+            raise kind(f"{must}, but a trial call on its reference failed: {first_cause(error)}") from error
         if len(values) - 1 != len(self.memory) or not all(map(math.isfinite, values)):
-            raise ValueError(
-                f"the control law of {self.name!r} must return a finite torque and as many finite memory cells as it "
-                f"is given ({len(self.memory)}), got {values} on its reference"
-            )
+            raise ValueError(f"{must}, got {values} on its reference")
 
     @property
     def task_size(self) -> int:
@@ -236,6 +234,7 @@ def find_controller(controller: str | Controller | Callable[[], Controller] | No
         ValueError: if the import string names a module or attribute that does not exist.
     """
     accepted = "None, a Controller, a function that returns one, or an import string 'module:attribute'"
+    must = f"controller must be {accepted}, got {short_repr(controller)}"
     found: Any = controller
     if isinstance(controller, str):
         try:
@@ -245,17 +244,13 @@ def find_controller(controller: str | Controller | Callable[[], Controller] | No
             else:
                 found = pkgutil.resolve_name(controller)
         except (ValueError, AttributeError, ModuleNotFoundError) as error:
-            reason = _hidden_baselines(controller) or error
-            raise ValueError(f"controller must be {accepted}, got {short_repr(controller)}: {reason}") from error
+            raise ValueError(f"{must}: {_hidden_baselines(controller) or error}") from error
     if callable(found):
         try:
             found = found()
         except (TypeError, ValueError) as error:
             kind = TypeError if isinstance(error, TypeError) else ValueError
-            raise kind(
-                f"controller must be {accepted}, got {short_repr(controller)}, whose call fails: {error}"
-            ) from error
+            raise kind(f"{must}, whose call fails: {error}") from error
     if found is not None and not isinstance(found, Controller):
-        given = "" if found is controller else f", which gives {short_repr(found)}"
-        raise TypeError(f"controller must be {accepted}, got {short_repr(controller)}{given}")
+        raise TypeError(must if found is controller else f"{must}, which gives {short_repr(found)}")
     return found

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 from gymnasium.error import DependencyNotInstalled
 
-from capsule_gym.checks import check_number, nearest, short_repr
+from capsule_gym.checks import check_number, nearest, require, short_repr
 from capsule_gym.command_line import Count, Positional, arg, check_output, command
 from capsule_gym.env import CapsuleEnv, shown_state
 from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec, load_set
@@ -151,14 +151,12 @@ def main(
     check_number("--seconds", seconds, f"above 0 and at most {HORIZON:g} s", 0.0, HORIZON, open_low=True)
     check_number("--speed", speed, "a number from 0.1 to 20", 0.1, 20.0)
     check_output("--output", output, overwrite=overwrite)
-    if output is not None and output.suffix.lower() != ".gif":
-        raise ValueError(f"--output must name a GIF, got {str(output)!r}")
+    require(output is None or output.suffix.lower() == ".gif", "--output", "the name of a GIF", str(output))
     if output is not None and KEYBOARD.name in (policy, rival):
         raise ValueError(f"a policy must not be {KEYBOARD.name!r} with --output, which opens no window")
     chosen = load_set(found)
     plants = {plant.seed: plant for plant in chosen.plants}
-    if seed not in plants:
-        raise ValueError(f"--seed must be one of the set's, {min(plants)} to {max(plants)}, got {seed}")
+    require(seed in plants, "--seed", f"one of the set's, {min(plants)} to {max(plants)}", seed)
     given: dict[str, Any] = {name: value for name, value in (("M", M), ("mu", mu)) if value is not None}
     plant = replace(plants[seed], **({**given, "changes": ()} if given else {}))
     episode, *rivals = (Episode(find_policy(name), chosen, plant) for name in (policy, rival) if name is not None)

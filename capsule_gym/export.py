@@ -16,6 +16,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from capsule_gym import __version__, _core, native
+from capsule_gym.checks import require
 from capsule_gym.command_line import Positional, arg, check_output, command
 from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.controller import CoreLaw, find_controller
@@ -290,8 +291,7 @@ def main(
     """
     if c is None and onnx is None:
         raise ValueError("at least one of --c and --onnx must be given")
-    if c is not None and c.suffix != ".h":
-        raise ValueError(f"--c must name a file .h, got {str(c)!r}")
+    require(c is None or c.suffix == ".h", "--c", "the name of a file .h", str(c))
     test = c and c.with_name(f"{c.stem}_test.c")
     for option, path in (("--c", c), ("--c", test), ("--onnx", onnx)):
         check_output(option, path, overwrite=overwrite)

@@ -7,6 +7,7 @@ import os
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -59,7 +60,7 @@ class Fit:
     minima: tuple[float, ...]
     widths: dict[str, float]
     _problem: Problem = field(repr=False)
-    _found: tuple[np.ndarray, list[tuple[int, int]]] = field(repr=False)
+    _found: np.ndarray = field(repr=False)
 
     @property
     def covariance(self) -> np.ndarray:
@@ -76,14 +77,11 @@ class Fit:
         """
         ranges = self._problem.high - self._problem.low
         sizes, axes = np.linalg.eigh(12.0 * self.covariance / np.outer(ranges, ranges))
-        names = list(self.estimates)
-        return [
-            (
-                math.sqrt(max(size, 0.0)),
-                {names[n]: float(axis[n]) for n in np.argsort(-np.abs(axis)) if axis[n] ** 2 > 0.1},
-            )
-            for size, axis in zip(sizes, axes.T, strict=True)
-        ]
+        names, found = list(self.estimates), []
+        for size, axis in zip(sizes, axes.T, strict=True):
+            largest = {names[n]: float(axis[n]) for n in np.argsort(-np.abs(axis)) if axis[n] ** 2 > 0.1}
+            found.append((math.sqrt(max(size, 0.0)), largest))
+        return found
 
     def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
         """The shortest interval that contains a share `level` of the posterior of each quantity."""
@@ -122,7 +120,7 @@ class Fit:
         from matplotlib.figure import Figure
 
         problem, t = self._problem, self._problem.log["t"]
-        predicted, _ = problem.predict(*self._found, slopes=False)
+        predicted, _ = problem.predict(self._found, slopes=False)
         figure = Figure(figsize=(11.0, 2.2 * len(problem.sensors) + 4.5), layout="constrained")
         grid = figure.add_gridspec(len(problem.sensors) + 1, 2, height_ratios=[1.0] * len(problem.sensors) + [2.0])
         for n, name in enumerate(problem.sensors):
@@ -190,25 +188,20 @@ def identify(
     if not ranges:
         raise ValueError(f"known and prior must leave a quantity to estimate, got known={known} and prior={prior}")
     problem = Problem(columns, capsule, ranges, prior.log_mu, {**dict.fromkeys(OTHERS, 0.0), **known}, physics_dt)
-    short, long = problem.cut(SHORT), problem.cut(DISTANCE)
-    ends = []
-    for start in STARTS:
-        unknowns = np.append([start.get(name, 0.5) for name in problem.names], problem.guess(short).ravel())
-        ends.append(problem.fit(unknowns, short, joined=False, tolerance=1.0))
-    ends.sort(key=lambda end: end[1])
-    fits = []
-    for unknowns, _ in ends[:KEPT]:
-        unknowns = np.append(unknowns[: len(problem.names)], problem.guess(long).ravel())
-        fits.append(problem.fit(unknowns, long, joined=True, tolerance=1.0))
+    states = problem.cut(SHORT)
+    starts = [np.array([start.get(name, 0.5) for name in problem.names]) for start in STARTS]
+    fits = sorted((problem.fit(np.append(shares, states), tolerance=1.0) for shares in starts), key=itemgetter(1))
+    states = problem.cut(DISTANCE)
+    fits = [problem.fit(np.append(end[: len(problem.names)], states), tolerance=1.0) for end, _ in fits[:KEPT]]
     for tolerance in (1.0, 0.03):
-        fits.sort(key=lambda end: end[1])
-        problem.estimate_noise(fits[0][0], long)
+        fits.sort(key=itemgetter(1))
+        problem.estimate_noise(fits[0][0])
         # Equal ends are one.
         fits = [end for end in fits if end is fits[0] or end[1] > fits[0][1] + 3.0]
-        fits = [problem.fit(unknowns, long, True, tolerance) for unknowns, _ in fits]
-    fits.sort(key=lambda end: end[1])
+        fits = [problem.fit(unknowns, tolerance) for unknowns, _ in fits]
+    fits.sort(key=itemgetter(1))
     found = fits[0][0]
-    shares = problem.posterior(found, long)
+    shares = problem.posterior(found)
     samples = np.array([[problem.values(each)[0][name] for name in problem.names] for each in shares])
     estimates = dict(zip(problem.names, samples.mean(axis=0).tolist(), strict=True))
     values = {**problem.known, **estimates}
@@ -226,11 +219,11 @@ def identify(
         disturbances=Disturbances(
             **sizes, **{name: values[name] for name in OTHERS}, drift_time=time, unmeasured=unmeasured
         ),
-        chi2=problem.statistic(found, long),
+        chi2=problem.statistic(found),
         minima=tuple(round(float(cost), 1) for _, cost in fits),
         widths=dict(zip(problem.names, (math.sqrt(12.0) * shares.std(axis=0)).tolist(), strict=True)),
         _problem=problem,
-        _found=(found, long),
+        _found=found,
     )
     doubts = []
     if fit.chi2 > LARGEST_CHI2:

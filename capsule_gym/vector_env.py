@@ -85,7 +85,11 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         self.closed = True
         config = EnvConfig(render_mode=render_mode, **options)
         require(render_mode != "human", "render_mode of a batch", "None or 'rgb_array'", render_mode)
-        self.autoreset_mode = _find_mode(autoreset_mode)
+        modes = {key: each for each in AutoresetMode for key in (each, each.name)}
+        accepted = f"an AutoresetMode or one of {list(AutoresetMode.__members__)}"
+        fits = isinstance(autoreset_mode, (AutoresetMode, str)) and autoreset_mode in modes
+        require(fits, "autoreset_mode", accepted, autoreset_mode)
+        self.autoreset_mode = modes[autoreset_mode]
         self.simulation = make_simulation(num_envs, config)
         steps = self.simulation.task.episode_steps if max_episode_steps is None else max_episode_steps
         accepted = "an integer >= 1, or -1 for no limit"
@@ -148,15 +152,15 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         """
         task_options = self.simulation.task.options
         options = check_options(options, (*RESET_OPTIONS, *task_options, "reset_mask"))
-        mask = self._check_mask(options.get("reset_mask"))
+        given = options.get("reset_mask")
+        mask = np.ones(self.num_envs, np.bool_) if given is None else given
+        name, accepted = "options['reset_mask']", f"a bool array of shape ({self.num_envs},) with at least one True"
+        require(isinstance(mask, np.ndarray) and mask.dtype == np.bool_, name, accepted, mask, TypeError)
+        require(mask.shape == (self.num_envs,) and bool(mask.any()), name, accepted, mask)
         rows = np.flatnonzero(mask)
         self._seed(seed, rows)
-        given = {
-            name: self._per_row(name, options[name], rows)
-            for name in (*RESET_OPTIONS, *task_options)
-            if options.get(name) is not None
-        }
-        self.simulation.reset(rows, **given)
+        values = {name: options[name] for name in (*RESET_OPTIONS, *task_options) if options.get(name) is not None}
+        self.simulation.reset(rows, **{name: self._per_row(name, value, rows) for name, value in values.items()})
         self._ended[rows] = False
         # The mask of the first reset need not name every environment; one that has not begun has no mass.
         self._started = self._started or bool(self.simulation.row(Row.M).all())
@@ -298,15 +302,6 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
             if chosen is not None or fresh:
                 self.simulation.seed(i, first + i if chosen is None else chosen)
 
-    def _check_mask(self, mask: Any) -> np.ndarray:
-        """The mask of the environments to be reset."""
-        if mask is None:
-            return np.ones(self.num_envs, np.bool_)
-        name, accepted = "options['reset_mask']", f"a bool array of shape ({self.num_envs},) with at least one True"
-        require(isinstance(mask, np.ndarray) and mask.dtype == np.bool_, name, accepted, mask, TypeError)
-        require(mask.shape == (self.num_envs,) and bool(mask.any()), name, accepted, mask)
-        return np.asarray(mask)
-
     def _per_row(self, name: str, values: Any, rows: np.ndarray) -> Any:
         """One value per environment to be reset, from one for all or one for each of the batch."""
         if name == "state":
@@ -321,14 +316,6 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
             return [values] * len(rows)
         require(len(values) == self.num_envs, option, accepted, len(values))
         return [values[i] for i in rows]
-
-
-def _find_mode(mode: AutoresetMode | str) -> AutoresetMode:
-    """The autoreset mode with this name or value."""
-    modes = {key: each for each in AutoresetMode for key in (each, each.name, each.value)}
-    accepted = f"an AutoresetMode or one of {list(AutoresetMode.__members__)}"
-    require(isinstance(mode, (AutoresetMode, str)) and mode in modes, "autoreset_mode", accepted, mode)
-    return modes[mode]
 
 
 def _masked(values: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:

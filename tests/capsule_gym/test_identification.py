@@ -48,17 +48,16 @@ def test_predictions_are_the_environments_readings(physics_dt):
     log = make_log(noiseless, 3.0, physics_dt=physics_dt)
     problem, shares = make_problem(log)
     problem = Problem(problem.log, problem.capsule, problem.ranges, False, problem.known, physics_dt)
-    segments = [(problem.lead, len(log["t"]))]
-    predicted, _ = problem.predict(np.append(shares, [0.0, 0.0, 0.0]), segments, slopes=False)
+    problem.segments = [(problem.lead, len(log["t"]))]
+    predicted, _ = problem.predict(np.append(shares, [0.0, 0.0, 0.0]), slopes=False)
     for n, name in enumerate(problem.sensors):
         np.testing.assert_allclose(predicted[problem.lead :, n, 0], log[name][problem.lead :], rtol=0.0, atol=1e-9)
 
 
 def test_slopes_of_predictions_equal_differences(log):
     problem, shares = make_problem({name: column[:250] for name, column in log.items()})
-    segments = problem.cut(0.8)
-    unknowns = np.append(shares, problem.guess(segments).ravel())
-    predicted, gaps = problem.predict(unknowns, segments)
+    unknowns = np.append(shares, problem.cut(0.8))
+    predicted, gaps = problem.predict(unknowns)
     # A gap is the end of a segment minus the state that the next one starts with.
     starts = len(problem.names) + np.arange(gaps.shape[1]) + gaps.shape[1] * np.arange(1, 1 + len(gaps))[:, None]
     assert (np.take_along_axis(gaps[..., 1:], starts[..., None], axis=2) == -1.0).all() and len(gaps) > 1
@@ -68,7 +67,7 @@ def test_slopes_of_predictions_equal_differences(log):
         for sign in (1.0, -1.0):
             moved = unknowns.copy()
             moved[n] += sign * 1e-6
-            ends.append(problem.predict(moved, segments, slopes=False))
+            ends.append(problem.predict(moved, slopes=False))
         for slope, high, low in zip((predicted, gaps), *ends, strict=True):
             inside = np.isfinite(high[..., 0])
             difference = (high[inside, 0] - low[inside, 0]) / 2e-6

@@ -105,8 +105,8 @@ COMMANDS = [
     (study, ["direct-ppo", "--jobs", "2", "--backend", "ray"], "--jobs needs --backend loky"),
     (study, ["direct-ppo", "--backend", "ray"], "--backend ray needs Ray: pip install 'capsule-gym"),
     (export, ["direct-ppo"], "at least one of --c and --onnx must be given"),
-    (export, ["direct-ppo", "--c", "policy.c"], "--c must name a file .h, got 'policy.c'"),
-    (demo, ["adaptive", "--output", "film.mp4"], "--output must name a GIF, got 'film.mp4'"),
+    (export, ["direct-ppo", "--c", "policy.c"], "--c must be the name of a file .h, got 'policy.c'"),
+    (demo, ["adaptive", "--output", "film.mp4"], "--output must be the name of a GIF, got 'film.mp4'"),
     (demo, ["adaptive", "--output", "nowhere/film.gif"], "--output must name a file in a folder that exists"),
     (identify_file, ["nowhere.csv"], "log must be a file, got 'nowhere.csv'"),
 ]
