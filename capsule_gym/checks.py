@@ -38,6 +38,12 @@ def shortened(text: str) -> str:
     return text if len(text) <= LONGEST else f"{text[: LONGEST // 2]} .. {text[-LONGEST // 2 :]}"
 
 
+def require(fits: bool, name: str, accepted: str, value: Any, kind: type[Exception] = ValueError) -> None:
+    """Raises an error that names the argument, its value and the accepted values, unless the value fits."""
+    if not fits:
+        raise kind(f"{name} must be {accepted}, got {short_repr(value)}")
+
+
 def first_cause(error: Exception) -> str:
     """The message of an error in one line; for an error of numba, the first cause and its line of source."""
     text = re.sub(r"\x1b\[\d*m", "", str(error))
@@ -77,16 +83,15 @@ def check_number(
         number = float(value)
     except OverflowError:  # an integer beyond the largest float
         number = math.inf
-    if not math.isfinite(number) or number < low or number > high or (open_low and number == low):
-        raise ValueError(f"{name} must be {accepted}, got {short_repr(value)}")
+    require(math.isfinite(number) and low <= number <= high and (not open_low or number > low), name, accepted, value)
     return number
 
 
 def check_integer(name: str, value: Any, accepted: str, low: int, high: int) -> int:
     """Returns `value` as an int; a TypeError or ValueError names the argument, its value and the accepted values."""
-    number = isinstance(value, (int, np.integer)) and not isinstance(value, NO_NUMBERS)
-    if not number or not low <= value <= high:
-        raise (ValueError if number else TypeError)(f"{name} must be {accepted}, got {short_repr(value)}")
+    integer = isinstance(value, (int, np.integer)) and not isinstance(value, NO_NUMBERS)
+    require(integer, name, accepted, value, TypeError)
+    require(low <= value <= high, name, accepted, value)
     return int(value)
 
 
@@ -98,24 +103,22 @@ def check_count(name: str, value: Any, most: int = sys.maxsize) -> int:
 
 def check_name(argument: str, name: Any, kind: type, known: Iterable[str]) -> str:
     """Returns a known name, or raises an error; an instance of `kind` would also be accepted for the argument."""
-    if not isinstance(name, str) or name not in known:
-        error = ValueError if isinstance(name, str) else TypeError
-        raise error(f"{argument} must be a {kind.__name__} or one of {sorted(known)}, got {short_repr(name)}")
-    return name
+    accepted = f"a {kind.__name__} or one of {sorted(known)}"
+    require(isinstance(name, str), argument, accepted, name, TypeError)
+    require(name in known, argument, accepted, name)
+    return str(name)
 
 
 def check_choice(name: str, value: Any, choices: Sequence[str], accepted: str) -> str:
     """Returns one of the choices, or raises a ValueError."""
     # `in` raises an error for an array.
-    if not isinstance(value, str) or value not in choices:
-        raise ValueError(f"{name} must be {accepted}, got {short_repr(value)}")
-    return value
+    require(isinstance(value, str) and value in choices, name, accepted, value)
+    return str(value)
 
 
 def check_flag(name: str, value: Any) -> bool:
     """Returns a bool, or raises a TypeError."""
-    if not isinstance(value, (bool, np.bool_)):
-        raise TypeError(f"{name} must be True or False, got {short_repr(value)}")
+    require(isinstance(value, (bool, np.bool_)), name, "True or False", value, TypeError)
     return bool(value)
 
 
@@ -125,15 +128,13 @@ def check_timed(name: str, value: Any, accepted: str, keys: tuple[str, ...]) -> 
     Yields:
         The name of a dict in messages, its time, and the dict.
     """
-    if not isinstance(value, (list, tuple)):
-        raise TypeError(f"{name} must be {accepted}, got {short_repr(value)}")
+    require(isinstance(value, (list, tuple)), name, accepted, value, TypeError)
     last, these = -math.inf, f"{', '.join(map(repr, keys[:-1]))} and {keys[-1]!r}"
     for n, entry in enumerate(value):
         where = f"{name}[{n}]"
-        if not isinstance(entry, dict):
-            raise TypeError(f"{where} must be a dict with the keys {these}, got {short_repr(entry)}")
-        if set(entry) != set(keys):
-            raise ValueError(f"{where} must have the keys {these} and no others, got {short_repr(entry)}")
+        required = f"a dict with the keys {these} and no others"
+        require(isinstance(entry, dict), where, required, entry, TypeError)
+        require(set(entry) == set(keys), where, required, entry)
         t = check_number(f"{where}['t']", entry["t"], "a finite number >= 0 (s)", 0.0)
         if t <= last:
             raise ValueError(f"{where}['t'] must be later than the one before, {last:g} s, got {t:g} s")
@@ -148,8 +149,7 @@ def check_pair(name: str, value: Any, accepted: str, **limits: Any) -> tuple[flo
     except (TypeError, ValueError):
         raise TypeError(f"{name} must be {accepted}, got {short_repr(value)}") from None
     low, high = (check_number(f"{name}[{n}]", end, accepted, **limits) for n, end in enumerate((low, high)))
-    if low > high:
-        raise ValueError(f"{name} must be {accepted}, got {short_repr(value)}")
+    require(low <= high, name, accepted, value)
     return low, high
 
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import inspect
 import io
-import math
 import os
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -32,10 +32,7 @@ NO_NEGATIONS = (tyro.conf.FlagCreatePairsOff,)
 
 
 def _count(text: str) -> int:
-    try:
-        value = float(text.replace("_", ""))
-    except ValueError:
-        value = math.nan
+    value = float(text.replace("_", ""))
     if not value.is_integer() or value < 0:
         raise ValueError(f"must be an integer >= 0, got {text!r}")
     return int(value)
@@ -83,14 +80,23 @@ def parse(kind: Callable[..., T], prog: str, arguments: Sequence[str] | None = N
     return options
 
 
-def command(prog: str) -> Callable[[Callable[..., int | None]], Callable[..., int]]:
+def command(prog: str, *errors: type[Exception]) -> Callable[[Callable[..., int | None]], Callable[..., int]]:
     """Makes a function the `main` of a command: it takes the words after the command, and returns the exit status.
 
-    The arguments of the function are the options, its docstring is the help. The status is 0 where it returns None.
+    The arguments of the function are the options, its docstring is the help. The status is 0 where it returns None. An
+    exception out of `errors` is an error of the command line, and an interrupt ends the command without a traceback.
     """
 
     def decorate(function: Callable[..., int | None]) -> Callable[..., int]:
-        return lambda arguments=None: parse(function, prog, arguments) or 0
+        def main(arguments: Sequence[str] | None = None) -> int:
+            try:
+                return parse(function, prog, arguments) or 0
+            except errors as error:
+                refuse(prog, str(error))
+            except KeyboardInterrupt:
+                raise SystemExit(128 + signal.SIGINT) from None
+
+        return main
 
     return decorate
 

@@ -18,6 +18,7 @@ from capsule_gym.checks import (
     check_number,
     from_fields,
     nearest,
+    require,
     short_repr,
 )
 from capsule_gym.parameters import LONGEST_STEP, SHORTEST_STEP, Capsule, Disturbances, Randomization
@@ -55,28 +56,22 @@ def find_task(value: Any) -> Task:
         ValueError: if the core has no task of that name.
     """
     if isinstance(value, Task):
-        if value.name not in _core.TASKS:
-            accepted = f"one of {sorted(_core.TASKS)}; a wrapper of the environment makes other tasks"
-            raise ValueError(f"task.name must be {accepted}, got {short_repr(value.name)}")
+        accepted = f"one of {sorted(_core.TASKS)}; a wrapper of the environment makes other tasks"
+        require(value.name in _core.TASKS, "task.name", accepted, value.name)
         return value
     # Only the module of this task is imported.
     found: Task = importlib.import_module(f"capsule_gym.tasks.{check_name('task', value, Task, task.TASKS)}").TASK
     return found
 
 
-def _check_task(name: str, value: Any) -> Any:
-    find_task(value)
-    return value
-
-
-def _check_object(name: str, value: Any, kind: Any) -> Any:
+def check_object(name: str, value: Any, kind: Any) -> Any:
     """Checks a `Capsule`, a `Randomization` or a `Disturbances`, or makes it of the dict that JSON contains instead."""
     if isinstance(value, dict):
         return from_fields(kind, name, value)
-    if kind is not Capsule:
+    if kind is Capsule:
+        require(isinstance(value, Capsule), name, "a Capsule or None", value, TypeError)
+    else:
         kind.named(value)
-    elif not isinstance(value, Capsule):
-        raise TypeError(f"{name} must be a Capsule or None, got {short_repr(value)}")
     return value
 
 
@@ -84,8 +79,7 @@ def _check_range(name: str, value: Any) -> tuple[float, float]:
     """Checks half widths of the initial theta and theta_dot; lists are accepted, as policy files contain lists only."""
     largest, fastest = math.nextafter(task.THETA_LIMIT, 0.0), task.LARGEST_STATE[1]
     accepted = f"None or (theta < pi/2 in rad, theta_dot <= {fastest:g} in rad/s), both >= 0"
-    if not isinstance(value, (tuple, list)) or len(value) != 2:
-        raise TypeError(f"{name} must be {accepted}, got {short_repr(value)}")
+    require(isinstance(value, (tuple, list)) and len(value) == 2, name, accepted, value, TypeError)
     theta, theta_dot = value
     return check_number(name, theta, accepted, 0.0, largest), check_number(name, theta_dot, accepted, 0.0, fastest)
 
@@ -96,10 +90,6 @@ def _option(default: Any, check: Check) -> Any:
     An option whose default is None accepts None, too.
     """
     return field(default=default, metadata={"check": check})
-
-
-_check_step = _number(SHORTEST_STEP, LONGEST_STEP, "s")
-_check_mode = partial(check_choice, choices=RENDER_MODES, accepted=f"None or one of {RENDER_MODES}")
 
 
 def _advice(name: str, known: Iterable[str]) -> str:
@@ -128,9 +118,9 @@ class EnvConfig:
     residual_limit: float | None = _option(None, _number(0.0, LARGEST_TORQUE, "N m"))
     total_torque: bool = _option(False, check_flag)
     torque_limit: float = _option(task.TORQUE_LIMIT, _number(0.0, LARGEST_TORQUE, "N m", open_low=True))
-    randomization: str | Randomization = _option("paper", partial(_check_object, kind=Randomization))
-    disturbances: str | Disturbances = _option("none", partial(_check_object, kind=Disturbances))
-    capsule: Capsule | None = _option(None, partial(_check_object, kind=Capsule))
+    randomization: str | Randomization = _option("paper", partial(check_object, kind=Randomization))
+    disturbances: str | Disturbances = _option("none", partial(check_object, kind=Disturbances))
+    capsule: Capsule | None = _option(None, partial(check_object, kind=Capsule))
     observe_parameters: bool = _option(False, check_flag)
     observe_estimates: bool = _option(False, check_flag)
     stack_size: int = _option(1, partial(check_count, most=LARGEST_STACK))
@@ -138,24 +128,24 @@ class EnvConfig:
     termination_penalty: float = _option(task.TERMINATION_PENALTY, _number(0.0, LARGEST_COST, "cm"))
     initial_noise: float = _option(0.0, _number(0.0, 0.5, "rad"))
     initial_range: tuple[float, float] | None = _option(None, _check_range)
-    control_dt: float = _option(task.CONTROL_DT, _check_step)
-    physics_dt: float | None = _option(None, _check_step)
+    control_dt: float = _option(task.CONTROL_DT, _number(SHORTEST_STEP, LONGEST_STEP, "s"))
+    physics_dt: float | None = _option(None, _number(SHORTEST_STEP, LONGEST_STEP, "s"))
     threads: int = _option(1, check_count)
-    render_mode: str | None = _option(None, _check_mode)
-    task: str | Task = _option("speed", _check_task)
+    render_mode: str | None = _option(
+        None, partial(check_choice, choices=RENDER_MODES, accepted=f"None or one of {RENDER_MODES}")
+    )
+    task: str | Task = _option("speed", lambda name, value: find_task(value) and value)
     goal_env: bool = _option(False, check_flag)
 
     def __init__(self, **options: Any) -> None:
         defaults = {each.name: each.default for each in fields(self)}
         checks = {each.name: each.metadata.get("check") for each in fields(self)}
-        if unknown := sorted(set(options) - set(defaults)):
-            raise TypeError(
-                f"got an unexpected keyword argument {short_repr(unknown[0])}{_advice(unknown[0], defaults)}"
-            )
+        for name in sorted(set(options) - set(defaults)):
+            raise TypeError(f"got an unexpected keyword argument {short_repr(name)}{_advice(name, defaults)}")
         given = {**defaults, **find_task(options.get("task", "speed")).defaults, **options}
         for name, value in given.items():
             if (check := checks[name]) and not (value is None and defaults[name] is None):
                 value = check(name, value)
             object.__setattr__(self, name, value)
-        if self.goal_env and (name := find_task(self.task).name) != "goal":
-            raise ValueError(f"goal_env must be False for the task {name!r}, got True")
+        name = find_task(self.task).name
+        require(name == "goal" or not self.goal_env, "goal_env", f"False for the task {name!r}", self.goal_env)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from capsule_gym import _core, native
-from capsule_gym.checks import check_number, first_cause, short_repr
+from capsule_gym.checks import check_number, first_cause, require, short_repr
 from capsule_gym.config import LAW_DT, find_task
 from capsule_gym.task import Task
 from capsule_gym.user_law import bind_user_law
@@ -46,16 +46,14 @@ class CoreLaw:
             TypeError: if a constant is missing, or the law has none of that name.
             ValueError: if there is no such law, or a constant has a wrong number of values or is NaN.
         """
-        if name not in _core.LAWS:
-            raise ValueError(f"name must be one of {', '.join(_core.LAWS)}, got {short_repr(name)}")
+        require(name in _core.LAWS, "name", f"one of {', '.join(_core.LAWS)}", name)
         items = [item.partition(":") for item in _core.LAWS[name][0].split()]
         counts, numbers = {key: int(count or 1) for key, _, count in items}, []
         if counts.keys() != constants.keys():
             raise TypeError(f"the law {name!r} takes the constants {', '.join(counts)}, got {', '.join(constants)}")
         for key, count in counts.items():
             numbers += (given := np.ravel(np.asarray(constants[key], np.float64))).tolist()
-            if given.size != count or np.isnan(given).any():
-                raise ValueError(f"{key} must be {count} numbers, got {short_repr(constants[key])}")
+            require(given.size == count and not np.isnan(given).any(), key, f"{count} numbers", constants[key])
         object.__setattr__(self, "name", name)
         object.__setattr__(self, "constants", tuple(numbers))
 
@@ -149,30 +147,27 @@ class Controller:
     task: str | Task | None = None
 
     def __post_init__(self) -> None:
-        if not callable(self.law):
-            raise TypeError(f"Controller.law must be a function, got {short_repr(self.law)}")
+        require(callable(self.law), "Controller.law", "a function", self.law, TypeError)
         object.__setattr__(self, "reference", _check_reference(self.reference))
         object.__setattr__(self, "memory", _check_memory(self.memory))
         check_number("Controller.dt", self.dt, "a finite number > 0 (s)", 0.0, open_low=True)
-        # A trial call, so that a wrong signature raises an error here and not inside compiled code.
+        # A trial call, so that a wrong signature raises an error here and not inside compiled code, which also does not
+        # check indices.
         row = (*(float(value) for value in self.reference[0]), *([0.0] * self.task_size))
-        # Compiled code does not check indices.
         law = getattr(self.law, "py_func", self.law)
+        must = (
+            f"the control law of {self.name!r} must be law(theta, theta_dot, x, x_dot, memory, reference) -> (torque, "
+            f"memory) with finite numbers and as many memory cells as it is given ({len(self.memory)})"
+        )
         try:
             torque, memory = law(row[0], row[1], 0.0, 0.0, self.memory, row)
             values = (float(torque), *(float(cell) for cell in memory))
         except Exception as error:
             # An arithmetic error comes from the values of the reference, not from the types.
             kind = ValueError if isinstance(error, ArithmeticError) else TypeError
-            raise kind(
-                f"the control law of {self.name!r} must be law(theta, theta_dot, x, x_dot, memory, reference) -> "
-                f"(torque, memory) with finite numbers, but a trial call on its reference failed: {first_cause(error)}"
-            ) from error
+            raise kind(f"{must}, but a trial call on its reference failed: {first_cause(error)}") from error
         if len(values) - 1 != len(self.memory) or not all(map(math.isfinite, values)):
-            raise ValueError(
-                f"the control law of {self.name!r} must return a finite torque and as many finite memory cells as it "
-                f"is given ({len(self.memory)}), got {values} on its reference"
-            )
+            raise ValueError(f"{must}, got {values} on its reference")
 
     @property
     def task_size(self) -> int:
@@ -204,10 +199,8 @@ def _check_reference(reference: Any) -> np.ndarray:
 def _check_memory(memory: Any) -> tuple[float, ...]:
     """A law's memory as a tuple of floats."""
     accepted = f"a tuple of 1 to {MOST_COLUMNS} finite numbers; a law without memory carries (0.0,)"
-    if not isinstance(memory, (tuple, list)):
-        raise TypeError(f"Controller.memory must be {accepted}, got {short_repr(memory)}")
-    if not 1 <= len(memory) <= MOST_COLUMNS:
-        raise ValueError(f"Controller.memory must be {accepted}, got {len(memory)}")
+    require(isinstance(memory, (tuple, list)), "Controller.memory", accepted, memory, TypeError)
+    require(1 <= len(memory) <= MOST_COLUMNS, "Controller.memory", accepted, len(memory))
     return tuple(check_number("Controller.memory", cell, accepted) for cell in memory)
 
 
@@ -235,6 +228,7 @@ def find_controller(controller: str | Controller | Callable[[], Controller] | No
         ValueError: if the import string names a module or attribute that does not exist.
     """
     accepted = "None, a Controller, a function that returns one, or an import string 'module:attribute'"
+    must = f"controller must be {accepted}, got {short_repr(controller)}"
     found: Any = controller
     if isinstance(controller, str):
         try:
@@ -244,17 +238,13 @@ def find_controller(controller: str | Controller | Callable[[], Controller] | No
             else:
                 found = pkgutil.resolve_name(controller)
         except (ValueError, AttributeError, ModuleNotFoundError) as error:
-            reason = _hidden_baselines(controller) or error
-            raise ValueError(f"controller must be {accepted}, got {short_repr(controller)}: {reason}") from error
+            raise ValueError(f"{must}: {_hidden_baselines(controller) or error}") from error
     if callable(found):
         try:
             found = found()
         except (TypeError, ValueError) as error:
             kind = TypeError if isinstance(error, TypeError) else ValueError
-            raise kind(
-                f"controller must be {accepted}, got {short_repr(controller)}, whose call fails: {error}"
-            ) from error
+            raise kind(f"{must}, whose call fails: {error}") from error
     if found is not None and not isinstance(found, Controller):
-        given = "" if found is controller else f", which gives {short_repr(found)}"
-        raise TypeError(f"controller must be {accepted}, got {short_repr(controller)}{given}")
+        raise TypeError(must if found is controller else f"{must}, which gives {short_repr(found)}")
     return found

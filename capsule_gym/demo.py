@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Annotated, Any
 
 import numpy as np
 from gymnasium.error import DependencyNotInstalled
 
-from capsule_gym.checks import check_number, nearest, short_repr
-from capsule_gym.command_line import Count, Positional, arg, check_output, parse, refuse
+from capsule_gym.checks import check_number, nearest, require, short_repr
+from capsule_gym.command_line import Count, Positional, arg, check_output, command
 from capsule_gym.env import CapsuleEnv, shown_state
-from capsule_gym.evaluation_sets import FURTHER_SET_NAMES, SET_NAMES, EvaluationSet, PlantSpec, load_set
+from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec, load_set
 from capsule_gym.policy import load_policy, policy_names, pretrained
 from capsule_gym.rendering import FRAME_SECONDS, Renderer, write_gif
 from capsule_gym.task import HORIZON, Termination
@@ -28,27 +28,19 @@ TERMINATIONS = "the time is up", "the ball met the platform", "the capsule left 
 STRENGTH = 0.4
 
 
-class Keyboard:
-    """A policy with the attributes of `capsule_gym.Policy` for the arrow keys, or A and D, of the window."""
-
-    name = "keyboard"
-    env_kwargs: dict[str, Any] = {}  # noqa: RUF012 (read only)
-
-    def start(self, seeds: Sequence[int]) -> Callable[[np.ndarray], np.ndarray]:
-        """The function from observations to the action of the keys."""
-
-        def act(observations: np.ndarray) -> np.ndarray:
-            pygame: Any = import_module("pygame")
-            held = pygame.key.get_pressed()
-            # A growing theta swings the ball to the left.
-            left, right = held[pygame.K_LEFT] or held[pygame.K_a], held[pygame.K_RIGHT] or held[pygame.K_d]
-            return np.array([[STRENGTH * (bool(left) - bool(right))]], np.float32)
-
-        return act
+def read_keys(observations: np.ndarray) -> np.ndarray:
+    """The action of the arrow keys, or A and D, of the window."""
+    pygame: Any = import_module("pygame")
+    held = pygame.key.get_pressed()
+    # A growing theta swings the ball to the left.
+    left, right = held[pygame.K_LEFT] or held[pygame.K_a], held[pygame.K_RIGHT] or held[pygame.K_d]
+    return np.array([[STRENGTH * (bool(left) - bool(right))]], np.float32)
 
 
+# A policy with the attributes of `capsule_gym.Policy` that an episode needs.
+KEYBOARD = SimpleNamespace(name="keyboard", env_kwargs={}, start=lambda seeds: read_keys)
 # The scripted policies, which include control laws, and the names of all policies.
-SCRIPTED: dict[str, Any] = {**import_module("baselines.policies").SCRIPTED, Keyboard.name: Keyboard()}
+SCRIPTED: dict[str, Any] = {**import_module("baselines.policies").SCRIPTED, KEYBOARD.name: KEYBOARD}
 NAMES = [*SCRIPTED, *policy_names()]
 
 
@@ -104,69 +96,12 @@ class Episode:
         return f"{self.policy.name} {100.0 * x / max(self.time, FRAME_SECONDS):.2f} cm/s"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Args:
-    """Shows an episode of a policy: in a window, or with -o as a GIF in a file.
-
-    The policy keyboard takes the arrow keys, or A and D.
-
-    Examples:
-      python -m capsule_gym.demo direct-ppo
-      python -m capsule_gym.demo keyboard --rival adaptive --speed 0.5
-      python -m capsule_gym.demo residual-real --rival adaptive --set drift --seed 3
-      python -m capsule_gym.demo direct-ppo/seed-2 --M 0.6 --mu 0.05 --seconds 10 -o out.gif
-    """
-
-    policy: Annotated[
-        Positional[str],
-        arg(
-            metavar="NAME_OR_PATH",
-            help=f"{', '.join(NAMES)}; one run as NAME/seed-0; or the path of a policy file or of a run's folder.",
-        ),
-    ]
-    rival: Annotated[str | None, arg(metavar="NAME_OR_PATH", help="A second policy, shown as an outline.")] = None
-    set: Annotated[
-        str,
-        arg(metavar="NAME_OR_PATH", help=f"One of {', '.join(SET_NAMES + FURTHER_SET_NAMES)}, or the path of a file."),
-    ] = "paper"
-    seed: Count = 0
-    """Seed of the plant in the set."""
-    M: float | None = None
-    """Mass of the platform in kg, instead of the set's."""
-    mu: float | None = None
-    """Friction coefficient, instead of the set's."""
-    output: Annotated[Path | None, arg(metavar="FILE", aliases=["-o"])] = None
-    """Write a GIF to this file instead of opening a window."""
-    overwrite: bool = False
-    """Let --output replace an existing file."""
-    seconds: float = HORIZON
-    """Length of the shown part of the episode, s."""
-    speed: float = 1.0
-    """Shown seconds of the episode per second, from 0.1 to 20."""
-
-    def check(self) -> None:
-        """Raises an error for numbers out of range and for files that cannot be written."""
-        check_number("--seconds", self.seconds, f"above 0 and at most {HORIZON:g} s", 0.0, HORIZON, open_low=True)
-        check_number("--speed", self.speed, "a number from 0.1 to 20", 0.1, 20.0)
-        check_output("--output", self.output, overwrite=self.overwrite)
-        if self.output is not None and self.output.suffix.lower() != ".gif":
-            raise ValueError(f"--output must name a GIF, got {str(self.output)!r}")
-        if self.output is not None and Keyboard.name in (self.policy, self.rival):
-            raise ValueError(f"a policy must not be {Keyboard.name!r} with --output, which opens no window")
-
-    def plant(self, found: EvaluationSet) -> PlantSpec:
-        """The plant of the set with this seed; a given M or mu removes its changes."""
-        plants = {plant.seed: plant for plant in found.plants}
-        if self.seed not in plants:
-            raise ValueError(f"--seed must be one of the set's, {min(plants)} to {max(plants)}, got {self.seed}")
-        given: dict[str, Any] = {name: value for name in ("M", "mu") if (value := getattr(self, name)) is not None}
-        return replace(plants[self.seed], **({**given, "changes": ()} if given else {}))
-
-
-def draw_episode(renderer: Renderer, args: Args, episode: Episode, rival: Episode | None) -> Iterator[Any]:
+def draw_episode(
+    renderer: Renderer, episode: Episode, rival: Episode | None, seconds: float, speed: float
+) -> Iterator[Any]:
     """Draws an episode until it ends or the window is closed; yields the frames, if any."""
-    for n in range(round(args.seconds / args.speed / FRAME_SECONDS) + 1):
-        episode.advance(n * FRAME_SECONDS * args.speed)
+    for n in range(round(seconds / speed / FRAME_SECONDS) + 1):
+        episode.advance(n * FRAME_SECONDS * speed)
         state = shown_state(episode.env.simulation, 0)
         if rival is not None:
             rival.advance(episode.time)
@@ -177,35 +112,65 @@ def draw_episode(renderer: Renderer, args: Args, episode: Episode, rival: Episod
             return
 
 
-def show(args: Args) -> None:
-    """Draws the episodes, and prints their mean speeds."""
-    found = load_set(args.set)
-    plant = args.plant(found)
-    episode = Episode(find_policy(args.policy), found, plant)
-    rival = None if args.rival is None else Episode(find_policy(args.rival), found, plant)
-    simulation, mode = episode.env.simulation, "rgb_array" if args.output else "human"
+@command(PROG, DependencyNotInstalled, ImportError, OSError, RuntimeError, ValueError)
+def main(
+    policy: Annotated[Positional[str], arg(metavar="NAME_OR_PATH")],
+    rival: Annotated[str | None, arg(metavar="NAME_OR_PATH")] = None,
+    found: Annotated[str, arg(name="set", metavar="NAME_OR_PATH")] = "paper",
+    seed: Count = 0,
+    M: float | None = None,
+    mu: float | None = None,
+    output: Annotated[Path | None, arg(metavar="FILE", aliases=["-o"])] = None,
+    overwrite: bool = False,
+    seconds: float = HORIZON,
+    speed: float = 1.0,
+) -> None:
+    """Shows an episode of a policy: in a window, or with -o as a GIF in a file.
+
+    The policy keyboard takes the arrow keys, or A and D.
+
+    Examples:
+      python -m capsule_gym.demo direct-ppo
+      python -m capsule_gym.demo keyboard --rival adaptive --speed 0.5
+      python -m capsule_gym.demo residual-real --rival adaptive --set drift --seed 3
+      python -m capsule_gym.demo direct-ppo/seed-2 --M 0.6 --mu 0.05 --seconds 10 -o out.gif
+
+    Args:
+        policy: Name of a policy, or of one run as NAME/seed-0, or path of a policy file or of a run's folder; the
+            error for an unknown name lists all names.
+        rival: A second policy, shown as an outline.
+        found: Name of an evaluation set, or path of a file.
+        seed: Seed of the plant in the set.
+        M: Mass of the platform in kg, instead of the set's, whose changes are removed.
+        mu: Friction coefficient, instead of the set's, whose changes are removed.
+        output: Write a GIF to this file instead of opening a window.
+        overwrite: Let --output replace an existing file.
+        seconds: Length of the shown part of the episode, s.
+        speed: Shown seconds of the episode per second, from 0.1 to 20.
+    """
+    check_number("--seconds", seconds, f"above 0 and at most {HORIZON:g} s", 0.0, HORIZON, open_low=True)
+    check_number("--speed", speed, "a number from 0.1 to 20", 0.1, 20.0)
+    check_output("--output", output, overwrite=overwrite)
+    require(output is None or output.suffix.lower() == ".gif", "--output", "the name of a GIF", str(output))
+    if output is not None and KEYBOARD.name in (policy, rival):
+        raise ValueError(f"a policy must not be {KEYBOARD.name!r} with --output, which opens no window")
+    chosen = load_set(found)
+    plants = {plant.seed: plant for plant in chosen.plants}
+    require(seed in plants, "--seed", f"one of the set's, {min(plants)} to {max(plants)}", seed)
+    given: dict[str, Any] = {name: value for name, value in (("M", M), ("mu", mu)) if value is not None}
+    plant = replace(plants[seed], **({**given, "changes": ()} if given else {}))
+    episode, *rivals = (Episode(find_policy(name), chosen, plant) for name in (policy, rival) if name is not None)
+    simulation, mode = episode.env.simulation, "rgb_array" if output else "human"
     limit, fps = simulation.settings.torque_limit, round(1.0 / FRAME_SECONDS)
     renderer = Renderer(simulation.capsule, mode, fps, limit, episode.policy.name)
-    frames = draw_episode(renderer, args, episode, rival)
-    if args.output is not None:
-        write_gif(frames, args.output)
+    frames = draw_episode(renderer, episode, rivals[0] if rivals else None, seconds, speed)
+    if output is not None:
+        write_gif(frames, output)
     for _ in frames:
         pass
-    speeds = "; ".join(each.speed for each in (episode, rival) if each)
+    speeds = "; ".join(each.speed for each in (episode, *rivals))
     end = f": {TERMINATIONS[episode.end]}" if episode.end is not None else ""
     print(f"{speeds} over {episode.time:.1f} s on M = {plant.M:g} kg, mu = {plant.mu:g}{end}")
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns the exit status."""
-    args = parse(Args, PROG, arguments)
-    try:
-        show(args)
-    except (DependencyNotInstalled, ImportError, OSError, RuntimeError, ValueError) as error:
-        refuse(PROG, str(error))
-    except KeyboardInterrupt:
-        raise SystemExit(128 + signal.SIGINT) from None
-    return 0
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium import spaces
 
 from capsule_gym import task
-from capsule_gym.checks import check_count, short_repr
+from capsule_gym.checks import check_count, require, short_repr
 from capsule_gym.config import RENDER_MODES, EnvConfig
 from capsule_gym.layout import Row
 from capsule_gym.parameters import CONSTANTS, DISTURBANCES
@@ -32,6 +32,13 @@ _FIRST = np.zeros(1, np.int64)
 _PLACES = ("goal", "target")
 # Attributes that a copy of an environment does not take over.
 _VIEWS = ("_rows", "_state", "_cost", "_memory", "_reading", "_drawn", "_observe", "_step", "_renderer")
+
+
+def goal_reward(env: Any) -> Callable[[Any, Any, Any], Any]:
+    """`capsule_gym.tasks.goal.compute_reward`, only with `goal_env=True`: libraries recognise goal environments by it."""
+    if not env.simulation.options.goal_env:
+        raise AttributeError("compute_reward needs goal_env=True")
+    return partial(goal.compute_reward, env.simulation.settings)
 
 
 class CapsuleEnv(gym.Env[Any, np.ndarray]):
@@ -194,6 +201,7 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
 
     # Gymnasium declares it as the instance's, and wrappers change it: each instance gets a copy.
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 50}  # noqa: RUF012 (as Gymnasium declares it)
+    compute_reward = property(goal_reward)
 
     def __init__(self, *, render_mode: str | None = None, **options: Any) -> None:
         self.simulation = make_simulation(1, EnvConfig(render_mode=render_mode, **options))
@@ -287,9 +295,8 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
         plain = type(action) is np.ndarray and action.dtype.char == "f"
         array = action if plain else as_actions(action)
         if array is None or array.shape != (1,) or not math.isfinite(value := array.item()):
-            raise ValueError(
-                f"action must be one finite number, clipped to [-1, 1], of shape (1,), got {short_repr(action)}"
-            )
+            accepted = "one finite number, clipped to [-1, 1], of shape (1,)"
+            raise ValueError(f"action must be {accepted}, got {short_repr(action)}")
         self._step(value)
         values = self._rows.tolist()
         self._running = values[_TERMINATION] == 0.0
@@ -315,11 +322,6 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
         drawn = self.simulation.world[0, Row.drawn_m : Row.key, 0]
         self._drawn = name_drawn(drawn.tolist()) if self.simulation.settings.history else ()
 
-    @property
-    def compute_reward(self) -> Callable[[Any, Any, Any], Any]:
-        """`capsule_gym.tasks.goal.compute_reward`, only with `goal_env=True`: libraries recognise goal environments by it."""
-        return goal_reward(self.simulation)
-
     def episode_metrics(self, horizon: int | None) -> dict[str, float]:
         """The metrics of the episode so far: those of `capsule_gym.task.Metrics`, and those of the task.
 
@@ -337,7 +339,8 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
             gym.logger.warn("render() draws nothing without a render_mode: gym.make(.., render_mode='rgb_array')")
             return None
         if self._renderer is None:
-            self._renderer = make_renderer(self.simulation, self.render_mode)
+            capsule, limit = self.simulation.capsule, self.simulation.settings.torque_limit
+            self._renderer = Renderer(capsule, self.render_mode, self.metadata["render_fps"], limit)
         return self._renderer.draw(**shown_state(self.simulation, 0))
 
     def close(self) -> None:
@@ -357,11 +360,6 @@ def make_simulation(num_envs: int, config: EnvConfig) -> Simulation:
     if config.residual_limit == 0.0:
         raise ValueError("residual_limit must be > 0 (N m), got 0.0: the action would have no effect")
     return Simulation(num_envs, config)
-
-
-def make_renderer(simulation: Simulation, mode: str) -> Renderer:
-    """The renderer of an environment or a batch; a window shows one frame per agent step in real time."""
-    return Renderer(simulation.capsule, mode, frames_per_second(simulation), simulation.settings.torque_limit)
 
 
 def frames_per_second(simulation: Simulation) -> float:
@@ -392,13 +390,6 @@ def add_task(info: dict[str, Any], current: task.Task, memory: Any) -> None:
         info[name] = memory[place]
 
 
-def goal_reward(simulation: Simulation) -> Callable[[Any, Any, Any], Any]:
-    """The function `compute_reward`; an AttributeError without `goal_env`."""
-    if not simulation.options.goal_env:
-        raise AttributeError("compute_reward needs goal_env=True")
-    return partial(goal.compute_reward, simulation.settings)
-
-
 def name_drawn(drawn: Sequence[Value]) -> tuple[dict[str, Value], dict[str, Value]]:
     """The constants of the plant and the disturbances by their names, from the rows `drawn_m` to `push` of `Row`."""
     constants = dict(zip(CONSTANTS, drawn, strict=False))
@@ -425,13 +416,10 @@ def as_actions(actions: Any) -> np.ndarray | None:
 
 def check_options(options: dict[str, Any] | None, accepted: tuple[str, ...]) -> dict[str, Any]:
     """Raises an error for unknown reset options."""
-    if options is None:
-        return {}
-    if not isinstance(options, dict):
-        raise TypeError(f"options must be a dict with keys out of {accepted}, got {short_repr(options)}")
-    unknown = set(options) - set(accepted)
-    if unknown:
-        raise ValueError(f"options must have keys out of {accepted}, got {sorted(map(str, unknown))}")
+    options = {} if options is None else options
+    required = f"a dict with keys out of {accepted}"
+    require(isinstance(options, dict), "options", required, options, TypeError)
+    require(set(options) <= set(accepted), "options", required, list(options))
     return options
 
 

@@ -8,14 +8,23 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from capsule_gym.checks import check_integer, check_number, check_timed, nearest, short_repr
-from capsule_gym.config import find_task
+from capsule_gym.checks import (
+    check_choice,
+    check_integer,
+    check_number,
+    check_timed,
+    from_fields,
+    nearest,
+    require,
+    short_repr,
+)
+from capsule_gym.config import check_object, find_task
 from capsule_gym.files import canonical_hash
 from capsule_gym.parameters import CONSTANTS, NOMINAL, Capsule, Disturbances
 from capsule_gym.task import CHANGE, HORIZON, LARGEST_STATE, START_THETA, TASKS, THETA_LIMIT
@@ -52,19 +61,20 @@ class PlantSpec:
     goal: float | None = None
     capsule: dict[str, float] | None = None
 
-    @property
-    def _given(self) -> dict[str, Any]:
-        return {name: value for name in ("goal", "capsule") if (value := getattr(self, name)) is not None}
-
     def reset_options(self) -> dict[str, Any]:
         """The options of `reset` for this episode."""
         state = [self.theta, 0.0, 0.0, 0.0]
-        return {"M": self.M, "mu": self.mu, "state": state, "changes": list(self.changes), **self._given}
+        return {
+            "M": self.M,
+            "mu": self.mu,
+            "state": state,
+            "changes": list(self.changes),
+            **_changed(self, ("goal", "capsule")),
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as plain types."""
-        start = {} if self.theta == START_THETA else {"theta": self.theta}
-        given = {**start, **self._given}
+        given = _changed(self, ("theta", "goal", "capsule"))
         return {"M": self.M, "mu": self.mu, "seed": self.seed, **given, "changes": list(self.changes)}
 
 
@@ -105,26 +115,25 @@ class EvaluationSet:
 
     def to_dict(self) -> dict[str, Any]:
         """The content of the set's file."""
-        return {"name": self.name, **self._options, "plants": [plant.to_dict() for plant in self.plants]}
+        # Older sets and their hashes lack these fields.
+        options = _changed(self, ("task", "capsule", "disturbances"))
+        if self.capsule is not None:
+            options["capsule"] = _changed(self.capsule, vars(self.capsule))
+        if isinstance(self.disturbances, Disturbances):
+            options["disturbances"] = asdict(self.disturbances)
+        return {"name": self.name, **options, "plants": [plant.to_dict() for plant in self.plants]}
 
     def to_json(self) -> str:
         """The text of the set's file, one plant per line."""
-        plants = ",\n".join("  " + json.dumps(plant.to_dict()) for plant in self.plants)
-        named = {"name": self.name, **self._options}
-        head = "".join(f' "{key}": {json.dumps(value)},\n' for key, value in named.items())
+        content = self.to_dict()
+        plants = ",\n".join("  " + json.dumps(plant) for plant in content.pop("plants"))
+        head = "".join(f' "{key}": {json.dumps(value)},\n' for key, value in content.items())
         return f'{{\n{head} "plants": [\n{plants}\n ]\n}}\n'
 
-    @property
-    def _options(self) -> dict[str, Any]:
-        """The fields that older sets and their hashes lack: a task other than speed, capsule, disturbances."""
-        found: dict[str, Any] = {} if self.task == "speed" else {"task": self.task}
-        if self.capsule is not None:
-            nominal = asdict(NOMINAL)
-            found["capsule"] = {name: value for name, value in asdict(self.capsule).items() if value != nominal[name]}
-        if self.disturbances != "none":
-            given = self.disturbances
-            found["disturbances"] = asdict(given) if isinstance(given, Disturbances) else given
-        return found
+
+def _changed(instance: Any, names: Iterable[str]) -> dict[str, Any]:
+    """The fields of a dataclass, out of these, that differ from their defaults."""
+    return {name: value for name in names if (value := getattr(instance, name)) != getattr(type(instance), name)}
 
 
 def _fields(where: str, value: Any, required: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Any]:
@@ -156,11 +165,8 @@ def _parse_plant(where: str, value: Any, task: str) -> PlantSpec:
         goal = check_number(f"{where}.goal", goal, f"a number of m within {farthest:g} of 0", -farthest, farthest)
     capsule = entry.get("capsule")
     if capsule is not None:
-        capsule = dict(_fields(f"{where}.capsule", capsule, (), CONSTANTS))
-        try:
-            Capsule(M=entry["M"], mu=entry["mu"], **capsule)
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"{where}.capsule: {error}") from None
+        _fields(f"{where}.capsule", capsule, (), CONSTANTS)
+        from_fields(Capsule, f"{where}.capsule", {"M": entry["M"], "mu": entry["mu"], **capsule})
     return PlantSpec(entry["M"], entry["mu"], seed, tuple(changes), theta, goal, capsule or None)
 
 
@@ -178,23 +184,13 @@ def parse_set(content: Any) -> EvaluationSet:
         ValueError: if anything else is malformed; the message names the field, its value and the accepted values.
     """
     entry = _fields("set", content, ("name", "plants"), ("task", "capsule", "disturbances"))
-    task = entry.get("task", "speed")
-    if not isinstance(task, str) or task not in TASKS:
-        raise ValueError(f"set.task must be one of {sorted(TASKS)}, got {short_repr(task)}")
-    name = entry["name"]
-    if not isinstance(name, str) or not name.strip():
-        raise ValueError(f"set.name must be a string that is not empty, got {short_repr(name)}")
-    capsule = entry.get("capsule")
+    task = check_choice("set.task", entry.get("task", "speed"), sorted(TASKS), f"one of {sorted(TASKS)}")
+    name, capsule, plants = entry["name"], entry.get("capsule"), entry["plants"]
+    require(isinstance(name, str) and name.strip() != "", "set.name", "a string that is not empty", name)
     if capsule is not None:
-        capsule = Capsule(**_fields("set.capsule", capsule, (), [each.name for each in fields(Capsule)]))
-    disturbances = entry.get("disturbances", "none")
-    if isinstance(disturbances, dict):
-        names = [each.name for each in fields(Disturbances)]
-        disturbances = Disturbances(**_fields("set.disturbances", disturbances, (), names))
-    Disturbances.named(disturbances)
-    plants = entry["plants"]
-    if not isinstance(plants, list) or not plants:
-        raise ValueError(f"set.plants must be a list of at least one plant, got {short_repr(plants)}")
+        capsule = check_object("set.capsule", capsule, Capsule)
+    disturbances = check_object("set.disturbances", entry.get("disturbances", "none"), Disturbances)
+    require(isinstance(plants, list) and plants != [], "set.plants", "a list of at least one plant", plants)
     parsed = tuple(_parse_plant(f"set.plants[{i}]", plant, task) for i, plant in enumerate(plants))
     if len({plant.goal is None for plant in parsed}) > 1:
         raise ValueError("set.plants must have a goal each, or none must have one")

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,7 +16,8 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from capsule_gym import __version__, _core, native
-from capsule_gym.command_line import Positional, arg, check_output, parse, refuse
+from capsule_gym.checks import require
+from capsule_gym.command_line import Positional, arg, check_output, command
 from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.controller import CoreLaw, find_controller
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, load_set
@@ -31,8 +32,6 @@ from capsule_gym.trace import c_number, c_table, record, to_c, to_onnx
 from capsule_gym.vector_env import CapsuleVectorEnv
 
 PROG = "python -m capsule_gym.export"
-# The set whose first episode gives the test vectors, by the task, or "real" for disturbances.
-SETS = {"speed": "paper", "goal": "goal", "velocity": "velocity", "real": "real"}
 INTERVALS = 100  # control intervals of the test vectors; a law alone has a quarter
 
 
@@ -128,7 +127,7 @@ class Exported:
     def c_test(self, file: str, *, single: bool = False) -> str:
         """A C99 program that checks the header `file` on the first episode of an evaluation set."""
         disturbed = Disturbances.named(self.options.disturbances)
-        chosen = load_set(SETS["real" if disturbed else self.task.name])
+        chosen = load_set("real" if disturbed else {"speed": "paper"}.get(self.task.name, self.task.name))
         plant = chosen.plants[0]
         kwargs = {**chosen.env_kwargs, **self.env_kwargs, **EPISODE_SETTINGS, "autoreset_mode": AutoresetMode.DISABLED}
         if disturbed:
@@ -175,10 +174,9 @@ class Exported:
             raise ImportError('--c needs jinja2: pip install "capsule-gym[export]"') from error
         options: dict[str, Any] = {"trim_blocks": True, "lstrip_blocks": True, "undefined": StrictUndefined}
         environment = Environment(loader=FileSystemLoader(Path(__file__).parent), keep_trailing_newline=True, **options)
-        filters = {"number": c_number, "table": c_table}
         environment.filters |= {
-            name: lambda value, kind=single, function=function: function(value, kind)
-            for name, function in filters.items()
+            "number": lambda value, kind=single: c_number(value, kind),
+            "table": lambda value, kind=single: c_table(value, kind),
         }
         text: str = environment.get_template(template).render({**vars(self), **values, "single": single})
         return text.replace("NAME", self.name).replace("REAL", "float" if single else "double")
@@ -263,8 +261,15 @@ def _read(simulation: Simulation) -> dict[str, float]:
     return {**shown, "phase": clock / len(simulation.reference)}
 
 
-@dataclass(frozen=True)
-class Args:
+@command(PROG, ImportError, OSError, TypeError, ValueError)
+def main(
+    policy: Positional[str],
+    c: Path | None = None,
+    onnx: Path | None = None,
+    single: Annotated[bool, arg(name="float")] = False,
+    law: bool = False,
+    overwrite: bool = False,
+) -> None:
     """Exports a trained policy, and the control law that it acts on, as C99 or as ONNX.
 
     FILE.h of --c has no dependency and allocates nothing; FILE_test.c, next to it, checks it on an episode of an
@@ -274,49 +279,28 @@ class Args:
       python -m capsule_gym.export direct-ppo --c policy.h
       python -m capsule_gym.export residual-real --c policy.h --float --law
       python -m capsule_gym.export runs/mine --onnx policy.onnx
+
+    Args:
+        policy: Name of a pretrained policy, path of a policy file or of a run's folder, or import string of a control
+            law.
+        c: C header to write.
+        onnx: ONNX model to write.
+        single: Compute in float instead of double, which has the bits of this package.
+        law: Export the control law, too.
+        overwrite: Replace existing files.
     """
-
-    policy: Positional[str]
-    """Name of a pretrained policy, path of a policy file or of a run's folder, or import string of a control law."""
-    c: Path | None = None
-    """C header to write."""
-    onnx: Path | None = None
-    """ONNX model to write."""
-    single: Annotated[bool, arg(name="float")] = False
-    """Compute in float instead of double, which has the bits of this package."""
-    law: bool = False
-    """Export the control law, too."""
-    overwrite: bool = False
-    """Replace existing files."""
-
-    def check(self) -> None:
-        """Raises an error without an output, or for one that cannot be written."""
-        if self.c is None and self.onnx is None:
-            raise ValueError("at least one of --c and --onnx must be given")
-        if self.c is not None and self.c.suffix != ".h":
-            raise ValueError(f"--c must name a file .h, got {str(self.c)!r}")
-        check_output("--c", self.c, overwrite=self.overwrite)
-        check_output("--c", self.c and _test_file(self.c), overwrite=self.overwrite)
-        check_output("--onnx", self.onnx, overwrite=self.overwrite)
-
-
-def _test_file(header: Path) -> Path:
-    return header.with_name(f"{header.stem}_test.c")
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns the exit status."""
-    args = parse(Args, PROG, arguments)
-    try:
-        exported = Exported(args.policy, args.law)
-        if args.onnx is not None:
-            write_atomically(args.onnx, exported.onnx(single=args.single))
-        if args.c is not None:
-            write_atomically(args.c, exported.c(single=args.single))
-            write_atomically(_test_file(args.c), exported.c_test(args.c.name, single=args.single))
-    except (ImportError, OSError, TypeError, ValueError) as error:
-        refuse(PROG, str(error))
-    return 0
+    if c is None and onnx is None:
+        raise ValueError("at least one of --c and --onnx must be given")
+    require(c is None or c.suffix == ".h", "--c", "the name of a file .h", str(c))
+    test = c and c.with_name(f"{c.stem}_test.c")
+    for option, path in (("--c", c), ("--c", test), ("--onnx", onnx)):
+        check_output(option, path, overwrite=overwrite)
+    exported = Exported(policy, law)
+    if onnx is not None:
+        write_atomically(onnx, exported.onnx(single=single))
+    if c is not None and test is not None:
+        write_atomically(c, exported.c(single=single))
+        write_atomically(test, exported.c_test(c.name, single=single))
 
 
 if __name__ == "__main__":

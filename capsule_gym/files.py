@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
 import secrets
 from collections.abc import Iterator
@@ -59,17 +58,6 @@ def synchronise(path: Path) -> None:
         os.close(descriptor)
 
 
-def without_nonfinite(value: Any) -> Any:
-    """The same nested lists and dicts with None for NaN and infinity, which JSON does not support."""
-    if isinstance(value, dict):
-        return {key: without_nonfinite(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [without_nonfinite(entry) for entry in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
 def to_json(value: Any) -> str:
     """Indented JSON with None for numbers that are not finite.
 
@@ -79,7 +67,7 @@ def to_json(value: Any) -> str:
      "cost": null
     }
     """
-    return json.dumps(without_nonfinite(value), indent=1, allow_nan=False) + "\n"
+    return json.dumps(json.loads(json.dumps(value), parse_constant=lambda name: None), indent=1) + "\n"
 
 
 def canonical_hash(value: Any) -> str:

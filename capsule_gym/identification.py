@@ -6,7 +6,8 @@ import math
 import os
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -24,10 +25,11 @@ RANGES = {
     **{"theta_bias": (-0.1, 0.1), "theta_dot_bias": (-0.5, 0.5), "x_dot_bias": (-0.1, 0.1)},
 }
 OTHERS = tuple(name for name in RANGES if name not in PLANT)
+QUANTITIES = (*PLANT, *OTHERS)
 # Duration of a segment of the first fit, s.
 SHORT = 0.2
 # Starts of the fit: shares of the ranges of latency and mu; the best ones of the first fit begin the second.
-STARTS, KEPT = tuple((latency, mu) for latency in (0.2, 0.5, 0.8) for mu in (0.25, 0.7)), 2
+STARTS, KEPT = tuple({"latency": latency, "mu": mu} for latency in (0.2, 0.5, 0.8) for mu in (0.25, 0.7)), 2
 LARGEST_CHI2 = 1.2
 # Width of an interval in units of the range's from which on it is the prior's.
 OPEN = 0.8
@@ -58,7 +60,7 @@ class Fit:
     minima: tuple[float, ...]
     widths: dict[str, float]
     _problem: Problem = field(repr=False)
-    _found: tuple[np.ndarray, list[tuple[int, int]]] = field(repr=False)
+    _found: np.ndarray = field(repr=False)
 
     @property
     def covariance(self) -> np.ndarray:
@@ -75,14 +77,11 @@ class Fit:
         """
         ranges = self._problem.high - self._problem.low
         sizes, axes = np.linalg.eigh(12.0 * self.covariance / np.outer(ranges, ranges))
-        names = list(self.estimates)
-        return [
-            (
-                math.sqrt(max(size, 0.0)),
-                {names[n]: float(axis[n]) for n in np.argsort(-np.abs(axis)) if axis[n] ** 2 > 0.1},
-            )
-            for size, axis in zip(sizes, axes.T, strict=True)
-        ]
+        names, found = list(self.estimates), []
+        for size, axis in zip(sizes, axes.T, strict=True):
+            largest = {names[n]: float(axis[n]) for n in np.argsort(-np.abs(axis)) if axis[n] ** 2 > 0.1}
+            found.append((math.sqrt(max(size, 0.0)), largest))
+        return found
 
     def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
         """The shortest interval that contains a share `level` of the posterior of each quantity."""
@@ -103,10 +102,8 @@ class Fit:
 
     def env_kwargs(self, level: float = 0.95) -> dict[str, Any]:
         """Arguments of the environment that stands for the rig: plant and disturbances, drawn from their intervals."""
-        found = self.intervals(level)
-        drawn = {name: value for name, value in found.items() if name in vars(self.disturbances)}
-        drawn.pop("motor_friction", None)
-        disturbances = Disturbances(**{**vars(self.disturbances), **drawn})
+        drawn: dict[str, Any] = {name: value for name, value in self.intervals(level).items() if name in OTHERS}
+        disturbances = replace(self.disturbances, **drawn)
         return {"capsule": self.capsule, "randomization": self.randomization(level), "disturbances": disturbances}
 
     def table(self) -> str:
@@ -123,7 +120,7 @@ class Fit:
         from matplotlib.figure import Figure
 
         problem, t = self._problem, self._problem.log["t"]
-        predicted, _ = problem.predict(*self._found, slopes=False)
+        predicted, _ = problem.predict(self._found, slopes=False)
         figure = Figure(figsize=(11.0, 2.2 * len(problem.sensors) + 4.5), layout="constrained")
         grid = figure.add_gridspec(len(problem.sensors) + 1, 2, height_ratios=[1.0] * len(problem.sensors) + [2.0])
         for n, name in enumerate(problem.sensors):
@@ -176,44 +173,35 @@ def identify(
     columns, prior, known = read_log(log), Randomization.named(prior), dict(known or {})
     physics_dt = check_number("physics_dt", physics_dt, "a number of s from 1e-5 to 0.01", 1e-5, 0.01)
     for name, value in known.items():
-        if name not in (*PLANT, *OTHERS):
-            raise ValueError(
-                f"known must have keys out of {(*PLANT, *OTHERS)}, got {name!r}{nearest(str(name), (*PLANT, *OTHERS))}"
-            )
+        if name not in QUANTITIES:
+            raise ValueError(f"known must have keys out of {QUANTITIES}, got {name!r}{nearest(str(name), QUANTITIES)}")
         low, high = Disturbances.limits(name) if name in OTHERS else (-math.inf, math.inf)
         known[name] = check_number(f"known[{name!r}]", value, f"a finite number from {low:g} to {high:g}", low, high)
-    capsule = Capsule(**{**vars(NOMINAL), **{name: value for name, value in known.items() if name in PLANT}})
+    constants: dict[str, Any] = {name: value for name, value in known.items() if name in PLANT}
+    capsule = replace(NOMINAL, **constants)
     prior.corners(capsule)
     ranges = {}
-    for name in (*PLANT, *OTHERS):
+    for name in QUANTITIES:
         given = getattr(prior, name, None) or RANGES.get(name)
         if given and name not in known and (name[-5:] != "_bias" or name[:-5] in columns):
             ranges[name] = given
     if not ranges:
         raise ValueError(f"known and prior must leave a quantity to estimate, got known={known} and prior={prior}")
     problem = Problem(columns, capsule, ranges, prior.log_mu, {**dict.fromkeys(OTHERS, 0.0), **known}, physics_dt)
-    short, long = problem.cut(SHORT), problem.cut(DISTANCE)
-    count, ends = len(problem.names), []
-    for latency, mu in STARTS:
-        shares = np.full(count, 0.5)
-        for name, share in (("latency", latency), ("mu", mu)):
-            if name in problem.names:
-                shares[problem.names.index(name)] = share
-        unknowns, cost = problem.fit(
-            np.append(shares, problem.guess(short).ravel()), short, joined=False, tolerance=1.0
-        )
-        ends.append((cost, unknowns[:count]))
-    ends = sorted(ends, key=lambda end: end[0])[:KEPT]
-    fits = [problem.fit(np.append(shares, problem.guess(long).ravel()), long, True, 1.0) for _, shares in ends]
+    states = problem.cut(SHORT)
+    starts = [np.array([start.get(name, 0.5) for name in problem.names]) for start in STARTS]
+    fits = sorted((problem.fit(np.append(shares, states), tolerance=1.0) for shares in starts), key=itemgetter(1))
+    states = problem.cut(DISTANCE)
+    fits = [problem.fit(np.append(end[: len(problem.names)], states), tolerance=1.0) for end, _ in fits[:KEPT]]
     for tolerance in (1.0, 0.03):
-        fits.sort(key=lambda end: end[1])
-        problem.estimate_noise(fits[0][0], long)
+        fits.sort(key=itemgetter(1))
+        problem.estimate_noise(fits[0][0])
         # Equal ends are one.
         fits = [end for end in fits if end is fits[0] or end[1] > fits[0][1] + 3.0]
-        fits = [problem.fit(unknowns, long, True, tolerance) for unknowns, _ in fits]
-    fits.sort(key=lambda end: end[1])
+        fits = [problem.fit(unknowns, tolerance) for unknowns, _ in fits]
+    fits.sort(key=itemgetter(1))
     found = fits[0][0]
-    shares = problem.posterior(found, long)
+    shares = problem.posterior(found)
     samples = np.array([[problem.values(each)[0][name] for name in problem.names] for each in shares])
     estimates = dict(zip(problem.names, samples.mean(axis=0).tolist(), strict=True))
     values = {**problem.known, **estimates}
@@ -227,31 +215,26 @@ def identify(
         estimates=estimates,
         known=known,
         samples=samples,
-        capsule=Capsule(**{**vars(capsule), **constants}),
+        capsule=replace(capsule, **constants),
         disturbances=Disturbances(
             **sizes, **{name: values[name] for name in OTHERS}, drift_time=time, unmeasured=unmeasured
         ),
-        chi2=problem.statistic(found, long),
+        chi2=problem.statistic(found),
         minima=tuple(round(float(cost), 1) for _, cost in fits),
         widths=dict(zip(problem.names, (math.sqrt(12.0) * shares.std(axis=0)).tolist(), strict=True)),
         _problem=problem,
-        _found=(found, long),
+        _found=found,
     )
-    _warn(fit, found[:count])
-    return fit
-
-
-def _warn(fit: Fit, shares: np.ndarray) -> None:
-    """Warns of what makes a fit doubtful."""
     doubts = []
     if fit.chi2 > LARGEST_CHI2:
         doubts.append(f"chi2 is {fit.chi2:.2f}: the model does not explain the log, and the intervals are too short")
     # The table shows what else is open.
     if open_ones := [name for name, width in fit.widths.items() if width > OPEN and name not in RANGES]:
         doubts.append(f"the log does not determine {', '.join(open_ones)}: the intervals are the prior's")
-    names = np.array(list(fit.estimates))
-    at_end = ((shares <= 0.0) | (shares >= 1.0)) & (np.array(list(fit.widths.values())) < 0.1)
+    names, best = np.array(problem.names), found[: len(problem.names)]
+    at_end = ((best <= 0.0) | (best >= 1.0)) & (np.array(list(fit.widths.values())) < 0.1)
     if at_end.any():
         doubts.append(f"{', '.join(names[at_end])} lies at the end of its range: give a wider prior")
     for doubt in doubts:
-        warnings.warn(doubt, UserWarning, stacklevel=3)
+        warnings.warn(doubt, UserWarning, stacklevel=2)
+    return fit

@@ -3,52 +3,38 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
 from capsule_gym import identify
-from capsule_gym.command_line import Positional, check_output, parse, refuse
-
-PROG = "python -m capsule_gym.identify"
+from capsule_gym.command_line import Positional, check_output, command
 
 
-@dataclass(frozen=True, kw_only=True)
-class Args:
+@command("python -m capsule_gym.identify", TypeError, ValueError)
+def main(
+    log: Positional[Path],
+    prior: str = "real-wide",
+    known: dict[str, float] | None = None,
+    report: Path | None = None,
+) -> None:
     """Estimates a rig's plant from a log with columns t, torque and some of theta, theta_dot, x, x_dot (SI units).
 
     Examples:
       python -m capsule_gym.identify log.csv --known lag 0.005 --report fit.png
+
+    Args:
+        log: CSV file; torque is the command that acts from t on.
+        prior: Ranges of the plant: a name of the environment's argument randomization.
+        known: Quantities that are not estimated: --known lag 0.005
+        report: A new figure of readings, residuals and correlations.
     """
-
-    log: Positional[Path]
-    """CSV file; torque is the command that acts from t on."""
-    prior: str = "real-wide"
-    """Ranges of the plant: a name of the environment's argument randomization."""
-    known: dict[str, float] | None = None
-    """Quantities that are not estimated: --known lag 0.005"""
-    report: Path | None = None
-    """A new figure of readings, residuals and correlations."""
-
-    def check(self) -> None:
-        """Raises a `ValueError` for a file that does not exist or cannot be written."""
-        if not self.log.is_file():
-            raise ValueError(f"log must be a file, got {str(self.log)!r}")
-        check_output("--report", self.report)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Prints the estimates; returns the exit status."""
-    args = parse(Args, PROG, arguments)
-    try:
-        fit = identify(args.log, args.known, args.prior)
-    except (TypeError, ValueError) as error:
-        refuse(PROG, str(error))
+    if not log.is_file():
+        raise ValueError(f"log must be a file, got {str(log)!r}")
+    check_output("--report", report)
+    fit = identify(log, known, prior)
     print(fit.table())
-    if args.report:
-        fit.report(args.report)
-    return 0
+    if report:
+        fit.report(report)
 
 
 class _Callable(ModuleType):

@@ -8,7 +8,7 @@ from itertools import product
 from typing import Any, Literal, NamedTuple
 
 from capsule_gym import _core
-from capsule_gym.checks import check_choice, check_flag, check_name, check_number, check_pair, short_repr
+from capsule_gym.checks import check_choice, check_flag, check_name, check_number, check_pair, require
 
 NormalForce = Literal["newton", "paper"]
 
@@ -72,8 +72,7 @@ def _check_size(name: str, value: Any, low: float, high: float = LARGEST) -> flo
 
 def check_divisor(field: str, name: str, number: float) -> float:
     """Returns the value of a field; a ValueError if the core divides by it and the quotient might overflow."""
-    if field in DIVISORS and 0.0 < number < SMALLEST:
-        raise ValueError(f"{name} must be 0 or at least {SMALLEST:g}, got {number!r}")
+    require(field not in DIVISORS or not 0.0 < number < SMALLEST, name, f"0 or at least {SMALLEST:g}", number)
     return number
 
 
@@ -256,10 +255,8 @@ class Randomization:
                 limits, sign = {"low": 0.0, "open_low": positive}, "0 < " if positive else "0 <= "
             accepted = f"a pair (low, high) of finite numbers with {sign}low <= high"
             low, high = check_pair(whose, value, accepted, **limits)
-            if name == "mu" and self.log_mu and not high / low <= LARGEST_RATIO:
-                raise ValueError(
-                    f"{whose} must span at most a factor of {LARGEST_RATIO:g} where log_mu is True, got {value!r}"
-                )
+            if name == "mu" and self.log_mu:
+                require(high / low <= LARGEST_RATIO, whose, f"within a factor of {LARGEST_RATIO:g} with log_mu", value)
             object.__setattr__(self, name, (low, high))
 
     @property
@@ -384,33 +381,25 @@ class Disturbances:
     x_noise: float | None = None
 
     def __post_init__(self) -> None:
-        for name in DISTURBANCES:
+        for name in (*DISTURBANCES, "stick_threshold", *(["x_noise"] if self.x_noise is not None else [])):
             low, high = self.limits(name)
-            accepted = f"a number from {low:g} to {high:g}, or a pair (low, high) of such numbers with low <= high"
-            value, whose = getattr(self, name), f"Disturbances.{name}"
-            check = check_pair if isinstance(value, (tuple, list)) else check_number
+            value, whose, accepted = getattr(self, name), f"Disturbances.{name}", f"a number from {low:g} to {high:g}"
+            if name in DISTURBANCES:
+                accepted += ", or a pair (low, high) of such numbers with low <= high"
+            check = check_pair if name in DISTURBANCES and isinstance(value, (tuple, list)) else check_number
             checked = check(whose, value, accepted, low=low, high=high)
             for end in checked if isinstance(checked, tuple) else (checked,):
                 check_divisor(name, whose, end)
             object.__setattr__(self, name, checked)
         names = self.unmeasured
-        if not isinstance(names, (tuple, list)) or not all(isinstance(name, str) and name in SENSORS for name in names):
-            raise ValueError(
-                f"Disturbances.unmeasured must be a tuple of names out of {SENSORS}, got {short_repr(names)}"
-            )
+        fits = isinstance(names, (tuple, list)) and all(isinstance(name, str) and name in SENSORS for name in names)
+        require(fits, "Disturbances.unmeasured", f"a tuple of names out of {SENSORS}", names)
         object.__setattr__(self, "unmeasured", tuple(names))
         check_choice("Disturbances.controls", self.controls, ("both", "law", "agent"), "'both', 'law' or 'agent'")
-        accepted = f"a number of m/s from 0 to {LARGEST_DISTURBANCE:g}"
-        number = check_number("Disturbances.stick_threshold", self.stick_threshold, accepted, 0.0, LARGEST_DISTURBANCE)
-        object.__setattr__(self, "stick_threshold", number)
-        if self.x_noise is not None:
-            accepted = f"None or a number of m from 0 to {LARGEST_DISTURBANCE:g}"
-            number = check_number("Disturbances.x_noise", self.x_noise, accepted, 0.0, LARGEST_DISTURBANCE)
-            object.__setattr__(self, "x_noise", number)
 
     @staticmethod
     def limits(name: str) -> tuple[float, float]:
-        """The smallest and the largest value that a field of `DISTURBANCES` may have."""
+        """The smallest and the largest value that a number may have."""
         if name.endswith("_bias"):
             return -LARGEST_DISTURBANCE, LARGEST_DISTURBANCE
         lowest = SHORTEST_STEP if name == "drift_time" else 0.0

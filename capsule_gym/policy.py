@@ -21,7 +21,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from functools import lru_cache
 from pathlib import Path
-from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -30,12 +29,11 @@ from safetensors.numpy import save
 
 from capsule_gym import network
 from capsule_gym._core import CELLS
-from capsule_gym.checks import check_integer, check_number, from_fields, nearest, short_repr, shortened
+from capsule_gym.checks import check_integer, check_number, nearest, require, short_repr, shortened
 from capsule_gym.config import EnvConfig
 from capsule_gym.controller import is_own
 from capsule_gym.files import write_atomically
 from capsule_gym.network import Layer
-from capsule_gym.parameters import Capsule, Disturbances, Randomization
 
 POLICY = "policy.safetensors"
 # The folder of the pretrained policies: in a wheel part of the package, in a checkout next to the training commands.
@@ -121,23 +119,27 @@ class Policy:
 
     def __post_init__(self) -> None:
         for name, choices in CHOICES.items():
-            if (value := getattr(self, name)) not in choices:
-                raise ValueError(f"{name} must be one of {choices}, got {short_repr(value)}")
+            require((value := getattr(self, name)) in choices, name, f"one of {choices}", value)
         for name in ("algorithm", "revision"):
-            if not isinstance(value := getattr(self, name), str) or not value:
-                raise TypeError(f"{name} must be a string that is not empty, got {short_repr(value)}")
+            text = isinstance(value := getattr(self, name), str) and value != ""
+            require(text, name, "a string that is not empty", value, TypeError)
         check_integer("training_seed", self.training_seed, "an integer from 0 to 2**63 - 1", 0, 2**63 - 1)
         check_number("clip", self.clip, f"a number in (0, {LARGEST_CLIP:g}]", 0.0, LARGEST_CLIP, open_low=True)
         check_number("epsilon", self.epsilon, "a finite number >= 0", 0.0)
-        if not isinstance(self.env_kwargs, dict):
-            raise TypeError(f"env_kwargs must be a dict, got {short_repr(self.env_kwargs)}")
-        if unknown := sorted(set(self.env_kwargs) - set(ENV_ARGUMENTS)):
-            raise ValueError(f"env_kwargs must have keys out of {ENV_ARGUMENTS}, got {short_repr(unknown)}")
+        accepted = f"a dict with keys out of {ENV_ARGUMENTS}"
+        require(isinstance(self.env_kwargs, dict), "env_kwargs", accepted, self.env_kwargs, TypeError)
+        require(set(self.env_kwargs) <= set(ENV_ARGUMENTS), "env_kwargs", accepted, list(self.env_kwargs))
         options = EnvConfig(**self.env_kwargs)
-        if not isinstance(law := options.controller, (str, NoneType)):
-            raise TypeError(f"env_kwargs['controller'] must be None or an import string, got {short_repr(law)}")
-        if not isinstance(options.task, str):
-            raise TypeError(f"env_kwargs['task'] must be the name of a task, got {short_repr(options.task)}")
+        # JSON contains dicts and lists instead of objects and tuples.
+        kept = {
+            key: getattr(options, key) if type(value) in (dict, list) else value
+            for key, value in self.env_kwargs.items()
+        }
+        object.__setattr__(self, "env_kwargs", kept)
+        law, task = options.controller, options.task
+        named = law is None or isinstance(law, str)
+        require(named, "env_kwargs['controller']", "None or an import string", law, TypeError)
+        require(isinstance(task, str), "env_kwargs['task']", "the name of a task", task, TypeError)
         flags = {"relu": self.activation == "relu", "tanh_squashing": self.squashing == "tanh"}
         header = network.make_header(
             options, identifies=self.identifies, layers=len(self.layers), clip=self.clip, **flags
@@ -147,16 +149,15 @@ class Policy:
             accepted = "one for each input by env_kwargs and identifies"
             _check_array(f"inputs.{name}", array, np.float64, (inputs,), accepted)
         width, last = inputs, len(self.layers) - 1
-        if not 0 <= last < MOST_LAYERS:
-            raise ValueError(f"a network must have 1 to {MOST_LAYERS} layers, got {last + 1}")
+        require(0 <= last < MOST_LAYERS, "layers", f"1 to {MOST_LAYERS} layers", last + 1)
         for n, (weights, bias) in enumerate(self.layers):
             units = 1 if n == last else min(max(1, bias.size), MOST_UNITS)
             accepted = f"with 1 to {MOST_UNITS} units in a layer, and one in the last"
             _check_array(f"layers.{n}.bias", bias, np.float32, (units,), accepted)
             _check_array(f"layers.{n}.weight", weights, np.float32, (units, width), accepted)
             width = units
-        if (self.variance < 0.0).any() or (self.variance + self.epsilon < 1e-300).any():
-            raise ValueError(f"inputs.variance must be >= 0, and with epsilon > 0, got {self.variance}")
+        fits = (self.variance >= 0.0).all() and (self.variance + self.epsilon >= 1e-300).all()
+        require(bool(fits), "inputs.variance", ">= 0, and with epsilon > 0", self.variance)
         scale = 1.0 / np.sqrt(self.variance + self.epsilon)
         object.__setattr__(self, "entries", int(header["observed"]))
         object.__setattr__(self, "_network", network.pack(self.layers, self.mean, scale, header))
@@ -195,10 +196,8 @@ class Policy:
                 f"observation must be an array of finite numbers, got {short_repr(observation)}: {error}"
             ) from None
         if array.ndim not in (1, 2) or array.shape[-1] != self.entries or not np.isfinite(array).all():
-            raise ValueError(
-                f"observation must be finite and of shape ({self.entries},) or (n, {self.entries}), "
-                f"got {short_repr(observation)}"
-            )
+            accepted = f"finite and of shape ({self.entries},) or (n, {self.entries})"
+            raise ValueError(f"observation must be {accepted}, got {short_repr(observation)}")
         rows = array.reshape(-1, self.entries)
         if count not in (None, len(rows)):
             raise ValueError(f"observations must have one row for each of {count} episodes, got {len(rows)} rows")
@@ -257,8 +256,8 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
         TypeError: if `name_or_path` is neither a string nor a path.
         ValueError: if there is no such policy, the file is corrupt, or it names a law that is not trusted.
     """
-    if not isinstance(name_or_path, (str, os.PathLike)):
-        raise TypeError(f"name_or_path must be a policy's name or a path, got {short_repr(name_or_path)}")
+    named = isinstance(name_or_path, (str, os.PathLike))
+    require(named, "name_or_path", "a policy's name or a path", name_or_path, TypeError)
     name = str(name_or_path)
     path = pretrained().get(name) if isinstance(name_or_path, str) else None
     if path is None:
@@ -294,23 +293,15 @@ def _check_array(name: str, array: np.ndarray, dtype: type, shape: tuple[int, ..
     if array.dtype != dtype or array.shape != shape:
         got = f"{array.dtype.name} of shape {array.shape}"
         raise ValueError(f"{name} must be {np.dtype(dtype).name} of shape {shape}, {accepted}, got {got}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name} must be finite, got NaN or infinity")
+    require(bool(np.isfinite(array).all()), name, "finite", array)
 
 
 def _read(name: str, path: Path) -> Policy:
     """The policy in a file that is not too large."""
     with safe_open(path, framework="numpy") as file:
         metadata: dict[str, str] = file.metadata() or {}
-        found = metadata.get("format"), metadata.get("format_version")
-        if found != (FORMAT, FORMAT_VERSION):
-            raise ValueError(
-                f"its format and format_version must be {FORMAT!r} and {FORMAT_VERSION!r}, got {short_repr(found)}"
-            )
-        # Inputs and outputs that no policy has any more.
-        for key, only in (("output", "action"), ("told_energy_weight", "false")):
-            if metadata.get(key, only) != only:
-                raise ValueError(f"{key} must be {only!r} in its metadata, got {short_repr(metadata[key])}")
+        known, found = (FORMAT, FORMAT_VERSION), (metadata.get("format"), metadata.get("format_version"))
+        require(found == known, "its format and format_version", str(known), found)
         names = set(file.keys())
         count = sum(tensor.endswith(".weight") for tensor in names)
         layers = [(f"layers.{n}.weight", f"layers.{n}.bias") for n in range(min(count, MOST_LAYERS + 1))]
@@ -325,14 +316,6 @@ def _read(name: str, path: Path) -> Policy:
         except (KeyError, ValueError):
             accepted = "text" if key in TEXTS else "JSON"
             raise ValueError(f"{key} must be {accepted} in its metadata, got {metadata.get(key)!r:.50}") from None
-    env_kwargs = values["env_kwargs"]
-    if isinstance(env_kwargs, dict):
-        kinds: dict[str, Any] = {"capsule": Capsule, "randomization": Randomization, "disturbances": Disturbances}
-        for key, kind in kinds.items():
-            if isinstance(env_kwargs.get(key), dict):
-                env_kwargs[key] = from_fields(kind, f"env_kwargs[{key!r}]", env_kwargs[key])
-        if isinstance(env_kwargs.get("initial_range"), list):
-            env_kwargs["initial_range"] = tuple(env_kwargs["initial_range"])
     return Policy(
         name=name,
         layers=tuple((arrays[weights], arrays[bias]) for weights, bias in layers),

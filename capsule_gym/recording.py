@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from capsule_gym import _core
-from capsule_gym.checks import check_count, nearest, short_repr
+from capsule_gym.checks import check_count, nearest, require
 from capsule_gym.env import CapsuleEnv
 from capsule_gym.files import write_atomically
 from capsule_gym.parameters import Disturbances
@@ -34,42 +34,32 @@ def read_log(log: Any) -> dict[str, np.ndarray]:
         text = Path(log).read_text(encoding="utf-8")
         rows = list(csv.DictReader(io.StringIO(text)))
         log = {name: [row[name] or "nan" for row in rows] for name in (rows[0] if rows else {})}
-    if not isinstance(log, Mapping):
-        raise TypeError(f"log must be the path of a CSV file or a mapping of columns, got {short_repr(log)}")
-    columns = {}
+    require(isinstance(log, Mapping), "log", "the path of a CSV file or a mapping of columns", log, TypeError)
+    columns: dict[str, np.ndarray] = {}
     for name, values in log.items():
+        where, exact = f"column {name!r}", name in ("t", "torque")
         if name not in UNITS:
             raise ValueError(f"log must have columns out of {tuple(UNITS)}, got {name!r}{nearest(str(name), UNITS)}")
         try:
-            columns[name] = np.array(values, np.float64)
+            column = columns[name] = np.array(values, np.float64)
         except (TypeError, ValueError) as error:
-            raise ValueError(f"column {name!r} must contain numbers ({UNITS[name]}) only: {error}") from None
-        column = columns[name]
-        if column.shape != (len(columns[next(iter(columns))]),):
-            raise ValueError(f"column {name!r} must have one number for each row, got the shape {column.shape}")
+            raise ValueError(f"{where} must contain numbers ({UNITS[name]}) only: {error}") from None
+        expected = (len(next(iter(columns.values()))),)
+        require(column.shape == expected, where, "one number for each row", column.shape)
         lost = np.isnan(column)
-        if np.isinf(column).any() or (lost.any() and name in ("t", "torque")) or (lost.size and lost.all()):
-            accepted = (
-                "finite numbers" if name in ("t", "torque") else "finite numbers, or NaN for a lost reading, not all"
-            )
-            raise ValueError(f"column {name!r} must contain {accepted}, got {short_repr(column)}")
-        if name in LARGEST and (largest := np.nanmax(np.abs(column), initial=0.0)) > LARGEST[name]:
-            raise ValueError(f"column {name!r} must be in {UNITS[name]}, within +-{LARGEST[name]:g}, got {largest:g}")
-    for name in ("t", "torque"):
-        if name not in columns:
-            raise ValueError(f"log must have the columns 't' and 'torque', got {tuple(columns)}")
-    if not {"theta", "theta_dot"} & set(columns):
-        raise ValueError(f"log must have a column 'theta' or 'theta_dot', got {tuple(columns)}")
-    t, dt = columns["t"], np.diff(columns["t"])
-    if len(t) < 2 or (dt <= 0.0).any() or (np.abs(dt - (period := (t[-1] - t[0]) / len(dt))) > 0.05 * period).any():
-        raise ValueError(f"column 't' must increase in equal steps (s), got {short_repr(t)}")
-    if t[-1] - t[0] < SHORTEST or not 1e-4 <= period <= 0.05:
-        raise ValueError(
-            f"column 't' must span at least {SHORTEST:g} s in steps of 0.0001 to 0.05 s, got {t[-1] - t[0]:g} s in "
-            f"steps of {period:g} s"
-        )
-    if np.ptp(columns["torque"]) <= 1e-6 * np.abs(columns["torque"]).max():
-        raise ValueError(f"column 'torque' must vary (N m), got {columns['torque'][0]:g} in every row")
+        broken = np.isinf(column).any() or (lost.any() and exact) or (lost.size and lost.all())
+        accepted = "finite numbers" if exact else "finite numbers, or NaN for a lost reading, not all"
+        require(not broken, where, accepted, column)
+        largest, limit = float(np.nanmax(np.abs(column), initial=0.0)), LARGEST.get(name, math.inf)
+        require(largest <= limit, where, f"in {UNITS[name]}, within +-{limit:g}", largest)
+    complete = {"t", "torque"} <= set(columns) and bool({"theta", "theta_dot"} & set(columns))
+    require(complete, "log", "of the columns 't', 'torque', and 'theta' or 'theta_dot'", tuple(columns))
+    t, torque, dt = columns["t"], columns["torque"], np.diff(columns["t"])
+    period = float(dt.mean()) if len(dt) else 0.0
+    equal = 1e-4 <= period <= 0.05 and bool((np.abs(dt - period) <= 0.05 * period).all())
+    accepted = f"in equal steps of 0.0001 to 0.05 s, over at least {SHORTEST:g} s"
+    require(equal and t[-1] - t[0] >= SHORTEST, "column 't'", accepted, t)
+    require(np.ptp(torque) > 1e-6 * np.abs(torque).max(), "column 'torque'", "varied (N m)", torque)
     for place, rate in (("theta", "theta_dot"), ("x", "x_dot")):
         if place not in columns or rate not in columns:
             continue
@@ -147,10 +137,9 @@ def record(
         ValueError: if the torque is not constant during an agent step, or the file exists.
     """
     plain = env.unwrapped
-    if not isinstance(plain, CapsuleEnv) or plain.simulation.controller is not None:
-        raise ValueError(f"env must be an environment with direct torque, without a controller, got {env}")
-    if path is not None and os.path.exists(path):
-        raise ValueError(f"path must name a new file, got {os.fspath(path)!r}")
+    direct = isinstance(plain, CapsuleEnv) and plain.simulation.controller is None
+    require(direct, "env", "an environment with direct torque, without a controller", env)
+    require(path is None or not os.path.exists(path), "path", "that of a new file", path)
     settings, dt = plain.simulation.settings, plain.simulation.options.control_dt
     steps = check_count("the number of steps in seconds", round(seconds / dt))
     policy = Excitation(torque_limit=settings.residual_limit, control_dt=dt) if policy is None else policy

@@ -27,8 +27,6 @@ Points = NDArray[np.float64] | Sequence[tuple[float, float]]
 
 # Everything is drawn at twice the size and averaged down, which anti-aliases every shape and text alike.
 SCALE = 2
-# Number of cached pictures of texts; most texts are the same from frame to frame.
-TEXTS = 256
 # Time between frames, s: 25 frames a second, which a GIF can represent exactly.
 FRAME_SECONDS = 0.04
 FRAMES_OF_PALETTE = 8
@@ -63,15 +61,6 @@ TORQUE: Colour = (139, 76, 199)
 STICK: Colour = (37, 99, 186)
 SLIP: Colour = (238, 128, 36)
 GHOST: Colour = (196, 205, 217)
-
-# Names, decimals and units of the figures.
-FIGURES = (
-    ("TIME", 2, "s"),
-    ("DISPLACEMENT", 1, "cm"),
-    ("SPEED", 1, "cm/s"),
-    ("MEAN SPEED", 2, "cm/s"),
-    ("TORQUE", 2, "N m"),
-)
 
 
 def _number(value: float, decimals: int) -> str:
@@ -132,7 +121,8 @@ class Renderer:
         self._canvas = pygame.Surface((SCALE * WIDTH, SCALE * HEIGHT), 0, 32)
         self._pixels = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
         self._frame = pygame.image.frombuffer(self._pixels, (WIDTH, HEIGHT), "RGB")
-        self._text = lru_cache(TEXTS)(self._draw_text)
+        # Most texts are the same from frame to frame.
+        self._text = lru_cache(256)(self._draw_text)
         self._window: Any = None
         if mode == "human":
             pygame.display.init()
@@ -266,17 +256,22 @@ class Renderer:
 
     def _draw_figures(self, time: float, x: float, x_dot: float, torque: float) -> None:
         """Draws the numbers, right-aligned, so that no digit moves when another appears, and stick or slip."""
-        mean = x / time if time > 0.0 else 0.0
-        values = (time, 100.0 * x, 100.0 * x_dot, 100.0 * mean, torque)
-        for column, (value, (label, decimals, unit)) in enumerate(zip(values, FIGURES, strict=True)):
-            left, colour = COLUMN * column, TORQUE if label == "TORQUE" else INK
+        figures = (
+            ("TIME", _number(time, 2), "s", INK),
+            ("DISPLACEMENT", _number(100.0 * x, 1), "cm", INK),
+            ("SPEED", _number(100.0 * x_dot, 1), "cm/s", INK),
+            ("MEAN SPEED", _number(100.0 * x / time if time > 0.0 else 0.0, 2), "cm/s", INK),
+            ("TORQUE", _number(torque, 2), "N m", TORQUE),
+        )
+        for column, (label, number, unit, colour) in enumerate(figures):
+            left = COLUMN * column
             self._write(label, 16, GREY, left + 24, 26)
-            self._write(_number(value, decimals), 32, colour, left + VALUE_RIGHT, VALUE_BASELINE, "topright")
+            self._write(number, 32, colour, left + VALUE_RIGHT, VALUE_BASELINE, "topright")
             self._write(unit, 19, GREY, left + VALUE_RIGHT + 6, VALUE_BASELINE)
             self._box(left + COLUMN, 16, 1, HEADER - 32, HAIRLINE)
-        contact, colour = ("STICK", STICK) if x_dot == 0.0 else ("SLIP", SLIP)
-        self._write("CONTACT", 16, GREY, COLUMN * len(FIGURES) + 24, 26)
-        self._write(contact, 32, colour, COLUMN * len(FIGURES) + 24, VALUE_BASELINE)
+        left, (contact, colour) = COLUMN * len(figures) + 24, ("STICK", STICK) if x_dot == 0.0 else ("SLIP", SLIP)
+        self._write("CONTACT", 16, GREY, left, 26)
+        self._write(contact, 32, colour, left, VALUE_BASELINE)
 
     def _box(
         self, x: float, y: float, width: float, height: float, colour: Colour, radius: float = 0.0, line: float = 0.0

@@ -12,7 +12,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from capsule_gym.checks import check_flag, short_repr
+from capsule_gym.checks import check_flag, require
 from capsule_gym.parameters import DISTURBANCES, Disturbances
 from capsule_gym.vector_env import CapsuleVectorEnv
 
@@ -60,8 +60,8 @@ class CapsuleSB3VecEnv(VecEnv):
     def __init__(self, num_envs: int, seed: int | None = None, *, privileged: bool = False, **env_kwargs: Any) -> None:
         self.privileged = check_flag("privileged", privileged)
         self.batch = CapsuleVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **env_kwargs)
-        if privileged and self.batch.simulation.options.goal_env:
-            raise ValueError("privileged must be False with goal_env=True, got True")
+        goal_env = self.batch.simulation.options.goal_env
+        require(not (privileged and goal_env), "privileged", "False with goal_env=True", privileged)
         self._actions: np.ndarray | None = None
         # Creating empty infos at every step takes longer than what SB3 does with them.
         self._no_infos: list[dict[str, Any]] = [{} for _ in range(self.batch.num_envs)]
@@ -92,8 +92,8 @@ class CapsuleSB3VecEnv(VecEnv):
         """
         # SB3's options are one dict per environment; under each key the batch takes a value per environment.
         names = self._options[0].keys()
-        if any(options.keys() != names for options in self._options):
-            raise ValueError(f"options must have the same keys for every environment, got {short_repr(self._options)}")
+        same = all(options.keys() == names for options in self._options)
+        require(same, "options", "dicts with the same keys for every environment", self._options)
         gathered = {name: [options[name] for options in self._options] for name in names}
         observations, info = self.batch.reset(seed=self._seeds, options=gathered or None)
         self._reset_seeds()

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from capsule_gym import layout
+from capsule_gym.checks import require
 from capsule_gym.config import DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, MOST_SUBSTEPS, EnvConfig, find_task
 from capsule_gym.controller import Controller, CoreLaw
 from capsule_gym.parameters import SENSORS, Capsule, Disturbances, Randomization
@@ -36,29 +37,26 @@ class StepSettings(NamedTuple):
     with_reference: bool
     with_parameters: bool
     with_estimates: bool
-    with_task: bool = True
-    stack_size: int = 1
+    with_task: bool
+    stack_size: int
     # Disturbances: number of states in the history, whether law and agent observe the sensors, the sensors that exist,
     # the noise of that of x, and the measured speed up to which the platform counts as at rest.
-    history: int = 0
-    law_reads: bool = False
-    agent_reads: bool = False
-    with_theta: bool = True
-    with_theta_dot: bool = True
-    with_x_dot: bool = True
-    with_x: bool = False
-    x_noise: float = 0.0
-    stick_threshold: float = 0.0
+    history: int
+    law_reads: bool
+    agent_reads: bool
+    with_theta: bool
+    with_theta_dot: bool
+    with_x_dot: bool
+    with_x: bool
+    x_noise: float
+    stick_threshold: float
 
 
 def divide(name: str, whole: float, part_name: str, part: float) -> int:
     """The whole number of times that `part` fits into `whole`, both in seconds; a ValueError if it does not."""
-    ratio = whole / part
-    if ratio > MOST_SUBSTEPS:
-        raise ValueError(f"{part_name} must divide {name}={whole!r} s at most {MOST_SUBSTEPS} times, got {part!r} s")
-    count = round(ratio)
-    if count < 1 or abs(count * part - whole) > 1e-9 * whole:
-        raise ValueError(f"{part_name} must divide {name}={whole!r} s a whole number of times, got {part!r} s")
+    count = round(min(whole / part, 2.0 * MOST_SUBSTEPS))
+    fits = 1 <= count <= MOST_SUBSTEPS and abs(count * part - whole) <= 1e-9 * whole
+    require(fits, part_name, f"{name}={whole!r} s over a whole number, at most {MOST_SUBSTEPS}", part)
     return count
 
 
@@ -86,18 +84,16 @@ def make_settings(options: EnvConfig, controller: Controller | None) -> StepSett
     torque_limit, physics_dt = options.torque_limit, options.physics_dt
     if physics_dt is None:
         physics_dt = LAW_PHYSICS_DT if controller else DIRECT_PHYSICS_DT
-    disturbed = Disturbances.named(options.disturbances)
+    named = Disturbances.named(options.disturbances)
+    disturbed, reads = named or Disturbances(stick_threshold=0.0), named is not None
     # The plants differ in more than M and mu, or are disturbed.
-    varied = disturbed is not None or bool(Randomization.named(options.randomization).drawn)
+    varied = reads or bool(Randomization.named(options.randomization).drawn)
     # A latency, and a motor's lag, need a shorter period than an agent's step.
     law_dt = controller.dt if controller else physics_dt if varied else options.control_dt
-    if options.control_dt / physics_dt > MOST_SUBSTEPS:
-        raise ValueError(
-            f"control_dt must be at most {MOST_SUBSTEPS} times physics_dt={physics_dt!r} s, "
-            f"got {options.control_dt!r} s"
-        )
+    accepted = f"at most {MOST_SUBSTEPS} times physics_dt={physics_dt!r} s"
+    require(options.control_dt / physics_dt <= MOST_SUBSTEPS, "control_dt", accepted, options.control_dt)
     law_name, step_name = ("the law's step", "the controller's dt") if controller else ("control_dt", "physics_dt")
-    settings = StepSettings(
+    return StepSettings(
         torque_limit=torque_limit,
         residual_limit=torque_limit if options.residual_limit is None else options.residual_limit,
         total_torque=options.total_torque,
@@ -111,13 +107,9 @@ def make_settings(options: EnvConfig, controller: Controller | None) -> StepSett
         with_estimates=options.observe_estimates,
         with_task=not options.goal_env,
         stack_size=options.stack_size,
-    )
-    if disturbed is None:
-        return settings._replace(history=int(varied))
-    return settings._replace(
-        history=round(ends(disturbed.latency)[1] / law_dt) + 1,
-        law_reads=controller is not None and disturbed.controls != "agent",
-        agent_reads=disturbed.controls != "law",
+        history=round(ends(disturbed.latency)[1] / law_dt) + 1 if reads else int(varied),
+        law_reads=reads and controller is not None and disturbed.controls != "agent",
+        agent_reads=reads and disturbed.controls != "law",
         with_x=disturbed.x_noise is not None,
         x_noise=disturbed.x_noise or 0.0,
         stick_threshold=disturbed.stick_threshold,

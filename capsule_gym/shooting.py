@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,17 @@ NOISE = {name: (getattr(REAL, f"{name}_noise", 0.01), getattr(REAL, f"{name}_dri
 # Distance between the starts of segments, s, and the standard deviation of a gap over that of a reading.
 DISTANCE, GAP = 0.8, 0.02
 MOST_STEPS = 15
+
+
+@lru_cache(maxsize=len(STATE))
+def _gains(noise: float, drift: float, time: float, period: float, present: bytes) -> tuple[float, Any, Any]:
+    """The share of the drift that remains after a period; the filter's gains and deviations at each reading."""
+    kept, variance, gains, sizes = math.exp(-period / time), drift * drift, list[float](), list[float]()
+    for known in present:
+        sizes.append(math.sqrt(variance + noise * noise))
+        gains.append(variance / (variance + noise * noise) if known else 0.0)
+        variance = kept * kept * (1.0 - gains[-1]) * variance + (1.0 - kept * kept) * drift * drift
+    return kept, np.array(gains), np.array(sizes)
 
 
 @dataclass
@@ -51,7 +63,8 @@ class Problem:
         self.lead = math.ceil((latest + self.h) / self.period - 1e-9)
         self.commands = np.repeat(self.log["torque"], self.steps)
         self.noise = {name: (*NOISE[name], 0.05) for name in self.sensors}
-        self.gains: dict[Any, Any] = {}
+        # The first reading of each segment, and the one behind its last.
+        self.segments: list[tuple[int, int]] = []
 
     def values(self, shares: np.ndarray) -> tuple[dict[str, float], np.ndarray]:
         """The quantities in SI units, and the derivatives of the unknown ones by their shares."""
@@ -63,14 +76,15 @@ class Problem:
             slopes[n] = found[n] * math.log(high / low)
         return {**self.known, **dict(zip(self.names, found.tolist(), strict=True))}, slopes
 
-    def cut(self, seconds: float) -> list[tuple[int, int]]:
-        """Segments that begin every DISTANCE seconds: the first reading of each, and the one behind its last."""
+    def cut(self, seconds: float) -> np.ndarray:
+        """Cuts the log into segments that begin every DISTANCE seconds; guesses their initial states from the readings.
+
+        Returns:
+            Shape (segments * components,).
+        """
         size, stride = (max(2, round(each / self.period)) for each in (seconds, DISTANCE))
         count = len(self.log["t"])
-        return [(first, min(first + size, count)) for first in range(self.lead, count - size // 2, stride)]
-
-    def guess(self, segments: list[tuple[int, int]]) -> np.ndarray:
-        """Initial states of the segments from the readings, shape (segments, components)."""
+        self.segments = [(first, min(first + size, count)) for first in range(self.lead, count - size // 2, stride)]
         t, columns = self.log["t"], []
         for name in STATE:
             other = {"theta_dot": "theta", "x_dot": "x"}.get(name)
@@ -79,29 +93,20 @@ class Problem:
                 columns.append(np.interp(t, t[known], self.log[name][known]))
             else:
                 columns.append(np.gradient(columns[-1], t) if other in self.log else np.zeros(len(t)))
-        return np.array(columns).T[[first for first, _ in segments]][:, self.components]
+        return np.array(columns).T[[first for first, _ in self.segments]][:, self.components].ravel()
 
     def whiten(self, name: str, errors: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Innovations of a sensor's errors over their standard deviation: the Kalman filter of drift and noise."""
         from scipy.linalg import solve_banded
 
-        noise, drift, time = self.noise[name]
-        if (key := (name, self.noise[name], rows.tobytes())) not in self.gains:
-            kept, variance = math.exp(-self.period / time), drift * drift
-            gain, size = np.zeros(len(rows)), np.zeros(len(rows))
-            for n, present in enumerate(rows):
-                size[n] = math.sqrt(variance + noise * noise)
-                gain[n] = variance / (variance + noise * noise) if present else 0.0
-                variance = kept * kept * (1.0 - gain[n]) * variance + (1.0 - kept * kept) * drift * drift
-            bands = np.vstack([np.ones(len(rows)), np.append(-kept * (1.0 - gain[:-1]), 0.0)])
-            self.gains = {**{k: v for k, v in self.gains.items() if k[0] != name}, key: (bands, kept * gain, size)}
-        bands, weight, size = self.gains[key]
+        kept, gain, size = _gains(*self.noise[name], self.period, rows.tobytes())
+        bands = np.vstack([np.ones(len(rows)), np.append(-kept * (1.0 - gain[:-1]), 0.0)])
         inputs = np.zeros_like(errors)
-        inputs[1:] = weight[:-1, None] * errors[:-1]
+        inputs[1:] = (kept * gain)[:-1, None] * errors[:-1]
         predicted = solve_banded((1, 0), bands, inputs, check_finite=False)
         return ((errors - predicted) / size[:, None])[rows]
 
-    def predict(self, unknowns: np.ndarray, segments: list[tuple[int, int]], slopes: bool = True) -> tuple[Any, ...]:
+    def predict(self, unknowns: np.ndarray, slopes: bool = True) -> tuple[Any, ...]:
         """Predicted readings of a log, shape (rows, sensors, 1 + unknowns), value first; NaN outside the segments.
 
         Also the gaps between segments, shape (gaps, components, 1 + unknowns).
@@ -122,10 +127,10 @@ class Problem:
         first_state, places = len(inputs), {name: n for n, name in enumerate(_core.TRAJECTORY)}
         directions = [n for n, name in enumerate(self.names) if name in places or name == "lag"]
         out = np.full((len(self.log["t"]), len(self.sensors), 1 + len(unknowns) * slopes), np.nan)
-        gaps = np.zeros((len(segments) - 1, width, out.shape[2]))
+        gaps = np.zeros((len(self.segments) - 1, width, out.shape[2]))
         shown = [STATE.index(name) for name in self.sensors]
         latency = values["latency"] / self.h
-        for n, (first, last) in enumerate(segments):
+        for n, (first, last) in enumerate(self.segments):
             begin, end = (first - self.lead) * self.steps, (last - 1) * self.steps + 1
             state = np.zeros(4)
             state[self.components] = states[n]
@@ -157,7 +162,7 @@ class Problem:
                 which, own_state = self.names.index("latency"), whole[..., :1]
                 difference = (read(own_state, -1) - read(own_state, 1))[..., 0]
                 out[first:last, :, 1 + which] = difference / (2.0 * self.h) * scale[which]
-            if n + 1 < len(segments) and segments[n + 1][0] == last:
+            if n < len(gaps) and self.segments[n + 1][0] == last:
                 gaps[n][:, columns] = whole[(last - self.lead) * self.steps - begin][self.components]
                 gaps[n, :, 0] -= states[n + 1]
                 if slopes:
@@ -169,11 +174,9 @@ class Problem:
                 out[:, n, 1 + which] = scale[which]
         return out, gaps
 
-    def residuals(
-        self, unknowns: np.ndarray, segments: list[tuple[int, int]], joined: bool, slopes: bool = True
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Whitened residuals and, in units of their deviations, the gaps between joined segments; their Jacobian."""
-        predicted, gaps = self.predict(unknowns, segments, slopes)
+    def residuals(self, unknowns: np.ndarray, slopes: bool = True) -> tuple[np.ndarray, np.ndarray]:
+        """Whitened residuals and, in units of their deviations, the gaps between adjacent segments; their Jacobian."""
+        predicted, gaps = self.predict(unknowns, slopes)
         parts = []
         for n, name in enumerate(self.sensors):
             errors = predicted[:, n]
@@ -181,15 +184,12 @@ class Problem:
             errors[:, 0] -= self.log[name]
             errors[~rows] = 0.0
             parts.append(self.whiten(name, errors, rows))
-        if joined:
-            sizes = [sum(self.noise.get(STATE[n], NOISE[STATE[n]])[:2]) for n in self.components]
-            parts.append((gaps / (GAP * np.array(sizes)[:, None])).reshape(-1, gaps.shape[2]))
+        sizes = [sum(self.noise.get(STATE[n], NOISE[STATE[n]])[:2]) for n in self.components]
+        parts.append((gaps / (GAP * np.array(sizes)[:, None])).reshape(-1, gaps.shape[2]))
         whole = np.concatenate(parts)
         return whole[:, 0], whole[:, 1:]
 
-    def fit(
-        self, unknowns: np.ndarray, segments: list[tuple[int, int]], joined: bool, tolerance: float
-    ) -> tuple[np.ndarray, float]:
+    def fit(self, unknowns: np.ndarray, tolerance: float) -> tuple[np.ndarray, float]:
         """Minimises the sum of squares within the ranges, until a step reduces it by less than the tolerance.
 
         Returns the unknowns and the sum.
@@ -201,7 +201,7 @@ class Problem:
 
         count, damping = len(self.names), 1e-3
         for _ in range(MOST_STEPS):
-            r, jacobian = self.residuals(unknowns, segments, joined)
+            r, jacobian = self.residuals(unknowns)
             cost, gradient, normal = r @ r, jacobian.T @ r, jacobian.T @ jacobian
             shares = unknowns[:count]
             blocked = ((shares <= 0.0) & (gradient[:count] > 0.0)) | ((shares >= 1.0) & (gradient[:count] < 0.0))
@@ -216,7 +216,7 @@ class Problem:
                     continue
                 trial = unknowns + step
                 trial[:count] = np.clip(trial[:count], 0.0, 1.0)
-                r = self.residuals(trial, segments, joined, slopes=False)[0]
+                r = self.residuals(trial, slopes=False)[0]
                 if r @ r < cost:
                     break
                 damping *= 10.0
@@ -227,11 +227,11 @@ class Problem:
                 return unknowns, r @ r
         return unknowns, r @ r
 
-    def estimate_noise(self, unknowns: np.ndarray, segments: list[tuple[int, int]]) -> None:
+    def estimate_noise(self, unknowns: np.ndarray) -> None:
         """Sizes of white noise and drift, and the drift's time constant, by Whittle's likelihood of the residuals."""
         from scipy.optimize import minimize
 
-        predicted, _ = self.predict(unknowns, segments, slopes=False)
+        predicted, _ = self.predict(unknowns, slopes=False)
         powers = []
         for n, name in enumerate(self.sensors):
             errors = self.log[name] - predicted[:, n, 0]
@@ -253,9 +253,9 @@ class Problem:
         logs = np.exp(minimize(likelihood, [*sizes, math.log(0.05)], method="L-BFGS-B", bounds=bounds).x).tolist()
         self.noise = {name: (logs[2 * n], logs[2 * n + 1], logs[-1]) for n, name in enumerate(self.sensors)}
 
-    def posterior(self, unknowns: np.ndarray, segments: list[tuple[int, int]], seed: int = 0) -> np.ndarray:
+    def posterior(self, unknowns: np.ndarray) -> np.ndarray:
         """Samples of the shares, shape (samples, shares): the normal approximation of the likelihood in the ranges."""
-        r, jacobian = self.residuals(unknowns, segments, joined=True)
+        r, jacobian = self.residuals(unknowns)
         gradient, normal = jacobian.T @ r, jacobian.T @ jacobian + 1e-6 * np.eye(len(unknowns))
         count = len(self.names)
         # Without the states of the segments.
@@ -267,7 +267,7 @@ class Problem:
         covariance = np.linalg.inv(precision + np.eye(count))
         middle = mode + covariance @ (0.5 - mode - slope)
         factor = np.linalg.cholesky(covariance)
-        generator, found = np.random.default_rng(seed), np.zeros((0, count))
+        generator, found = np.random.default_rng(0), np.zeros((0, count))
         for _ in range(200):
             every = middle + generator.standard_normal((5000, count)) @ factor.T
             drawn = every[((every >= 0.0) & (every <= 1.0)).all(axis=1)]
@@ -278,12 +278,12 @@ class Problem:
         # A likelihood far outside of the ranges, which hardly any sample meets.
         return found if len(found) > 500 else np.clip(every, 0.0, 1.0)
 
-    def statistic(self, unknowns: np.ndarray, segments: list[tuple[int, int]]) -> float:
+    def statistic(self, unknowns: np.ndarray) -> float:
         """The share of the whitened residuals that past torques and the predicted motion explain, over that of noise.
 
         It is a chi-square per degree of freedom (Ljung, System Identification, Sect. 16.6).
         """
-        predicted, _ = self.predict(unknowns, segments, slopes=False)
+        predicted, _ = self.predict(unknowns, slopes=False)
         motion, torque = np.nan_to_num(predicted[..., 0]), self.log["torque"]
         # The present torque may follow from the present reading.
         lags = range(1, round(1.0 / self.period), max(1, round(0.01 / self.period)))
@@ -291,7 +291,7 @@ class Problem:
         regressors += [function(motion[:, n]) for n in range(len(self.sensors)) for function in (np.sign, np.abs)]
         basis, sizes, _ = np.linalg.svd(np.array(regressors).T, full_matrices=False)
         basis = basis[:, sizes > 1e-3 * sizes[0]]
-        r = self.residuals(unknowns, segments, joined=False, slopes=False)[0]
+        r = self.residuals(unknowns, slopes=False)[0]
         total, begin = 0.0, 0
         for n, name in enumerate(self.sensors):
             rows = np.isfinite(self.log[name]) & np.isfinite(predicted[:, n, 0])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +14,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from capsule_gym.checks import check_integer, short_repr
+from capsule_gym.checks import check_integer, require, short_repr
 from capsule_gym.config import EnvConfig
 from capsule_gym.env import (
     RESET_OPTIONS,
@@ -24,7 +24,6 @@ from capsule_gym.env import (
     describe,
     frames_per_second,
     goal_reward,
-    make_renderer,
     make_simulation,
     make_spaces,
     name_drawn,
@@ -71,6 +70,7 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         "render_fps": 50,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
+    compute_reward = property(goal_reward)
 
     def __init__(
         self,
@@ -84,14 +84,17 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         # Nothing to close after an invalid argument: gymnasium 1.1 closes such a batch, too, when it is deleted.
         self.closed = True
         config = EnvConfig(render_mode=render_mode, **options)
-        if render_mode == "human":
-            raise ValueError(f"render_mode of a batch must be None or 'rgb_array', got {short_repr(render_mode)}")
-        self.autoreset_mode = _find_mode(autoreset_mode)
+        require(render_mode != "human", "render_mode of a batch", "None or 'rgb_array'", render_mode)
+        modes = {key: each for each in AutoresetMode for key in (each, each.name)}
+        accepted = f"an AutoresetMode or one of {list(AutoresetMode.__members__)}"
+        fits = isinstance(autoreset_mode, (AutoresetMode, str)) and autoreset_mode in modes
+        require(fits, "autoreset_mode", accepted, autoreset_mode)
+        self.autoreset_mode = modes[autoreset_mode]
         self.simulation = make_simulation(num_envs, config)
         steps = self.simulation.task.episode_steps if max_episode_steps is None else max_episode_steps
         accepted = "an integer >= 1, or -1 for no limit"
-        if (count := check_integer("max_episode_steps", steps, accepted, -1, sys.maxsize)) == 0:
-            raise ValueError(f"max_episode_steps must be {accepted}, got 0")
+        count = check_integer("max_episode_steps", steps, accepted, -1, sys.maxsize)
+        require(count != 0, "max_episode_steps", accepted, count)
         self.max_episode_steps = None if count == -1 else count
         self.num_envs = self.simulation.num_envs
         self.render_mode = render_mode
@@ -149,15 +152,15 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         """
         task_options = self.simulation.task.options
         options = check_options(options, (*RESET_OPTIONS, *task_options, "reset_mask"))
-        mask = self._check_mask(options.get("reset_mask"))
+        given = options.get("reset_mask")
+        mask = np.ones(self.num_envs, np.bool_) if given is None else given
+        name, accepted = "options['reset_mask']", f"a bool array of shape ({self.num_envs},) with at least one True"
+        require(isinstance(mask, np.ndarray) and mask.dtype == np.bool_, name, accepted, mask, TypeError)
+        require(mask.shape == (self.num_envs,) and bool(mask.any()), name, accepted, mask)
         rows = np.flatnonzero(mask)
         self._seed(seed, rows)
-        given = {
-            name: self._per_row(name, options[name], rows)
-            for name in (*RESET_OPTIONS, *task_options)
-            if options.get(name) is not None
-        }
-        self.simulation.reset(rows, **given)
+        values = {name: options[name] for name in (*RESET_OPTIONS, *task_options) if options.get(name) is not None}
+        self.simulation.reset(rows, **{name: self._per_row(name, value, rows) for name, value in values.items()})
         self._ended[rows] = False
         # The mask of the first reset need not name every environment; one that has not begun has no mass.
         self._started = self._started or bool(self.simulation.row(Row.M).all())
@@ -183,10 +186,8 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         array = as_actions(actions)
         # `count_nonzero` takes a fifth of the time of `any` and `all`.
         if array is None or array.shape != (self.num_envs, 1) or np.count_nonzero(np.isfinite(array)) < self.num_envs:
-            raise ValueError(
-                f"actions must be finite numbers, clipped to [-1, 1], of shape ({self.num_envs}, 1), got "
-                f"{short_repr(actions)}"
-            )
+            accepted = f"finite numbers, clipped to [-1, 1], of shape ({self.num_envs}, 1)"
+            raise ValueError(f"actions must be {accepted}, got {short_repr(actions)}")
         simulation = self.simulation
         active = ~self._ended if np.count_nonzero(self._ended) else None
         if active is not None and self.autoreset_mode is AutoresetMode.NEXT_STEP:
@@ -195,30 +196,19 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
 
         shown = simulation.rows(0, Row.start_x)
         rewards = shown[Row.reward].copy()
+        # An environment that began its next episode in this step has taken no step, and one whose episode has ended
+        # keeps what its last step has reported.
         terminated = shown[Row.termination] != 0.0
-        limit = math.inf if self.max_episode_steps is None else self.max_episode_steps
-        truncated = shown[Row.steps] >= limit
-        if active is not None:
-            terminated, truncated = terminated & active, truncated & active
+        truncated = shown[Row.steps] >= (math.inf if self.max_episode_steps is None else self.max_episode_steps)
         ended = terminated | truncated
         info = self._info(shown, self._everyone)
         if active is not None and self.autoreset_mode is AutoresetMode.DISABLED:
             info |= {f"_{name}": active for name in simulation.task.reward_terms}
-        if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
-            self._begin_next(info, ended)
-        if self.autoreset_mode is AutoresetMode.NEXT_STEP:
+        if self.autoreset_mode is not AutoresetMode.SAME_STEP:
             self._ended = ended
-        elif self.autoreset_mode is AutoresetMode.DISABLED:
-            # An environment whose episode has ended keeps reporting its termination, as in its last step.
-            self._ended |= ended
-            terminated = (shown[Row.termination] != 0.0) & self._ended
-            truncated = (shown[Row.steps] >= limit) & self._ended
+        elif ended.any():
+            self._begin_next(info, ended)
         return simulation.observe(), rewards, terminated, truncated, info
-
-    @property
-    def compute_reward(self) -> Callable[[Any, Any, Any], Any]:
-        """As `CapsuleEnv.compute_reward`."""
-        return goal_reward(self.simulation)
 
     def episode_metrics(self) -> dict[str, np.ndarray]:
         """The metrics of the running episodes, each of shape (num_envs,), defined by `task.Metrics` and the task.
@@ -233,8 +223,9 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
             gym.logger.warn("render() draws nothing without a render_mode: gym.make_vec(.., render_mode='rgb_array')")
             return None
         if self._renderer is None:
-            self._renderer = make_renderer(self.simulation, self.render_mode)
-        frames = [self._renderer.draw(**shown_state(self.simulation, i)) for i in range(self.num_envs)]
+            capsule, limit = self.simulation.capsule, self.simulation.settings.torque_limit
+            self._renderer = Renderer(capsule, self.render_mode, self.metadata["render_fps"], limit)
+        frames = (self._renderer.draw(**shown_state(self.simulation, i)) for i in range(self.num_envs))
         return tuple(frame for frame in frames if frame is not None)
 
     def close_extras(self, **kwargs: Any) -> None:
@@ -296,8 +287,7 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         fresh = first_time = not self._seeded
         given: list[int | None] = [None] * n
         if seed is not None and isinstance(seed, (Sequence, np.ndarray)):
-            if (isinstance(seed, np.ndarray) and seed.ndim != 1) or len(seed) != n:
-                raise ValueError(f"seed must be {accepted}, got {short_repr(seed)}")
+            require((not isinstance(seed, np.ndarray) or seed.ndim == 1) and len(seed) == n, "seed", accepted, seed)
             given = [None if each is None else check_seed(each, accepted) for each in seed]
         elif seed is not None:
             super().reset(seed=check_seed(seed, accepted, n))
@@ -312,17 +302,6 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
             if chosen is not None or fresh:
                 self.simulation.seed(i, first + i if chosen is None else chosen)
 
-    def _check_mask(self, mask: Any) -> np.ndarray:
-        """The mask of the environments to be reset."""
-        if mask is None:
-            return np.ones(self.num_envs, np.bool_)
-        accepted = f"options['reset_mask'] must be a bool array of shape ({self.num_envs},) with at least one True"
-        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
-            raise TypeError(f"{accepted}, got {short_repr(mask)}")
-        if mask.shape != (self.num_envs,) or not mask.any():
-            raise ValueError(f"{accepted}, got {short_repr(mask)}")
-        return mask
-
     def _per_row(self, name: str, values: Any, rows: np.ndarray) -> Any:
         """One value per environment to be reset, from one for all or one for each of the batch."""
         if name == "state":
@@ -331,23 +310,12 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
             except ValueError:  # rows of several lengths, which raise an error with the other invalid states
                 return values
             return array[rows] if array.ndim == 2 and len(array) == self.num_envs else values
-        accepted = f"options[{name!r}] must have one entry per environment ({self.num_envs})"
+        option, accepted = f"options[{name!r}]", f"a sequence of one entry per environment ({self.num_envs})"
         if not isinstance(values, (Sequence, np.ndarray)) or (isinstance(values, np.ndarray) and values.ndim == 0):
-            if name == "changes":
-                raise TypeError(f"{accepted}, got {short_repr(values)}")
+            require(name != "changes", option, accepted, values, TypeError)
             return [values] * len(rows)
-        if len(values) != self.num_envs:
-            raise ValueError(f"{accepted}, got {len(values)}")
+        require(len(values) == self.num_envs, option, accepted, len(values))
         return [values[i] for i in rows]
-
-
-def _find_mode(mode: AutoresetMode | str) -> AutoresetMode:
-    """The autoreset mode with this name or value."""
-    modes = {name: each for each in AutoresetMode for name in (each.name, each.value)}
-    if not isinstance(mode, AutoresetMode) and not (isinstance(mode, str) and mode in modes):
-        names = list(AutoresetMode.__members__)
-        raise ValueError(f"autoreset_mode must be an AutoresetMode or one of {names}, got {short_repr(mode)}")
-    return mode if isinstance(mode, AutoresetMode) else modes[mode]
 
 
 def _masked(values: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:

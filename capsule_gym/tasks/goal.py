@@ -64,7 +64,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from capsule_gym import _core, native
-from capsule_gym.checks import check_number, short_repr
+from capsule_gym.checks import check_number, require
 from capsule_gym.task import LARGEST_STATE, TASKS, Draw, Option, Task
 from capsule_gym.tasks import DEFAULTS
 
@@ -95,8 +95,7 @@ def compute_reward(settings: StepSettings, achieved_goal: Any, desired_goal: Any
         ValueError: if a goal has another shape.
     """
     for name, goal in (("achieved_goal", achieved_goal), ("desired_goal", desired_goal)):
-        if np.shape(goal)[-1:] != (2,):
-            raise ValueError(f"{name} must be of shape (.., 2), x in m and x_dot in m/s, got {short_repr(goal)}")
+        require(np.shape(goal)[-1:] == (2,), name, "of shape (.., 2), x in m and x_dot in m/s", goal)
     error, x_dot = np.moveaxis(np.subtract(desired_goal, achieved_goal, dtype=np.float64), -1, 0)
     rest = settings.stick_threshold if settings.agent_reads else 0.0
     (rate,) = native.evaluate("goal_rate", error, np.abs(x_dot) <= rest)

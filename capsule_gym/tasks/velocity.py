@@ -65,7 +65,7 @@ import numpy as np
 
 from capsule_gym import _core
 from capsule_gym._core import COMMANDS, SPEED_BOUND
-from capsule_gym.checks import check_number, check_timed
+from capsule_gym.checks import check_number, check_timed, require
 from capsule_gym.task import TASKS, Draw, Option, Task
 from capsule_gym.tasks import DEFAULTS
 
@@ -82,8 +82,7 @@ def parse_commands(name: str, value: Any) -> list[float]:
     times: list[float] = []
     commands: list[float] = []
     for where, t, command in check_timed(name, value, accepted, ("t", "v")):
-        if not times and t != 0.0:
-            raise ValueError(f"{where}['t'] must be 0 s for the first command, got {t:g} s")
+        require(times != [] or t == 0.0, f"{where}['t']", "0 s for the first command", t)
         times.append(t)
         limit = f"a number of m/s within {LARGEST:g} of 0"
         commands.append(check_number(f"{where}['v']", command["v"], limit, -LARGEST, LARGEST))

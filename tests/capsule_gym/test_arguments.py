@@ -219,7 +219,7 @@ BAD_OPTIONS: dict[str, list[tuple[Any, type[Exception], str]]] = {
         ({"mass": 1.0}, ValueError, "mass"),
         ([1.0], TypeError, "options must be a dict"),
         ({"state": [0.3, 1e120, 0.0, 0.0]}, ValueError, r"\|theta_dot\| <= 1000 rad/s"),
-        ({"changes": [{"t": 1.0, "M": 0.5}]}, ValueError, r"options\['changes'\]\[0\] must have the keys"),
+        ({"changes": [{"t": 1.0, "M": 0.5}]}, ValueError, r"options\['changes'\]\[0\] must be a dict with the keys"),
         ({"changes": [JUMP, {**JUMP, "t": 0.5}]}, ValueError, r"\[1\]\['t'\] must be later .*, 1 s, got 0.5 s"),
         ({"changes": [{"t": 1.0, "M": 0.001, "mu": 2.0}]}, ValueError, r"options\['changes'\]\[0\]: .*Painleve"),
         ({"capsule": {"l": 0.3}}, ValueError, r"options\['capsule'\] needs an environment with disturbances"),
@@ -234,7 +234,11 @@ BAD_OPTIONS: dict[str, list[tuple[Any, type[Exception], str]]] = {
         *(({"goal": goal}, TypeError, NO_GOAL) for goal in ("far", [0.1])),
     ],
     "batch": [
-        ({"changes": 1.0}, TypeError, r"options\['changes'\] must have one entry per environment .*, got 1.0"),
+        (
+            {"changes": 1.0},
+            TypeError,
+            r"options\['changes'\] must be a sequence of one entry per environment .*, got 1.0",
+        ),
         ({"reset_mask": np.array([False, False])}, ValueError, "reset_mask"),
     ],
 }

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from capsule_gym import demo
-from capsule_gym.demo import NAMES, STRENGTH, Episode, Keyboard, find_policy
+from capsule_gym.demo import KEYBOARD, NAMES, STRENGTH, Episode, find_policy
 from capsule_gym.env import shown_state
 from capsule_gym.evaluation_sets import load_set
 from capsule_gym.task import HORIZON, Termination
@@ -85,7 +85,7 @@ def test_a_file_has_the_pictures_that_were_asked_for(tmp_path, capsys):
 def test_held_keys_apply_torque_and_cancel_each_other(monkeypatch):
     held: set[int] = set()
     monkeypatch.setattr(pygame.key, "get_pressed", lambda: {key: key in held for key in KEYS})
-    episode = Episode(Keyboard(), PAPER, PLANT)
+    episode = Episode(KEYBOARD, PAPER, PLANT)
     for keys, action in (*((key, 1.0 - index // 2 * 2.0) for index, key in enumerate(KEYS)), (KEYS, 0.0), ((), 0.0)):
         held.clear()
         held.update(np.atleast_1d(keys).tolist())
