@@ -31,7 +31,6 @@ def main(check: bool = False, report: bool = False, folder: Path = FOLDER) -> in
         folder: Folder of the archive.
     """
     # Imported after parsing, since `--help` does not need these modules.
-    from baselines.archive import run_search
     from baselines.dynamic_programming.archive import load_archive, set_plants, solve_plants
     from baselines.dynamic_programming.problem import PROBLEMS
 
@@ -53,10 +52,15 @@ def main(check: bool = False, report: bool = False, folder: Path = FOLDER) -> in
 
         print(tables.report(archive))
         return 0
-    steps = chain(archive.solve(missing), solve_plants(archive, plants))
-    interrupted = run_search(steps, lambda: archive.save(folder))
+    status = 0
+    try:
+        for _ in chain(archive.solve(missing), solve_plants(archive, plants)):
+            archive.save(folder)
+    except KeyboardInterrupt:
+        archive.save(folder)
+        status = 130
     print(f"{len(archive.results)} problems and {len(archive.plant_speeds)} plants of sets on file in {folder}")
-    return 130 if interrupted else 0
+    return status
 
 
 if __name__ == "__main__":

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import io
 import json
+import zipfile
+import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
@@ -16,10 +18,18 @@ from typing import Any
 
 import numpy as np
 
-from baselines.archive import GRID, UNREADABLE, PlantGrid
 from baselines.dynamic_programming import FOLDER, solver
 from baselines.dynamic_programming.grid import Grid
-from baselines.dynamic_programming.problem import ACTIONS, Problem, Trajectory, plant_problems, record, repeat
+from baselines.dynamic_programming.problem import (
+    ACTIONS,
+    GRID,
+    PlantGrid,
+    Problem,
+    Trajectory,
+    plant_problems,
+    record,
+    repeat,
+)
 from baselines.dynamic_programming.solver import GRIDS, STARTS, Solution
 from capsule_gym import dynamics
 from capsule_gym.config import DIRECT_PHYSICS_DT
@@ -37,6 +47,11 @@ SCALES = np.array([0.1, 1.0, np.inf, 0.05])
 # Evaluation sets whose plants are solved themselves, and the number of plants between two writes of the archive.
 SETS = ("paper", "wide")
 PART = 20
+# What reading a malformed archive of numpy or JSON file raises.
+UNREADABLE = (
+    *(EOFError, IndexError, KeyError, MemoryError, OSError, RecursionError, TypeError, ValueError),
+    *(zipfile.BadZipFile, zlib.error),
+)
 
 
 @dataclass(frozen=True, kw_only=True)

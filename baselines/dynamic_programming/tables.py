@@ -6,9 +6,15 @@ from itertools import islice
 
 import numpy as np
 
-from baselines.archive import GRID, STICKY_GRID
 from baselines.dynamic_programming.archive import SETS, Archive, Result, known_results, set_plants
-from baselines.dynamic_programming.problem import CONTROL_INTERVALS, ENERGY_WEIGHTS, Problem, plant_problems
+from baselines.dynamic_programming.problem import (
+    CONTROL_INTERVALS,
+    ENERGY_WEIGHTS,
+    GRID,
+    STICKY_GRID,
+    Problem,
+    plant_problems,
+)
 from baselines.tables import markdown_table
 
 

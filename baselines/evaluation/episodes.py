@@ -15,8 +15,8 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 import capsule_gym
-from baselines.archive import find_grid
 from baselines.dynamic_programming.archive import optimal_speed
+from baselines.dynamic_programming.problem import find_grid
 from baselines.evaluation.policies import Candidate, Policy, find_candidate, wrap_policy
 from baselines.evaluation.statistics import estimate
 from baselines.policies import ScriptedPolicy

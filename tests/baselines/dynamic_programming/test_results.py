@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines.archive import GRID, STICKY_GRID, find_grid
 from baselines.dynamic_programming import __main__ as command
 from baselines.dynamic_programming import archive, solver
 from baselines.dynamic_programming import problem as module
@@ -20,7 +19,7 @@ from baselines.dynamic_programming.archive import (
 )
 from baselines.dynamic_programming.grid import Grid
 from baselines.dynamic_programming.policy import Oracle
-from baselines.dynamic_programming.problem import Problem, repeat
+from baselines.dynamic_programming.problem import GRID, STICKY_GRID, Problem, find_grid, repeat
 from baselines.dynamic_programming.solver import Solution, solve_on_grids
 from baselines.evaluation.episodes import evaluate
 from baselines.policies import SCRIPTED
