@@ -58,10 +58,6 @@ UNREGULARISED = Choices(
     beta=0.01, n=1, eta_0=1.0, saturation_width=0.0, eta_bound=1e6, estimate_range=math.inf, anchored=False
 )
 
-# Gains of (35), not published: a double pole at -20 rad/s, well below the 1 kHz of the law and well above the profile.
-K_P = 400.0
-K_V = 40.0
-
 # Results of `python -m baselines.tuning`.
 TUNED = Path(__file__).with_name("tuned.json")
 # For a law without a reference: the two entries that are observed stay 0.

@@ -20,7 +20,6 @@ from capsule_gym.task import TORQUE_LIMIT
 # In the order of the core: the coefficients phi_ijk of theta^i theta_dot^j x_dot^k and of the step in the direction of
 # slip; the guard's gain in N m s^2, and the theta_dot^2 cos(theta), 1/s^2, from which it acts.
 PARAMETERS = tuple(_core.LAWS["gait"][0].partition(" torque_limit")[0].split())
-COEFFICIENTS = PARAMETERS[:-2]
 # The parameters were searched on platforms of this mass and larger ones, kg.
 _WIDE = RANDOMIZATIONS["wide"].M
 assert _WIDE is not None

@@ -5,7 +5,7 @@ import pytest
 
 from baselines.laws import gait as module
 from baselines.laws.gains import known_parameters
-from baselines.laws.gait import COEFFICIENTS, LIGHTEST, gait
+from baselines.laws.gait import LIGHTEST, PARAMETERS, gait
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.layout import ROWS
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
@@ -36,7 +36,7 @@ def test_the_law_without_guard_is_a_polynomial_of_the_state():
     a, b, c = (states / (1.0, 5.0, 0.3)).T
     *coefficients, step = FREE[:-2]
     # The name phi_ijk holds the powers of theta, theta_dot and x_dot.
-    powers = [map(int, name.removeprefix("phi_")) for name in COEFFICIENTS[:-1]]
+    powers = [map(int, name.removeprefix("phi_")) for name in PARAMETERS[:-3]]
     cubic = sum(phi * a**i * b**j * c**k for phi, (i, j, k) in zip(coefficients, powers, strict=True))
     expected = TORQUE_LIMIT * (cubic + step * np.sign(c))
     found = [torque(gait(FREE), *state) for state in states.tolist()]
