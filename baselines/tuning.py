@@ -23,7 +23,6 @@ from typing import Any, Literal
 import numpy as np
 
 from baselines import lqr
-from baselines.dynamic_programming.archive import cycle
 from baselines.laws import gains, periodic
 from baselines.laws.gait import LIGHTEST, PARAMETERS
 from baselines.policies import ScriptedPolicy
@@ -78,35 +77,28 @@ class Problem:
     Attributes:
         start: parameters with which the search starts.
         units: scales of the parameters in the search.
-        trial: gives the scores of candidates, of shape (population, parameters), on plants drawn from the generator.
-        validate: gives the score of parameters in the validation episodes, their mean speed, cm/s, and their failures.
-        population: candidates in a generation.
-        stream: number of the random stream.
-        limit: rounds parameters as on file, and brings them into their ranges.
+        run: runs candidates, shape (n, parameters), on plants drawn from a generator, or without one in the validation
+            episodes. It returns their scores, shape (n,), and the mean speed, cm/s, and the failures of a single one.
     """
 
     start: np.ndarray
     units: np.ndarray
-    trial: Callable[[np.ndarray, np.random.Generator], np.ndarray]
-    validate: Callable[[np.ndarray], tuple[float, Metrics]]
-    population: int
-    stream: int
-    limit: Callable[[np.ndarray], np.ndarray]
+    run: Callable[[np.ndarray, np.random.Generator | None], tuple[np.ndarray, Metrics]]
 
 
 def problem(name: Name) -> Problem:
     """The problem of a law."""
     if name == "gait":
         start, units = [*START_COEFFICIENTS, *START_GUARD], [*(1.0 for _ in PARAMETERS[:-2]), 0.03, 20.0]
-        return Problem(np.array(start), np.array(units), try_gaits, validate_gait, GAIT_POPULATION, 3, limit_gait)
+        return Problem(np.array(start), np.array(units), run_gaits)
     units = [0.05, 0.05, *[0.1] * (2 * periodic.HARMONICS)]
     make: Callable[..., Controller] = periodic.open_loop
     env_kwargs = PAPER
     if name == "pd":
-        # The angle in the limit cycle of dynamic programming.
-        theta, period = cycle()["theta"][:-1], cycle()["time"][-1]
-        harmonics = np.fft.rfft(theta)[1 : periodic.HARMONICS + 1] * 2.0 / len(theta)
-        start = [period, theta.mean(), *harmonics.real, *-harmonics.imag, 6.0, 0.3]
+        # The angle in the limit cycle of dynamic programming, and gains.
+        start = [0.62, -0.034932978479912336, -0.5409089676101233, -0.1670787041696912, 0.010524606243151453]
+        start += [0.0017962854262352284, 0.3023075972267763, -0.09558691482482391, -0.03623329917012773]
+        start += [0.01615240371464403, 6.0, 0.3]
         make, env_kwargs, units = periodic.pd, REAL, [*units, 2.0, 0.2]
     elif name == "oscillator":
         # omega and alpha; the effect of theta, theta_dot and x_dot on a and b; bias and polynomial; spring and damper.
@@ -120,19 +112,15 @@ def problem(name: Name) -> Problem:
             start = [0.5949, 0.018, -0.68, 0.762, -0.368, -0.13, 0.244, -0.249, -0.004, 0.053]
             env_kwargs = REAL
 
-    def evaluate(parameters: np.ndarray, *arguments: Any) -> tuple[float, Metrics]:
-        kwargs = {"controller": make(parameters.tolist()), "control_dt": CONTROL_DT}
-        return score(ScriptedPolicy(name, "", kwargs), env_kwargs, *arguments)
+    def run(candidates: np.ndarray, rng: np.random.Generator | None) -> tuple[np.ndarray, Metrics]:
+        seed, plants, seconds = VALIDATION_SEED, VALIDATION_PLANTS, HORIZON
+        if rng is not None:
+            seed, plants, seconds = FIRST_SEED + PLANTS * int(rng.integers(2**30)), PLANTS, TRIAL
+        kwargs = [{"controller": make(parameters), "control_dt": CONTROL_DT} for parameters in candidates.tolist()]
+        found = [score(ScriptedPolicy(name, "", each), env_kwargs, seed, plants, seconds) for each in kwargs]
+        return np.array([reached for reached, _ in found]), {**found[0][1], "episodes": plants}
 
-    def trial(candidates: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        seed = FIRST_SEED + PLANTS * int(rng.integers(2**30))
-        return np.array([evaluate(parameters, seed, PLANTS, TRIAL)[0] for parameters in candidates])
-
-    def validate(parameters: np.ndarray) -> tuple[float, Metrics]:
-        found, metrics = evaluate(parameters, VALIDATION_SEED, VALIDATION_PLANTS, HORIZON)
-        return found, {**metrics, "episodes": VALIDATION_PLANTS}
-
-    return Problem(np.array(start), np.array(units), trial, validate, POPULATION, 4, rounded)
+    return Problem(np.array(start), np.array(units), run)
 
 
 def score(
@@ -157,27 +145,12 @@ def score(
     return speed - FAILURE * failures / plants, {"mean_speed": round(speed, 4), "failures": failures}
 
 
-def rounded(parameters: np.ndarray) -> np.ndarray:
-    """The parameters with nine digits."""
-    return np.array([float(f"{value:.9g}") for value in parameters])
-
-
-def limit_gait(parameters: np.ndarray) -> np.ndarray:
-    """The parameters of a gait with nine digits; the guard's gain is not negative."""
-    *coefficients, gain, threshold = rounded(parameters)
-    return np.array([*coefficients, abs(gain), threshold])
-
-
-def run_gaits(parameters: np.ndarray, plants: np.ndarray, actions: np.ndarray) -> dict[str, np.ndarray]:
-    """The metrics of one episode of every gait, and their scores, shape (n,).
-
-    The score is the mean speed, cm/s; failures score far below everything else, early ones lowest.
-
-    Args:
-        parameters: shape (n, size), in the order of `PARAMETERS`.
-        plants: M in kg and mu in every part of the episode, shape (parts, 2, n).
-        actions: shape (steps, n).
-    """
+def run_gaits(candidates: np.ndarray, rng: np.random.Generator | None) -> tuple[np.ndarray, Metrics]:
+    """`Problem.run` of gaits; failures score far below everything else, early ones lowest."""
+    if rng is None:
+        plants, actions = draw_episodes(np.random.default_rng(GAIT_SEED), GAIT_EPISODES, HORIZON)
+    else:
+        plants, actions = draw_episodes(rng, GAIT_PLANTS, TRIAL, len(candidates))
     steps, count = actions.shape
     # The law reads its parameters from its memory, so that one batch serves all candidates.
     law = CoreLaw("gait_candidate", torque_limit=TORQUE_LIMIT)
@@ -198,22 +171,27 @@ def run_gaits(parameters: np.ndarray, plants: np.ndarray, actions: np.ndarray) -
     ]
     env.reset(seed=0, options={"M": plants[0, 0], "mu": plants[0, 1], "changes": changes})
     # The first millisecond has no torque: a reset calls the law before its memory can be written.
-    for cell, column in enumerate(parameters.T):
-        env.simulation.write(ROWS + cell, column)
+    for cell, values in enumerate(np.transpose([rounded("gait", each) for each in candidates])):
+        env.simulation.write(ROWS + cell, np.repeat(values, count // len(candidates)))
     for row in actions.astype(np.float32):
         env.step(row[:, None])
     metrics = env.simulation.metrics(np.arange(count), steps)
     failed = GAIT_FAILURE * (2.0 - metrics["duration"] / (steps * CONTROL_DT))
-    return {**metrics, "score": np.where(metrics["failed"] > 0.0, failed, metrics["mean_speed"])}
+    scores = np.where(metrics["failed"] > 0.0, failed, metrics["mean_speed"]).reshape(len(candidates), -1)
+    speed, failures = round(float(metrics["mean_speed"].mean()), 4), int(metrics["failed"].sum())
+    return scores.mean(axis=1), {"mean_speed": speed, "failures": failures, "episodes": count}
 
 
 def draw_episodes(
     rng: np.random.Generator, count: int, horizon: float, repeats: int = 1
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Draws the plants and actions of `run_gaits`; every second episode has random actions.
+    """Draws the episodes of gaits; every second one has random actions, the residual torques.
 
     There are `count` sequences of plants, each a Latin hypercube in M and log(mu) over `wide`; they are repeated with
     other actions. An episode lasts `horizon` s.
+
+    Returns:
+        M in kg and mu in every part of an episode, shape (parts, 2, episodes), and actions, shape (steps, episodes).
     """
     ranges = plant_ranges(RANDOMIZATIONS["wide"], NOMINAL)
 
@@ -226,39 +204,32 @@ def draw_episodes(
     return plants, disturbed * rng.uniform(-1.0, 1.0, (round(horizon / CONTROL_DT), disturbed.size))
 
 
-def try_gaits(candidates: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """The scores of candidates, all on the same newly drawn plants."""
-    parameters = np.repeat([limit_gait(each) for each in candidates], GAIT_PLANTS, axis=0)
-    scores = run_gaits(parameters, *draw_episodes(rng, GAIT_PLANTS, TRIAL, len(candidates)))["score"]
-    return scores.reshape(-1, GAIT_PLANTS).mean(axis=1)
-
-
-def validate_gait(parameters: np.ndarray) -> tuple[float, Metrics]:
-    """The score of a gait in the fixed episodes; their mean speed, cm/s, and failures."""
-    episodes = draw_episodes(np.random.default_rng(GAIT_SEED), GAIT_EPISODES, HORIZON)
-    metrics = run_gaits(np.tile(parameters, (GAIT_EPISODES, 1)), *episodes)
-    speed, failures = round(float(metrics["mean_speed"].mean()), 4), int(metrics["failed"].sum())
-    return float(metrics["score"].mean()), {"mean_speed": speed, "failures": failures, "episodes": GAIT_EPISODES}
+def rounded(name: Name, parameters: np.ndarray) -> np.ndarray:
+    """The parameters of a law with nine digits, as on file; the gain of a gait's guard is not negative."""
+    values = np.array([float(f"{value:.9g}") for value in parameters])
+    if name == "gait":
+        values[-2] = abs(values[-2])
+    return values
 
 
 def tune(name: Name, generations: int, seed: int, step: float) -> None:
-    """Runs a search; whenever the mean of the distribution scores better than the parameters on file, replaces them."""
-    own = problem(name)
-    rng = np.random.default_rng([seed, own.stream])
+    """Runs a search; a mean of the distribution that scores better than the parameters on file replaces them."""
+    own, (population, stream) = problem(name), (GAIT_POPULATION, 3) if name == "gait" else (POPULATION, 4)
+    rng = np.random.default_rng([seed, stream])
+    options: dict[str, Any] = {"popsize": population, "verbose": -9}
     # The package would otherwise seed numpy's global generator.
-    draws = {"seed": math.nan, "randn": lambda *shape: rng.standard_normal(shape)}
-    options = {"popsize": own.population, "verbose": -9, **draws}
+    options |= {"seed": math.nan, "randn": lambda *shape: rng.standard_normal(shape)}
     strategy = import_module("cma").CMAEvolutionStrategy(own.start / own.units, step, options)
     content = json.loads(gains.TUNED.read_text(encoding="utf-8")) if gains.TUNED.is_file() else {}
-    best = own.validate(np.array(content[name]["parameters"]))[0] if name in content else -math.inf
+    best = own.run(np.array([content[name]["parameters"]]), None)[0][0] if name in content else -math.inf
     for generation in range(generations + 1):
         if generation > 0:
             points = strategy.ask()
-            strategy.tell(points, (-own.trial(np.array(points) * own.units, rng)).tolist())
+            strategy.tell(points, (-own.run(np.array(points) * own.units, rng)[0]).tolist())
         if generation % INTERVAL > 0 and generation < generations:
             continue
-        mean = own.limit(strategy.mean * own.units)
-        reached, metrics = own.validate(mean)
+        mean = rounded(name, strategy.mean * own.units)
+        (reached,), metrics = own.run(mean[None], None)
         print(f"generation {generation}: score {reached:.3f}, on file {best:.3f}; {metrics}", flush=True)
         if reached > best:
             best = reached

@@ -9,7 +9,8 @@ import sys
 from itertools import chain
 from pathlib import Path
 
-from baselines.dynamic_programming import FOLDER
+from baselines.dynamic_programming.archive import FOLDER, load_archive, set_plants, solve_plants, tables
+from baselines.dynamic_programming.problem import PROBLEMS
 from capsule_gym.command_line import command, refuse
 
 PROG = "python -m baselines.dynamic_programming"
@@ -30,10 +31,6 @@ def main(check: bool = False, report: bool = False, folder: Path = FOLDER) -> in
         report: Only print the tables of what is on file.
         folder: Folder of the archive.
     """
-    # Imported after parsing, since `--help` does not need these modules.
-    from baselines.dynamic_programming.archive import load_archive, set_plants, solve_plants
-    from baselines.dynamic_programming.problem import PROBLEMS
-
     try:
         archive = load_archive(folder)
     except ValueError as error:
@@ -48,9 +45,7 @@ def main(check: bool = False, report: bool = False, folder: Path = FOLDER) -> in
     if report:
         if lacking := len(missing) + len(plants):
             refuse(PROG, f"--report needs all problems and plants on file, and {folder} lacks {lacking}")
-        from baselines.dynamic_programming import tables
-
-        print(tables.report(archive))
+        print(tables(archive))
         return 0
     status = 0
     try:

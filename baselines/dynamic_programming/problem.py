@@ -163,10 +163,9 @@ class Transitions:
         States are theta (rad), theta_dot (rad/s) and x_dot (m/s), shape (3, count).
         """
         simulation = self._simulation
-        for row, values in zip((Row.theta, Row.theta_dot, Row.x_dot), states, strict=True):
+        rows = Row.theta, Row.theta_dot, Row.x_dot, Row.x, Row.termination
+        for row, values in zip(rows, (*states, self._zeros, self._zeros), strict=True):
             simulation.write(row, values)
-        simulation.write(Row.x, self._zeros)
-        simulation.write(Row.termination, self._zeros)
         simulation.step(actions)
         failed = (simulation.row(Row.termination) != 0.0) | (self.normal_force <= self.margin)
         return simulation.rows(Row.theta, Row.x_dot + 1)[[0, 1, 3]], simulation.row(Row.reward), failed

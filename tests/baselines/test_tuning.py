@@ -46,16 +46,18 @@ def test_episodes_of_gaits_draw_plants_evenly_and_disturb_every_second_one(monke
     monkeypatch.setattr(
         tuning, "CapsuleVectorEnv", lambda *args, **kwargs: made.append(make(*args, **kwargs)) or made[0]
     )
-    tuning.run_gaits(np.tile(gains.known_parameters("gait"), (8, 1)), plants[..., :8], actions[:, :8])
+    monkeypatch.setattr(tuning, "draw_episodes", lambda *_: (plants[..., :8], actions[:, :8]))
+    tuning.run_gaits(np.array([gains.known_parameters("gait")]), None)
     np.testing.assert_array_equal(made[0].simulation.rows(Row.M, Row.mu + 1), plants[-1, :, :8])
 
 
-def test_failed_gaits_score_below_everything_and_better_late():
+def test_failed_gaits_score_below_everything_and_better_late(monkeypatch):
     parameters = np.zeros((3, len(PARAMETERS)))
     # Constant torques: none, a large one, and one that drops the pendulum later.
     parameters[:, 0] = 0.0, 1.0, 0.4
-    plants, actions = np.tile([[0.5], [0.1]], (1, 1, 3)), np.zeros((20, 3))
-    rest, early, late = tuning.run_gaits(parameters, plants, actions)["score"]
+    monkeypatch.setattr(tuning, "draw_episodes", lambda *_: (np.tile([[0.5], [0.1]], (1, 1, 3)), np.zeros((20, 3))))
+    (rest, early, late), metrics = tuning.run_gaits(parameters, np.random.default_rng(0))
+    assert (metrics["failures"], metrics["episodes"]) == (2, 3)
     assert abs(rest) < 5.0 and early < late < -30.0
 
 
@@ -77,15 +79,15 @@ def test_a_search_of_gaits_is_seeded_and_keeps_its_best_when_interrupted(small, 
     assert tuning.main(["gait", "--generations", "3", "--step", "0.2"]) == 0
     assert on_file("gait") == found
     gains.TUNED.unlink()
-    own, calls = tuning.try_gaits, []
+    own, calls = tuning.run_gaits, []
 
     def interrupted(*arguments):
         calls.append(own(*arguments))
-        if len(calls) == 3:
+        if len(calls) == 5:
             raise KeyboardInterrupt
         return calls[-1]
 
-    monkeypatch.setattr(tuning, "try_gaits", interrupted)
+    monkeypatch.setattr(tuning, "run_gaits", interrupted)
     with pytest.raises(KeyboardInterrupt):
         tuning.main(["gait", "--generations", "100"])
     assert len(on_file("gait")["parameters"]) == len(PARAMETERS)
@@ -99,7 +101,7 @@ def test_the_score_of_the_start_of_a_search(name, expected, monkeypatch):
         monkeypatch.setattr(tuning, attribute, value)
     problem = tuning.problem(name)
     assert problem.start.shape == problem.units.shape and (problem.units > 0.0).all()
-    assert problem.validate(problem.start)[0] == pytest.approx(expected, abs=1e-3)
+    assert problem.run(problem.start[None], None)[0][0] == pytest.approx(expected, abs=1e-3)
 
 
 def test_the_regulator_with_the_best_score_is_written(monkeypatch, tmp_path):
