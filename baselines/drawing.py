@@ -1,7 +1,5 @@
 """The style of the figures: colours, line styles, notes, and reproducible files."""
 
-from __future__ import annotations
-
 import os
 import textwrap
 from collections.abc import Iterator

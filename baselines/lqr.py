@@ -9,8 +9,6 @@ The phase is that of the nearest state of the cycle, since a phase that depends 
 platform instead of waiting for it.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise

@@ -5,8 +5,6 @@ own step on the nominal plant, and applies the first torque of the best (predict
 value of dynamic programming scores the state at the end of a plan, which can therefore be short.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The named scripted policies: a law inside the step with a zero residual, or a function of the observation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any

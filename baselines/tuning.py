@@ -8,8 +8,6 @@ The episodes of `gait` are on plants of `wide`, evenly over M and log(mu). Each 
 second one has a random residual torque: the law must be fast, tolerate changes and support a policy.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

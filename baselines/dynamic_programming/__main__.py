@@ -3,8 +3,6 @@
 Results are written after every problem of `baselines.dynamic_programming.problem.PROBLEMS`.
 """
 
-from __future__ import annotations
-
 import sys
 from itertools import chain
 from pathlib import Path

@@ -3,8 +3,6 @@
 Each archived speed is that of a trajectory, whose torques, repeated from rest, give it on every machine.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import zipfile

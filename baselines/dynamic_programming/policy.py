@@ -4,8 +4,6 @@ A policy tries a few dozen torques in the environment's own step, on the plant t
 the largest reward plus value of the next state. The values are those of the coarse grids.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """The problems that dynamic programming solves, their plants, the transitions, and trajectories."""
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Evaluates policies on evaluation sets, and summarises their episodes for results and tables."""
 
-from __future__ import annotations
-
 import math
 import platform
 from collections.abc import Mapping, Sequence

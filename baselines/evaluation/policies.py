@@ -3,8 +3,6 @@
 docs/evaluation.md shows how to evaluate the latter.
 """
 
-from __future__ import annotations
-
 import os
 import pkgutil
 import re

@@ -12,8 +12,6 @@ The percentile bootstrap over seeds, or over seeds and plants, covers less: with
 plants', 80 and 90 % instead of 95 % (`tests/baselines/evaluation/test_statistics.py` measures the coverage of ours).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """The paper's adaptive variable-structure law (37) to (39) as a `Controller`: regularised, or corrected only."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from decimal import Context, Decimal

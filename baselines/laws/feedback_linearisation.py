@@ -1,7 +1,5 @@
 """Feedback linearisation (35) of the paper along a profile, as a `Controller`."""
 
-from __future__ import annotations
-
 from baselines.laws.gains import check_gains, plant_constants
 from baselines.laws.profiles import EPC, PROPOSED, Profile, optimal, reference_table
 from capsule_gym.controller import Controller, CoreLaw

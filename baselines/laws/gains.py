@@ -1,7 +1,5 @@
 """Gains and constants of the control laws: those of the paper, those that it leaves open, and tuned parameters."""
 
-from __future__ import annotations
-
 import json
 import math
 from functools import cache

@@ -5,8 +5,6 @@ of the search by the momentum that the pendulum gives it. `gait_predictive` is f
 lagging motor, `goal_pulses` and `velocity_pulses` for the tasks `goal` and `velocity`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from baselines.laws.gains import NO_REFERENCE, known_parameters, plant_constants

@@ -3,8 +3,6 @@
 `python -m baselines.tuning NAME` has found their parameters.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -5,8 +5,6 @@ theta_d' = A sin(phase + rate s) + offset + slope s, with s from the start of th
 computed in closed form.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence

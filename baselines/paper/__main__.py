@@ -1,7 +1,5 @@
 """The paper's numbers compared with ours: `python -m baselines.paper [--figures DIR]`."""
 
-from __future__ import annotations
-
 import sys
 from importlib.util import find_spec
 from pathlib import Path

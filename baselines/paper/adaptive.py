@@ -3,8 +3,6 @@
 Two forms of the law run: regularised (`adaptive`), and corrected without regularisation (`adaptive_as_published`).
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass

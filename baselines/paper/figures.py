@@ -1,7 +1,5 @@
 """Figures 3 to 9 of the paper from our own runs, with the published numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import lru_cache, partial
 from pathlib import Path

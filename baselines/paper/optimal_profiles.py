@@ -6,8 +6,6 @@ profile's own largest angle, velocity and acceleration are used, so that this pr
 search finds are lower bounds of the optimum.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import sys

@@ -14,8 +14,6 @@ sampled quantities are widened by a bound on their change between the samples. I
 stick, and both options for the normal force. It bounds the torque against the rate, not the mean speed.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple

@@ -3,8 +3,6 @@
 The page *The paper* explains the results and gives the reasons.
 """
 
-from __future__ import annotations
-
 import math
 import textwrap
 from collections.abc import Mapping, Sequence

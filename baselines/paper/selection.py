@@ -4,8 +4,6 @@ Sect. 3.2 presents the times of Table 1 as the outcome of these equations. They 
 several add an angle to a velocity times a time, or a radian to a second. V1 = P1 omega; theta_0 = pi/3; N = 1.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from typing import Any

@@ -4,8 +4,6 @@ Under exact tracking the platform's motion follows from M, m, l, g and mu alone:
 plants. `simulate` and `track` run the environment's own simulation.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
