@@ -10,14 +10,13 @@ sys.path.remove(str(Path(__file__).resolve().parent))
 import gymnasium as gym
 
 import capsule_gym
-from baselines.laws import LAWS, TASK_LAWS, find_law
+from baselines.laws import LAWS, find_law
 from capsule_gym.task import TASKS
 
 assert not Path(capsule_gym.__file__).is_relative_to(Path(__file__).parents[1].resolve()), capsule_gym.__file__
 for name in ("llvmlite", "numba", "pygame", "stable_baselines3", "torch"):
     assert importlib.util.find_spec(name) is None, f"{name} is installed"
-laws = [("speed", None), *(("speed", name) for name in LAWS)]
-laws += [(law.task, name) for name, law in TASK_LAWS.items()]
+laws = [("speed", None), *((law().task or "speed", name) for name, law in LAWS.items())]
 for task, law in laws:
     env = gym.make("capsule_gym:CapsuleStickSlip-v0", task=task, controller=law and f"baselines:{law}")
     env.reset(seed=0)

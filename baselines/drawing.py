@@ -1,12 +1,9 @@
 """The style of the figures: colours, line styles, notes, and reproducible files."""
 
-from __future__ import annotations
-
 import os
 import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -44,19 +41,11 @@ _STYLE: dict[str, Any] = {
 }
 
 
-@dataclass(frozen=True)
-class Pen:
-    """The style of one of the compared items in all figures."""
-
-    colour: str
-    dashes: str | tuple[float, tuple[float, ...]] = "-"
-
-    def line(self, **more: Any) -> dict[str, Any]:
-        """The arguments of `Axes.plot`."""
-        return {"color": self.colour, "linestyle": self.dashes, **more}
-
-
-PENS = {"proposed": Pen(BLUE), "EPC": Pen(VERMILION, (0.0, (5.0, 1.6)))}
+# The arguments of `Axes.plot` for each of the compared items.
+PENS: dict[str, dict[str, Any]] = {
+    "proposed": {"color": BLUE, "linestyle": "-"},
+    "EPC": {"color": VERMILION, "linestyle": (0.0, (5.0, 1.6))},
+}
 # Wide and pale, since the computed trajectory is drawn on top of it.
 REFERENCE: dict[str, Any] = {"color": "#c5ccd6", "lw": 3.6, "zorder": 1.5}
 PUBLISHED_DASHES = (0.0, (1.2, 1.6))
@@ -99,9 +88,9 @@ def add_note(figure: Any, text: str) -> None:
     figure.supxlabel(text, x=0.012, ha="left", fontsize=7.5, color=INK, parse_math=False)
 
 
-def mark_published(axes: Any, value: float, text: str, pen: Pen, *, x: float = 0.99) -> None:
+def mark_published(axes: Any, value: float, text: str, colour: str = INK, *, x: float = 0.99) -> None:
     """Draws a dotted line across the axes at a published number, with its label at x (a share of the width)."""
-    axes.axhline(value, color=pen.colour, linestyle=PUBLISHED_DASHES, linewidth=1.1)
+    axes.axhline(value, color=colour, linestyle=PUBLISHED_DASHES, linewidth=1.1)
     axes.annotate(
         text,
         (x, value),
@@ -111,7 +100,7 @@ def mark_published(axes: Any, value: float, text: str, pen: Pen, *, x: float = 0
         ha="right" if x > 0.5 else "left",
         va="bottom",
         fontsize=7.0,
-        color=pen.colour,
+        color=colour,
     )
 
 

@@ -9,11 +9,8 @@ The phase is that of the nearest state of the cycle, since a phase that depends 
 platform instead of waiting for it.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -134,15 +131,11 @@ def interpolate(content: Mapping[str, Any]) -> np.ndarray:
     return here + share * (following - here)
 
 
-@cache
-def known_regulator() -> np.ndarray:
-    """The phases of the regulator in `lqr.json`, read once."""
-    return interpolate(json.loads(FILE.read_text(encoding="utf-8")))
-
-
 def start(seeds: Sequence[int], regulator: np.ndarray | None = None) -> Act:
     """The policy `lqr`, with a regulator of `interpolate` or that of `lqr.json`."""
-    z_d, u_d, K = np.split(known_regulator() if regulator is None else regulator, [3, 4])
+    if regulator is None:
+        regulator = interpolate(json.loads(FILE.read_text(encoding="utf-8")))
+    z_d, u_d, K = np.split(regulator, [3, 4])
     # At the first step any phase; then those around the phase that follows the previous one by a control interval.
     phase, offsets = np.zeros((len(seeds), 1), np.int64), np.arange(z_d.shape[1])
 

@@ -3,21 +3,14 @@
 At every control interval the policy disturbs its previous plan of torques, simulates all plans with the environment's
 own step on the nominal plant, and applies the first torque of the best (predictive sampling, Howell et al. 2022). The
 value of dynamic programming scores the state at the end of a plan, which can therefore be short.
-
-`python -m baselines.mpc` prints its speed and the processor time of a decision.
 """
 
-from __future__ import annotations
-
-import sys
-import time
 from collections.abc import Sequence
 
 import numpy as np
 
 from baselines.dynamic_programming.policy import FAILURE_SCORE, Act, Lookahead
 from baselines.dynamic_programming.problem import NOMINAL_MARGIN, Problem, Transitions
-from capsule_gym.task import EPISODE_STEPS
 
 PLANS, INTERVALS = 32, 5
 # Largest disturbances of the plans after the first, the previous plan itself; each is a share of the torque limit.
@@ -51,35 +44,3 @@ def start(seeds: Sequence[int]) -> Act:
         return best[:, :1].astype(np.float32)
 
     return act
-
-
-def main(plants: int = 8, seed: int = 0) -> None:
-    """Runs the policy `mpc` on random plants, and prints its speed and the processor time of a decision.
-
-    Examples:
-      python -m baselines.mpc --plants 8
-
-    Args:
-        plants: Number of plants from the distribution `paper`.
-        seed: Seed of the first plant.
-    """
-    # The policy needs neither.
-    from capsule_gym import CapsuleVectorEnv
-
-    env = CapsuleVectorEnv(plants, autoreset_mode="DISABLED")
-    observations, _ = env.reset(seed=seed)
-    act, seconds = start(range(plants)), 0.0
-    for _ in range(EPISODE_STEPS):
-        begin = time.process_time()
-        actions = act(observations)
-        seconds += time.process_time() - begin
-        observations, *_ = env.step(actions)
-    metrics = env.episode_metrics()
-    speed, failures = metrics["mean_speed"].mean(), int(metrics["failed"].sum())
-    print(f"{speed:.2f} cm/s, {failures} failures, {1e6 * seconds / (EPISODE_STEPS * plants):.0f} us per decision")
-
-
-if __name__ == "__main__":
-    from capsule_gym.command_line import command
-
-    sys.exit(command("python -m baselines.mpc")(main)())

@@ -1,7 +1,5 @@
 """The named scripted policies: a law inside the step with a zero residual, or a function of the observation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,8 +9,6 @@ import numpy as np
 from baselines import lqr, mpc
 from baselines.dynamic_programming import policy
 from baselines.dynamic_programming.policy import Act
-from baselines.laws import LAWS as _LAWS
-from baselines.laws import TASK_LAWS, Law
 
 Start = Callable[[Sequence[int]], Act]
 
@@ -45,26 +41,50 @@ class ScriptedPolicy:
     told: str = "nominal plant"
 
 
-def _of_law(name: str, law: Law) -> ScriptedPolicy:
-    """The policy that only runs a law of `baselines`."""
-    env_kwargs = {"controller": f"baselines:{name}"} | ({} if law.task == "speed" else {"task": law.task})
-    return ScriptedPolicy(law.policy, law.description, env_kwargs, senses=law.senses, told=law.told)
+def _law(
+    law: str, description: str, told: str = "nothing", senses: str = "state", name: str = "", **env_kwargs: str
+) -> ScriptedPolicy:
+    """The policy that only runs a law of `baselines`; its name is that of the law if none is given."""
+    kwargs = {"controller": f"baselines:{law}", **env_kwargs}
+    return ScriptedPolicy(name or law.replace("_", "-"), description, kwargs, senses=senses, told=told)
 
 
-# Values of the environment's argument `controller`, by the names of the laws' policies.
-LAWS = {law.policy: f"baselines:{name}" for name, law in _LAWS.items()}
-
-SCRIPTED = {
+_NOMINAL = "nominal plant"
+_PROFILE, _FASTEST = "the paper's profile (9)", "the fastest profile (9) with 1.5 N m"
+ALL_SCRIPTED = {
     each.name: each
     for each in (
-        *(_of_law(name, law) for name, law in _LAWS.items()),
-        ScriptedPolicy("lqr", "LQR with a gain for every phase of a limit cycle of dp-nominal", {}, lqr.start),
-        ScriptedPolicy("mpc", "sampling MPC on the nominal plant with the values of dp-nominal", {}, mpc.start),
+        _law("feedback_linearising", f"{_PROFILE}, feedback linearisation (35)", _NOMINAL),
+        _law("adaptive", f"{_PROFILE}, adaptive law (39), regularised", _NOMINAL, "state, x"),
+        _law("adaptive_as_published", f"{_PROFILE}, adaptive law (39), corrected, unregularised", _NOMINAL, "state, x"),
+        _law("adaptive_optimal_profile", f"{_FASTEST}, adaptive law (39), regularised", _NOMINAL, "state, x"),
+        _law(
+            "feedback_linearising_optimal_profile",
+            f"{_FASTEST} and without Principle 4, feedback linearisation (35)",
+            _NOMINAL,
+        ),
+        _law("epc", "the EPC profile, feedback linearisation (35)", _NOMINAL),
+        _law(
+            "gait",
+            "a gait at 1 kHz that does not observe the plant; a guard of the contact estimates M",
+            "nominal pendulum",
+            name="gait-guarded",
+        ),
+        _law(
+            "gait_predictive",
+            "gait-guarded on a state that an observer and a predictor of the latency give",
+            _NOMINAL,
+        ),
+        _law("open_loop", "torque as a function of time alone, tuned without disturbances", senses="nothing"),
+        _law("open_loop_real", "torque as a function of time alone, tuned under disturbances", senses="nothing"),
+        _law("pd", "PD control of the pendulum's angle along a periodic reference", senses="theta, theta_dot"),
+        _law("oscillator", "a Hopf oscillator that the state entrains"),
+        ScriptedPolicy("lqr", "LQR with a gain for every phase of a limit cycle of dp-nominal", start=lqr.start),
+        ScriptedPolicy("mpc", "sampling MPC on the nominal plant with the values of dp-nominal", start=mpc.start),
         ScriptedPolicy(
             "dp-nominal",
             "dynamic programming for the nominal plant with a margin of normal force, whatever the plant",
-            {},
-            policy.start_nominal,
+            start=policy.start_nominal,
         ),
         ScriptedPolicy(
             "dp-oracle",
@@ -73,9 +93,14 @@ SCRIPTED = {
             policy.start_oracle,
             told="nominal plant, M, mu",
         ),
+        _law(
+            "goal_pulses",
+            "gait-guarded towards the goal, then pulses that adapt; strokes on smooth floors",
+            task="goal",
+        ),
+        _law("velocity_pulses", "gait-guarded after the target, and pulses that adapt", task="velocity"),
     )
 }
-
-# Scripted policies of the other tasks.
-TASK_SCRIPTED = {law.policy: _of_law(name, law) for name, law in TASK_LAWS.items()}
-ALL_SCRIPTED = {**SCRIPTED, **TASK_SCRIPTED}
+# Those of the speed task, and of the other tasks.
+SCRIPTED = {name: each for name, each in ALL_SCRIPTED.items() if "task" not in each.env_kwargs}
+TASK_SCRIPTED = {name: each for name, each in ALL_SCRIPTED.items() if "task" in each.env_kwargs}

@@ -1,7 +1,5 @@
 """Tables of numbers, for the terminal and for Markdown; the first row is the header, cells are finished strings."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from decimal import ROUND_FLOOR, Decimal
 

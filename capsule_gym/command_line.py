@@ -1,8 +1,8 @@
 """Command lines from dataclasses and functions: a field or an argument is an option, its docstring the help text.
 
-A command is a function with the decorator `command("python -m baselines.gaits")`. One that checks or shares its options
-declares them as a frozen dataclass and calls `parse(Args, "python -m agents.evaluate", arguments)`. An option of type
-`Positional[str]` is a positional argument; an option of type `Count` accepts the form 8e6.
+A command is a function with the decorator `command("python -m baselines.tuning")`. One that checks or shares its
+options declares them as a frozen dataclass and calls `parse(Args, "python -m agents.evaluate", arguments)`. An option
+of type `Positional[str]` is a positional argument; an option of type `Count` accepts the form 8e6.
 """
 
 from __future__ import annotations

@@ -236,7 +236,7 @@ def _law_named(name: str) -> str:
     """The end of the message for the name of a control law, which is no trained policy."""
     law = name.replace("-", "_")
     try:
-        known = {**pkgutil.resolve_name("baselines.laws:LAWS"), **pkgutil.resolve_name("baselines.laws:TASK_LAWS")}
+        known = pkgutil.resolve_name("baselines.laws:LAWS")
     except (AttributeError, ImportError):
         return ""
     return f", which is a control law: gym.make(.., controller='baselines:{law}')" if law in known else ""

@@ -17,7 +17,6 @@ import numpy as np
 
 import baselines
 from baselines.dynamic_programming.policy import TORQUES
-from baselines.laws import TASK_LAWS
 from baselines.policies import ScriptedPolicy
 from capsule_gym import Policy, _core, evaluation_sets, parameters, resets, task
 from capsule_gym.config import EnvConfig, find_task
@@ -31,7 +30,7 @@ from web.episodes import FILE, OVER, RECORDED, RECORDINGS, SEEDS, drivers
 
 # The name for no law; the other names are those of laws.
 DIRECT = "direct"
-LAWS = (DIRECT, *baselines.__all__, *TASK_LAWS)
+LAWS = (DIRECT, *baselines.__all__)
 SETS = (*evaluation_sets.SET_NAMES, *evaluation_sets.FURTHER_SET_NAMES, *evaluation_sets.TASK_SET_NAMES)
 # Largest friction of the motor, N m, for the capsule and for disturbances.
 LARGEST_MOTOR_FRICTION = 0.2

@@ -15,7 +15,7 @@ from agents.evaluation.criteria import CRITERIA
 from agents.leaderboard.rows import RESULTS, Row, load_rows
 from agents.training.config import EVALUATIONS
 from baselines.drawing import BLUE, GREEN, INK, MUTED, add_note, new_figure
-from baselines.dynamic_programming.tables import optimal_front
+from baselines.dynamic_programming.archive import optimal_front
 from baselines.evaluation.episodes import TABLE_METRICS
 from baselines.evaluation.policies import CHECKPOINTS, all_candidates
 from baselines.evaluation.statistics import estimate, learning_curve

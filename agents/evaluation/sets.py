@@ -30,7 +30,7 @@ from pathlib import Path
 
 import numpy as np
 
-from baselines.archive import STICKY_GRID
+from baselines.dynamic_programming.problem import STICKY_GRID
 from capsule_gym.command_line import command
 from capsule_gym.config import find_task
 from capsule_gym.evaluation_sets import FURTHER_SET_NAMES, SET_NAMES, TASK_SET_NAMES, EvaluationSet, PlantSpec

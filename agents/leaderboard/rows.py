@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from baselines.archive import UNREADABLE
+from baselines.dynamic_programming.archive import UNREADABLE
 from baselines.evaluation.episodes import Episode, as_episodes, versions
 from baselines.evaluation.episodes import evaluate as evaluate_policy
 from baselines.evaluation.policies import Candidate, Policy

@@ -3,13 +3,12 @@
 Results are written after every problem of `baselines.dynamic_programming.problem.PROBLEMS`.
 """
 
-from __future__ import annotations
-
 import sys
 from itertools import chain
 from pathlib import Path
 
-from baselines.dynamic_programming import FOLDER
+from baselines.dynamic_programming.archive import FOLDER, load_archive, set_plants, solve_plants, tables
+from baselines.dynamic_programming.problem import PROBLEMS
 from capsule_gym.command_line import command, refuse
 
 PROG = "python -m baselines.dynamic_programming"
@@ -30,11 +29,6 @@ def main(check: bool = False, report: bool = False, folder: Path = FOLDER) -> in
         report: Only print the tables of what is on file.
         folder: Folder of the archive.
     """
-    # Imported after parsing, since `--help` does not need these modules.
-    from baselines.archive import run_search
-    from baselines.dynamic_programming.archive import load_archive, set_plants, solve_plants
-    from baselines.dynamic_programming.problem import PROBLEMS
-
     try:
         archive = load_archive(folder)
     except ValueError as error:
@@ -49,14 +43,17 @@ def main(check: bool = False, report: bool = False, folder: Path = FOLDER) -> in
     if report:
         if lacking := len(missing) + len(plants):
             refuse(PROG, f"--report needs all problems and plants on file, and {folder} lacks {lacking}")
-        from baselines.dynamic_programming import tables
-
-        print(tables.report(archive))
+        print(tables(archive))
         return 0
-    steps = chain(archive.solve(missing), solve_plants(archive, plants))
-    interrupted = run_search(steps, lambda: archive.save(folder))
+    status = 0
+    try:
+        for _ in chain(archive.solve(missing), solve_plants(archive, plants)):
+            archive.save(folder)
+    except KeyboardInterrupt:
+        archive.save(folder)
+        status = 130
     print(f"{len(archive.results)} problems and {len(archive.plant_speeds)} plants of sets on file in {folder}")
-    return 130 if interrupted else 0
+    return status
 
 
 if __name__ == "__main__":

@@ -1,51 +1,63 @@
-"""The archive of the results: trajectories with their speeds, and values of the coarse grids.
+"""The archive of the results: trajectories with their speeds, values of the coarse grids, and tables.
 
 Each archived speed is that of a trajectory, whose torques, repeated from rest, give it on every machine.
 """
 
-from __future__ import annotations
-
 import io
 import json
+import zipfile
+import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from baselines.archive import GRID, UNREADABLE, PlantGrid
-from baselines.dynamic_programming import FOLDER, solver
+from baselines.dynamic_programming import solver
 from baselines.dynamic_programming.grid import Grid
-from baselines.dynamic_programming.problem import ACTIONS, Problem, Trajectory, plant_problems, record, repeat
+from baselines.dynamic_programming.problem import (
+    CONTROL_INTERVALS,
+    ENERGY_WEIGHTS,
+    GRID,
+    STICKY_GRID,
+    PlantGrid,
+    Problem,
+    Trajectory,
+    plant_problems,
+    record,
+    repeat,
+)
 from baselines.dynamic_programming.solver import GRIDS, STARTS, Solution
-from capsule_gym import dynamics
-from capsule_gym.config import DIRECT_PHYSICS_DT
 from capsule_gym.evaluation_sets import load_set
 from capsule_gym.files import replacing, write_atomically
-from capsule_gym.parameters import NOMINAL
-from capsule_gym.task import CONTROL_DT, START_THETA, TORQUE_LIMIT
+from capsule_gym.task import CONTROL_DT, START_THETA
 
+FOLDER = Path(__file__).with_name("data")
 # Files of the archive: an object whose list has one result a line, and the arrays.
 ARCHIVE, ARRAYS = "archive.json", "arrays.npz"
 # cm: step of the stored values, larger if two bytes cannot count the steps; a control interval earns half a cm.
 RESOLUTION, MAX_STEPS = 0.005, 65535
-# rad, rad/s, m, m/s: scales of the differences between the ends of a cycle.
-SCALES = np.array([0.1, 1.0, np.inf, 0.05])
 # Evaluation sets whose plants are solved themselves, and the number of plants between two writes of the archive.
 SETS = ("paper", "wide")
 PART = 20
+# What reading a malformed archive of numpy or JSON file raises.
+UNREADABLE = (
+    *(EOFError, IndexError, KeyError, MemoryError, OSError, RecursionError, TypeError, ValueError),
+    *(zipfile.BadZipFile, zlib.error),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Result(Problem):
     """The solution of one problem; the archived trajectory is the best of all grids."""
 
-    grids: tuple[tuple[int, int, int], ...]  # nodes along theta, s and w, from coarse to fine
-    gains: tuple[float, ...]  # mean reward of the Markov chain on each grid, cm/s
-    steady: tuple[float, ...]  # mean speed of each grid's trajectory over whole cycles, cm/s
+    grids: list[list[int]]  # nodes along theta, s and w, from coarse to fine
+    gains: list[float]  # mean reward of the Markov chain on each grid, cm/s
+    steady: list[float]  # mean speed of each grid's trajectory over whole cycles, cm/s
     mean_speed: float  # of the archived trajectory over 33 s from rest, cm/s
     cost_of_transport: float  # of the archived trajectory
 
@@ -74,28 +86,26 @@ class Archive:
             best = runs[int((100.0 * distance - problem.energy_weight * energy - 1e9 * failed).argmax())]
             self.results[problem.key] = Result(
                 **asdict(problem),
-                grids=tuple(solution.grid.shape for solution, _ in solved),
-                gains=tuple(round(solution.gain, 4) for solution, _ in solved),
-                steady=tuple(round(run.steady_speed(problem.control_dt), 4) for run in runs),
+                grids=[list(solution.grid.shape) for solution, _ in solved],
+                gains=[round(solution.gain, 4) for solution, _ in solved],
+                steady=[round(run.steady_speed(problem.control_dt), 4) for run in runs],
                 **_performance(best),
             )
             self.arrays[f"{problem.key} torques"] = best.choices[:, 0]
-            # The policies look ahead with the values of the speed problems.
+            # The policies look ahead with the values of the speed problems. Rounded differences along all axes, modulo
+            # 65536, compress better.
             if problem.energy_weight == 0.0 and own_interval:
-                self._add_values(problem.key, solved[0][0])
+                solution = solved[0][0]
+                low, high = float(solution.values.min()), float(solution.values.max())
+                step = max(RESOLUTION, (high - low) / MAX_STEPS)
+                steps = np.round((solution.values - low) / step).astype(np.uint16)
+                for axis in range(steps.ndim):
+                    steps = np.diff(steps, axis=axis, prepend=np.uint16(0))
+                self.arrays[f"{problem.key} differences"] = steps
+                numbers = [low, step, *solution.grid.y, *solution.grid.w, solution.curvature, solution.gain]
+                self.arrays[f"{problem.key} numbers"] = np.array(numbers)
             print(f"{self.results[problem.key].mean_speed:.2f} cm/s, {perf_counter() - began:.0f} s", flush=True)
             yield
-
-    def _add_values(self, key: str, solution: Solution) -> None:
-        """Stores rounded values as differences along all axes, modulo 65536, which compress better."""
-        low, high = float(solution.values.min()), float(solution.values.max())
-        step = max(RESOLUTION, (high - low) / MAX_STEPS)
-        steps = np.round((solution.values - low) / step).astype(np.uint16)
-        for axis in range(steps.ndim):
-            steps = np.diff(steps, axis=axis, prepend=np.uint16(0))
-        self.arrays[f"{key} differences"] = steps
-        numbers = [low, step, *solution.grid.y, *solution.grid.w, solution.curvature, solution.gain]
-        self.arrays[f"{key} numbers"] = np.array(numbers)
 
     def solution(self, problem: Problem) -> Solution:
         """The stored values of a problem; they exist for every plant of the grids and for the margin."""
@@ -153,10 +163,8 @@ def load_archive(folder: Path = FOLDER) -> Archive:
     if not (folder / ARCHIVE).is_file():
         return Archive()
     try:
-        results = []
-        for fields in json.loads((folder / ARCHIVE).read_text(encoding="utf-8"))["results"]:
-            lists = {"grids": tuple(map(tuple, fields["grids"])), "gains": tuple(fields["gains"])}
-            results.append(Result(**{**fields, **lists, "steady": tuple(fields["steady"])}))
+        content = json.loads((folder / ARCHIVE).read_text(encoding="utf-8"))["results"]
+        results = [Result(**fields) for fields in content]
         # Read from memory, since numpy does not close an invalid file.
         with np.load(io.BytesIO((folder / ARRAYS).read_bytes()), allow_pickle=False) as found:
             return Archive({result.key: result for result in results}, dict(found))
@@ -194,31 +202,6 @@ def optimal_speed(M: float, mu: float, grid: PlantGrid = GRID) -> float:
     return archive.interpolated_speed(M, mu, grid) if solved is None else solved
 
 
-def cycle() -> dict[str, np.ndarray]:
-    """The settled period of the trajectory on the nominal plant whose ends differ the least.
-
-    Returns:
-        `time` (s), `theta` (rad), `theta_dot` (rad/s), `x` (m), `x_dot` (m/s), `normal_force` (N) and `torque` (N m) at
-        every step of the integrator from one reversal of the pendulum left of upright to the next.
-    """
-    problem, archive = Problem(), known_results()
-    trajectory = archive.repeat(problem)
-    starts = trajectory.cycle_starts(problem.control_dt)
-    n = int(np.abs(np.diff(trajectory.states[starts, :, 0], axis=0) / SCALES).max(axis=1).argmin())
-    begin, end = int(starts[n]), int(starts[n + 1])
-    # Repeats the trajectory in steps of the integrator, with a further control interval for the end of the cycle.
-    substeps = round(problem.control_dt / DIRECT_PHYSICS_DT)
-    dt = problem.control_dt / substeps
-    fine = repeat(replace(problem, control_dt=dt), np.repeat(trajectory.choices[: end + 1, 0], substeps))
-    part = slice(begin * substeps, end * substeps + 1)
-    theta, theta_dot, x, x_dot = fine.states[part, :, 0].T
-    torque, plant = TORQUE_LIMIT * ACTIONS[fine.choices[part, 0]], NOMINAL.plant()
-    phase = dynamics.contact_phase(theta, theta_dot, x_dot, torque, plant)
-    normal_force = dynamics.accelerations(theta, theta_dot, x_dot, phase, torque, plant)[2]
-    found = {"time": dt * np.arange(torque.size), "theta": theta, "theta_dot": theta_dot, "x": x - x[0], "x_dot": x_dot}
-    return found | {"normal_force": normal_force, "torque": torque}
-
-
 def set_plants(*names: str) -> list[tuple[float, float]]:
     """M in kg and mu of all plants of sets, by default `SETS`, without repetitions."""
     return list(dict.fromkeys((plant.M, plant.mu) for name in names or SETS for plant in load_set(name).plants))
@@ -247,3 +230,65 @@ def solve_plants(archive: Archive, missing: Sequence[tuple[float, float]]) -> It
         if n % PART == PART - 1 or n == len(missing) - 1:
             print(f"{n + 1}/{len(missing)} plants of the sets", flush=True)
             yield
+
+
+def optimal_front() -> list[tuple[float, float]]:
+    """The undominated costs of transport and mean speeds (cm/s) of the energy weights, nominal plant, slowest first."""
+    results = known_results().results
+    own = [results[Problem(energy_weight=weight).key] for weight in (0.0, *ENERGY_WEIGHTS)]
+    found = [(each.cost_of_transport, each.mean_speed) for each in own]
+    undominated = [(cost, speed) for cost, speed in found if not any(c <= cost and s > speed for c, s in found)]
+    return sorted(undominated, key=lambda point: point[1])
+
+
+def extrapolated(result: Result) -> str:
+    """The limit of the gains on ever finer grids, cm/s, for errors of second and of first order."""
+    ratio = (result.grids[-1][0] - 1) / (result.grids[-2][0] - 1)
+    before, last = result.gains[-2:]
+    return " to ".join(f"{last + (last - before) / (ratio**order - 1.0):.2f}" for order in (2, 1))
+
+
+def tables(archive: Archive) -> str:
+    """All tables of the page about dynamic programming, with headings."""
+    # Needs an extra of the package.
+    from baselines.tables import markdown_table
+
+    results = archive.results
+    nominal = results[Problem().key]
+    grids = [["grid", "nodes", "gain (cm/s)", "steady speed of its trajectory (cm/s)"]]
+    for shape, gain, steady in zip(nominal.grids, nominal.gains, nominal.steady, strict=True):
+        nodes = shape[0] * shape[1] * shape[2]
+        grids.append([" x ".join(map(str, shape)), f"{nodes:,}", f"{gain:.2f}", f"{steady:.2f}"])
+    grids.append(["extrapolated", "", extrapolated(nominal), ""])
+
+    speed = "speed over 33 s (cm/s)"
+    intervals = [["interval (ms)", speed, "steady speed (cm/s)", "gain (cm/s)", "extrapolated (cm/s)"]]
+    for each in (nominal, *(results[Problem(control_dt=control_dt).key] for control_dt in CONTROL_INTERVALS)):
+        numbers = [f"{value:.2f}" for value in (each.mean_speed, max(each.steady), each.gains[-1])]
+        intervals.append([f"{1e3 * each.control_dt:g}", *numbers, extrapolated(each)])
+
+    weights = [["energy weight (cm/J)", speed, "cost of transport"]]
+    for each in (nominal, *(results[Problem(energy_weight=weight).key] for weight in ENERGY_WEIGHTS)):
+        weights.append([f"{each.energy_weight:g}", f"{each.mean_speed:.2f}", f"{each.cost_of_transport:.2f}"])
+
+    sets = [["set", "plants", "slowest (cm/s)", "fastest (cm/s)", "interpolated over solved, mean", "from", "to"]]
+    for name in SETS:
+        own = set_plants(name)
+        solved = np.array([archive.plant_speeds[plant] for plant in own])
+        ratios = 100.0 * np.array([archive.interpolated_speed(*plant) for plant in own]) / solved - 100.0
+        numbers = [f"{speed:.2f}" for speed in (solved.min(), solved.max())]
+        shares = [f"{share:+.1f} %" for share in (ratios.mean(), ratios.min(), ratios.max())]
+        sets.append([f"`{name}`", str(len(own)), *numbers, *shares])
+
+    parts = {
+        "Finer grids": grids,
+        "Control intervals": intervals,
+        "Energy weights": weights,
+        "Plants of the sets": sets,
+    }
+    for grid in (GRID, STICKY_GRID):
+        table = [["M (kg) \\ mu", *(f"{mu:g}" for mu in grid.mu)]]
+        speeds = iter(f"{results[problem.key].mean_speed:.2f}" for problem in plant_problems(grid))
+        table += [[f"{M:g}", *islice(speeds, len(grid.mu))] for M in grid.M]
+        parts[f"Plants with a static ratio of {grid.static_ratio:g} (cm/s)"] = table
+    return "\n\n".join(f"{heading}\n\n{markdown_table(rows)}" for heading, rows in parts.items())

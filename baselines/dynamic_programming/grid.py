@@ -10,8 +10,6 @@ Only friction changes w, at a low rate. Along x_dot a step would cross many cell
 Stick is the plane s = 0, where the value has a kink; nodes lie on it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -4,18 +4,21 @@ A policy tries a few dozen torques in the environment's own step, on the plant t
 the largest reward plus value of the next state. The values are those of the coarse grids.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 import numpy as np
 
-from baselines.archive import GRID, PlantGrid
-from baselines.dynamic_programming import MIN_NORMAL_FORCE
 from baselines.dynamic_programming.archive import known_results
 from baselines.dynamic_programming.grid import clamped, coordinates, interpolate
-from baselines.dynamic_programming.problem import NOMINAL_MARGIN, Problem, Transitions, plant_problems
+from baselines.dynamic_programming.problem import (
+    GRID,
+    NOMINAL_MARGIN,
+    PlantGrid,
+    Problem,
+    Transitions,
+    plant_problems,
+)
 from baselines.dynamic_programming.solver import cell_curvature
 from capsule_gym.parameters import NOMINAL
 
@@ -25,6 +28,8 @@ Act = Callable[[np.ndarray], np.ndarray]
 NUM_TORQUES = 41
 TORQUES = np.linspace(-1.0, 1.0, NUM_TORQUES).astype(np.float32)
 FAILURE_SCORE = -1e6  # cm
+# N: the observation is coarser than the state, so a smaller predicted force may be a loss of contact.
+MIN_NORMAL_FORCE = 0.02
 
 
 @lru_cache(maxsize=2)

@@ -12,8 +12,6 @@ All values have a similar curvature along the slow coordinate w, and linear inte
 function. The parabola of that `curvature` is therefore excluded from the interpolation.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

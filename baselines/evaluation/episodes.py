@@ -1,7 +1,5 @@
 """Evaluates policies on evaluation sets, and summarises their episodes for results and tables."""
 
-from __future__ import annotations
-
 import math
 import platform
 from collections.abc import Mapping, Sequence
@@ -15,9 +13,9 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 import capsule_gym
-from baselines.archive import find_grid
 from baselines.dynamic_programming.archive import optimal_speed
-from baselines.evaluation.policies import Candidate, Policy, find_candidate, wrap_policy
+from baselines.dynamic_programming.problem import find_grid
+from baselines.evaluation.policies import Candidate, find_candidate, wrap_policy
 from baselines.evaluation.statistics import estimate
 from baselines.policies import ScriptedPolicy
 from capsule_gym import __version__
@@ -122,7 +120,26 @@ def evaluate(
     task = check_task(Candidate(policy.name, (policy,), ""), chosen)
     settings: dict[str, Any] = {**policy.env_kwargs, **chosen.env_kwargs}
     seconds = find_task(task).episode_steps * CONTROL_DT if horizon is None else horizon
-    metrics = _run(policy, settings, chosen, round(seconds / settings.get("control_dt", CONTROL_DT)))
+    steps, seeds = round(seconds / settings.get("control_dt", CONTROL_DT)), [plant.seed for plant in chosen.plants]
+    batch = {"num_envs": len(seeds), "max_episode_steps": steps, "autoreset_mode": AutoresetMode.DISABLED}
+    env = capsule_gym.CapsuleVectorEnv(**{**settings, **batch})
+    try:
+        resets = [plant.reset_options() for plant in chosen.plants]
+        options = {key: [each[key] for each in resets] for key in resets[0]}
+        arrays = {key: np.array(options[key]) for key in ("M", "mu", "state")}
+        observations, _ = env.reset(seed=seeds, options={**options, **arrays})
+        if isinstance(policy, capsule_gym.Policy):
+            metrics = rollout(env.simulation, policy, steps)
+        else:
+            act = policy.start(seeds)
+            for _ in range(steps):
+                # An environment whose episode has ended ignores its actions.
+                observations, _, terminated, truncated, _ = env.step(act(observations))
+                if (terminated | truncated).all():
+                    break
+            metrics = env.episode_metrics()
+    finally:
+        env.close()
     limited = settings.get("torque_limit", TORQUE_LIMIT) == TORQUE_LIMIT
     seed = policy.training_seed if isinstance(policy, capsule_gym.Policy) else None
     return as_episodes(chosen, metrics, training_seed=seed, shared=limited)
@@ -171,32 +188,6 @@ def as_episodes(
             del fields["changes"]
         episodes.append({**fields, **values, **label})
     return episodes
-
-
-def _run(
-    policy: Policy, settings: Mapping[str, Any], evaluation_set: EvaluationSet, steps: int
-) -> dict[str, np.ndarray]:
-    """Runs one episode per plant in one batch and returns their metrics, each of shape (plants,)."""
-    plants = evaluation_set.plants
-    seeds = [plant.seed for plant in plants]
-    batch = {"num_envs": len(plants), "max_episode_steps": steps, "autoreset_mode": AutoresetMode.DISABLED}
-    env = capsule_gym.CapsuleVectorEnv(**{**settings, **batch})
-    try:
-        resets = [plant.reset_options() for plant in plants]
-        options = {key: [each[key] for each in resets] for key in resets[0]}
-        arrays = {key: np.array(options[key]) for key in ("M", "mu", "state")}
-        observations, _ = env.reset(seed=seeds, options={**options, **arrays})
-        if isinstance(policy, capsule_gym.Policy):
-            return rollout(env.simulation, policy, steps)
-        act = policy.start(seeds)
-        for _ in range(steps):
-            # An environment whose episode has ended ignores its actions.
-            observations, _, terminated, truncated, _ = env.step(act(observations))
-            if (terminated | truncated).all():
-                break
-        return env.episode_metrics()
-    finally:
-        env.close()
 
 
 def scores(episodes: Sequence[Episode], metric: str) -> np.ndarray:

@@ -3,8 +3,6 @@
 docs/evaluation.md shows how to evaluate the latter.
 """
 
-from __future__ import annotations
-
 import os
 import pkgutil
 import re
@@ -199,7 +197,20 @@ def find_candidate(name_or_path: str, *, trust: bool = False, trust_controller: 
         ValueError: if the policy does not exist, its folder is incomplete, or the policy or its law is not trusted.
     """
     if REFERENCE.fullmatch(name_or_path):
-        return _imported(name_or_path, trust)
+        if not trust:
+            raise ValueError(f"importing policy {name_or_path!r} runs its code; --trust allows it")
+        # Finds modules in the current folder, as for a script.
+        sys.path.insert(0, "")
+        try:
+            found = pkgutil.resolve_name(name_or_path)
+        except (ModuleNotFoundError, AttributeError) as error:
+            raise ValueError(f"policy {name_or_path!r} cannot be imported: {error}") from error
+        finally:
+            sys.path.remove("")
+        try:
+            return Candidate(name_or_path, (wrap_policy(found, name=name_or_path),), EXTERNAL)
+        except TypeError as error:
+            raise ValueError(f"policy {name_or_path!r}: {error}") from error
     known_scripted = {**SCRIPTED, **TASK_SCRIPTED}
     if policy := known_scripted.get(name_or_path):
         return Candidate(name_or_path, (policy,), policy.description)
@@ -214,21 +225,3 @@ def find_candidate(name_or_path: str, *, trust: bool = False, trust_controller: 
         f"policy must be a scripted policy ({scripted}), a checkpoint ({checkpoints}), or the path of a run's folder "
         f"or of a policy file, got {short_repr(name_or_path)}{similar}"
     )
-
-
-def _imported(name: str, trust: bool) -> Candidate:
-    """Imports the policy "module:attribute"."""
-    if not trust:
-        raise ValueError(f"importing policy {name!r} runs its code; --trust allows it")
-    # Finds modules in the current folder, as for a script.
-    sys.path.insert(0, "")
-    try:
-        policy = pkgutil.resolve_name(name)
-    except (ModuleNotFoundError, AttributeError) as error:
-        raise ValueError(f"policy {name!r} cannot be imported: {error}") from error
-    finally:
-        sys.path.remove("")
-    try:
-        return Candidate(name, (wrap_policy(policy, name=name),), EXTERNAL)
-    except TypeError as error:
-        raise ValueError(f"policy {name!r}: {error}") from error

@@ -12,8 +12,6 @@ The percentile bootstrap over seeds, or over seeds and plants, covers less: with
 plants', 80 and 90 % instead of 95 % (`tests/baselines/evaluation/test_statistics.py` measures the coverage of ours).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -63,25 +61,19 @@ def interquartile_mean(scores: ArrayLike) -> np.ndarray:
     return np.asarray(ordered[..., cut : count - cut].mean(axis=-1))
 
 
-def _checked(name: str, scores: ArrayLike) -> np.ndarray:
-    array = np.asarray(scores, dtype=np.float64)
-    if array.ndim != 2 or 0 in array.shape:
-        raise ValueError(f"{name} must have the shape (training seeds >= 1, episodes >= 1), got {array.shape}")
-    return array
-
-
 def estimate(scores: ArrayLike, *, mean: bool = False) -> Estimate:
     """The interquartile mean of all scores with its 95 % interval.
 
     Args:
-        scores: shape (training seeds, episodes); another shape raises a ValueError.
+        scores: shape (training seeds, episodes), or with further axes of training runs in front.
         mean: take the mean instead, for shares; the interval is then limited to the range of the scores.
+
+    Raises:
+        ValueError: if the scores have another shape.
     """
-    return _estimate(_checked("scores", scores), mean)
-
-
-def _estimate(scores: np.ndarray, mean: bool) -> Estimate:
-    """Computes `estimate` for scores with any number of axes."""
+    scores = np.asarray(scores, dtype=np.float64)
+    if scores.ndim < 2 or 0 in scores.shape:
+        raise ValueError(f"scores must have the shape (training seeds >= 1, episodes >= 1), got {scores.shape}")
     # Imported here, since the import takes a tenth of a second.
     try:
         from scipy.special import stdtrit
@@ -120,14 +112,12 @@ def paired_difference(scores: ArrayLike, reference: ArrayLike, *, mean: bool = F
         reference: shape (training seeds of the reference, episodes); other shapes raise a ValueError.
         mean: take the mean of the differences instead, for shares.
     """
-    array, other = _checked("scores", scores), _checked("reference", reference)
-    if array.shape[1] != other.shape[1]:
-        raise ValueError(
-            f"scores and reference must contain the same episodes, got {array.shape[1]} and {other.shape[1]}"
-        )
+    array, other = np.asarray(scores, np.float64), np.asarray(reference, np.float64)
+    if (array.ndim, other.ndim) != (2, 2) or array.shape[1] != other.shape[1]:
+        raise ValueError(f"scores and reference must contain the same episodes, got {array.shape} and {other.shape}")
     # The difference of two infinite scores is NaN, without a warning.
     with np.errstate(invalid="ignore"):
-        return _estimate(array[:, None, :] - other[None, :, :], mean)
+        return estimate(array[:, None, :] - other[None, :, :], mean=mean)
 
 
 class Curve(NamedTuple):
@@ -158,9 +148,5 @@ def learning_curve(runs: Sequence[tuple[ArrayLike, ArrayLike]]) -> Curve:
     every = np.unique(np.concatenate([steps for steps, _ in checked]))
     x = every[(every >= first) & (every <= last)]
     held = np.stack([values[np.searchsorted(steps, x, side="right") - 1] for steps, values in checked])
-    return _curve(x, [estimate(column[:, None]) for column in held.T])
-
-
-def _curve(x: np.ndarray, found: Sequence[Estimate]) -> Curve:
-    value, low, high = (np.array([getattr(each, name) for each in found]) for name in ("value", "low", "high"))
-    return Curve(x, value, low, high)
+    found = [estimate(column[:, None]) for column in held.T]
+    return Curve(x, *(np.array([getattr(each, name) for each in found]) for name in ("value", "low", "high")))

@@ -1,11 +1,9 @@
 """The paper's adaptive variable-structure law (37) to (39) as a `Controller`: regularised, or corrected only."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from decimal import Context, Decimal
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -18,8 +16,7 @@ from baselines.laws.gains import (
     check_gains,
     plant_constants,
 )
-from baselines.laws.profiles import PROPOSED, Profile, optimal
-from baselines.laws.reference import COLUMNS, reference_table
+from baselines.laws.profiles import COLUMNS, PROPOSED, Profile, optimal, reference_table
 from capsule_gym.checks import check_count, check_number
 from capsule_gym.config import LAW_DT
 from capsule_gym.controller import Controller, CoreLaw
@@ -73,18 +70,13 @@ def eta_of(memory: np.ndarray, n: int = REGULARISED.n) -> np.ndarray:
     return math.prod([root * root] * n, start=root)
 
 
-class Sliding(NamedTuple):
-    """The sliding variables (37b) over a recorded run of the law, rad/s and m/s."""
-
-    delta_theta: np.ndarray
-    delta_x: np.ndarray
-
-
-def sliding_variables(state: Sequence[np.ndarray], anchor: np.ndarray, reference: np.ndarray, gains: Gains) -> Sliding:
-    """The sliding variables (37b) of theta, theta', x and x'; x_d starts from `anchor`, m; `reference` by `COLUMNS`."""
+def sliding_variables(
+    state: Sequence[np.ndarray], anchor: np.ndarray, reference: np.ndarray, gains: Gains
+) -> tuple[np.ndarray, np.ndarray]:
+    """delta_theta (rad/s) and delta_x (m/s) of (37b); x_d starts from `anchor`, m; `reference` is by `COLUMNS`."""
     (theta, theta_dot, x, x_dot), (theta_d, theta_d_dot, _, x_d, x_d_dot, _, _) = state, reference
     delta_theta = (theta_dot - theta_d_dot) + gains.Lambda_theta * (theta - theta_d)
-    return Sliding(delta_theta, (x_dot - x_d_dot) + gains.Lambda_x * (x - (anchor + x_d)))
+    return delta_theta, (x_dot - x_d_dot) + gains.Lambda_x * (x - (anchor + x_d))
 
 
 def adaptive(

@@ -1,9 +1,12 @@
-"""Gains and constants of the control laws: those of the paper, and those that it leaves open."""
+"""Gains and constants of the control laws: those of the paper, those that it leaves open, and tuned parameters."""
 
-from __future__ import annotations
-
+import json
 import math
+from functools import cache
+from pathlib import Path
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from capsule_gym.checks import check_number
 from capsule_gym.parameters import Plant
@@ -53,9 +56,16 @@ UNREGULARISED = Choices(
     beta=0.01, n=1, eta_0=1.0, saturation_width=0.0, eta_bound=1e6, estimate_range=math.inf, anchored=False
 )
 
-# Gains of (35), not published: a double pole at -20 rad/s, well below the 1 kHz of the law and well above the profile.
-K_P = 400.0
-K_V = 40.0
+# Results of `python -m baselines.tuning`.
+TUNED = Path(__file__).with_name("tuned.json")
+# For a law without a reference: the two entries that are observed stay 0.
+NO_REFERENCE = np.zeros((1, 2))
+
+
+@cache
+def known_parameters(name: str) -> tuple[float, ...]:
+    """The parameters of a law in `tuned.json`, read once."""
+    return tuple(json.loads(TUNED.read_text(encoding="utf-8"))[name]["parameters"])
 
 
 def check_gains(**gains: Any) -> dict[str, float]:

@@ -1,36 +1,24 @@
 """Periodic motions as `Controller`: an open loop, a PD law, and an oscillator.
 
-`python -m baselines.tuning NAME` has found the parameters in `periodic.json`.
+`python -m baselines.tuning NAME` has found their parameters.
 """
 
-from __future__ import annotations
-
-import json
 import math
 from collections.abc import Mapping, Sequence
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from baselines.laws.gait import NO_REFERENCE
+from baselines.laws.gains import NO_REFERENCE, known_parameters
 from capsule_gym import _core
 from capsule_gym.config import LAW_DT
 from capsule_gym.controller import Controller, CoreLaw
 from capsule_gym.elementary import sincos
 from capsule_gym.task import TORQUE_LIMIT
 
-FILE = Path(__file__).with_name("periodic.json")
 HARMONICS = 4
 # The columns of the law `tracking` of the core.
 THETA_D, THETA_D_DOT, FEEDFORWARD, K_THETA, K_THETA_DOT = range(_core.LAWS["tracking"][2])
-
-
-@cache
-def known_parameters(name: str) -> tuple[float, ...]:
-    """The parameters of a law in `periodic.json`, read once."""
-    return tuple(json.loads(FILE.read_text(encoding="utf-8"))[name]["parameters"])
 
 
 def fourier(series: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:

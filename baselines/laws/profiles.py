@@ -1,25 +1,32 @@
-"""Reference profiles of the pendulum: the paper's, with seven phases (9), and EPC's, with six.
+"""The reference of the control laws: a profile of the pendulum, and the motion of the nominal platform along it.
 
-A profile is a sequence of segments theta_d' = A sin(phase + rate s) + offset + slope s, with s from the start of the
-segment. Angle and acceleration are computed in closed form.
+The profiles are the paper's, with seven phases (9), and EPC's, with six. A profile is a sequence of segments
+theta_d' = A sin(phase + rate s) + offset + slope s, with s from the start of the segment. Angle and acceleration are
+computed in closed form.
 """
-
-from __future__ import annotations
 
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
+from capsule_gym import _core, native
 from capsule_gym.checks import check_number
+from capsule_gym.config import LAW_DT
 from capsule_gym.elementary import arccos, sincos
+from capsule_gym.parameters import Plant
 from capsule_gym.task import START_THETA
 
 # Results of `python -m baselines.paper.optimal_profiles`.
 OPTIMA = Path(__file__).parents[1] / "paper" / "optimal_profiles.json"
+# The nominal platform is integrated in steps of about this length, s; the error is then below 1e-8 m.
+FINE_DT = 2e-5
+
+COLUMNS = ("theta_d", "theta_d_dot", "theta_d_ddot", "x_d", "x_d_dot", "x_d_ddot", "cycle_start")
 
 
 @dataclass(frozen=True)
@@ -46,7 +53,7 @@ class Segment:
     def turned(self, s: np.ndarray) -> np.ndarray:
         """Angle since the start of the segment, rad."""
         _, cosines = sincos(self.phase + self.rate * s)
-        sine = self.amplitude / self.rate * (float(sincos(self.phase)[1]) - cosines)
+        sine = self.amplitude / self.rate * (sincos(self.phase)[1] - cosines)
         return sine + (self.offset + 0.5 * self.slope * s) * s
 
 
@@ -86,18 +93,17 @@ class Profile:
         """
         ends = self.times
         local = np.mod(np.asarray(t, np.float64), self.period)
-        which = np.minimum(np.searchsorted(ends, local, side="right"), len(ends) - 1)
-        angle, velocity, acceleration = (np.empty_like(local) for _ in range(3))
-        begin, reached = 0.0, self.start
-        for n, segment in enumerate(self.segments):
-            inside = which == n
-            s = local[inside] - begin
-            angle[inside] = reached + segment.turned(s)
-            velocity[inside] = segment.velocity(s)
-            acceleration[inside] = segment.acceleration(s)
-            begin += segment.duration
-            reached += float(segment.turned(np.float64(segment.duration)))
-        return angle, velocity, acceleration
+        phase = np.minimum(np.searchsorted(ends, local, side="right"), len(ends) - 1)
+        return self.evaluate_phases(phase, local - np.append(0.0, ends)[phase])
+
+    def evaluate_phases(self, phase: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """`evaluate` at times s (s) from the starts of phases, which are numbered from 0."""
+        numbers = np.array([astuple(segment) for segment in self.segments]).T
+        turned = Segment(*numbers).turned(numbers[0])
+        # A segment of arrays: every time has the numbers of its phase.
+        segment = Segment(*numbers[:, phase])
+        reached = np.cumsum([self.start, *turned])[phase]
+        return reached + segment.turned(s), segment.velocity(s), segment.acceleration(s)
 
     @property
     def restoring_speed(self) -> float:
@@ -176,3 +182,47 @@ V1_EPC, P2_EPC = 11.0, 1.451
 
 PROPOSED = seven_phases(TABLE_1, V1, P2)
 EPC = six_phases(TABLE_1_EPC, V1_EPC, P2_EPC)
+
+
+def platform_motion(
+    angle: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray, h: float, p: Plant
+) -> np.ndarray:
+    """x, x' and x'' of the platform while the pendulum follows a prescribed motion: the second row of Eq. (1).
+
+    The pendulum's angle (rad), velocity and acceleration are given at every h seconds, shape (n,).
+
+    Returns:
+        Shape (3, n), from rest at x = 0: m, m/s, m/s^2.
+    """
+    motion, plant = np.zeros((3, len(angle))), native.ordered(_core.PLANT, p._asdict())
+    arrays = (np.ascontiguousarray(values, np.float64) for values in (angle, velocity, acceleration))
+    native.call("platform_motion", *arrays, len(angle), float(h), plant, motion)
+    return motion
+
+
+@lru_cache(maxsize=16)
+def reference_table(profile: Profile, nominal: Plant, dt: float = LAW_DT) -> np.ndarray:
+    """One cycle of a profile, whose period must be a multiple of the law's, dt in s; x_d is the nominal platform's.
+
+    Returns:
+        Shape (steps, 7), float64, columns COLUMNS; read-only.
+
+    Raises:
+        TypeError: if dt is not a number.
+        ValueError: if dt is not positive, or the profile's period is not a multiple of it.
+    """
+    dt = check_number("dt", dt, "a finite number > 0 (s)", 0.0, open_low=True)
+    steps = round(profile.period / dt)
+    if abs(steps * dt - profile.period) > 1e-9:
+        raise ValueError(f"the profile's period must be a multiple of dt = {dt!r} s, got {profile.period!r} s")
+    fine = max(1, round(dt / FINE_DT))
+    h = dt / fine
+    # Sampled at the middle of the fine steps, where the jumps of theta_d'' at the edges of the phases do not lie.
+    angle, velocity, acceleration = profile.evaluate((np.arange(steps * fine) + 0.5) * h)
+    platform = platform_motion(angle, velocity, acceleration, h, nominal)[:, ::fine]
+    table = np.zeros((steps, len(COLUMNS)))
+    table[:, :3] = np.stack(profile.evaluate(np.arange(steps) * dt), axis=1)
+    table[:, 3:6] = platform.T
+    table[0, 6] = 1.0
+    table.setflags(write=False)
+    return table

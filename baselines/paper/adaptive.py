@@ -3,8 +3,6 @@
 Two forms of the law run: regularised (`adaptive`), and corrected without regularisation (`adaptive_as_published`).
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,7 +19,6 @@ from capsule_gym.config import LAW_DT
 from capsule_gym.controller import Controller
 from capsule_gym.layout import Row
 from capsule_gym.parameters import NOMINAL, Plant
-from capsule_gym.task import TORQUE_LIMIT
 
 REGULARISED_LAW, CORRECTED_LAW = "regularised", "corrected, unregularised"
 # |theta - theta_d| (rad), |theta' - theta_d'| (rad/s) and |delta_theta| (rad/s).
@@ -36,8 +33,8 @@ LONG_PLANTS = [(NOMINAL.M, NOMINAL.mu), *itertools.product(M_RANGE, MU_RANGE)]
 LONG_CYCLES = (1, 60, 600)
 
 
-def sliding(run: Trajectory) -> Any:
-    """The `Sliding` variables of (37), each an array over a run of the adaptive law with the published gains."""
+def sliding(run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """delta_theta (rad/s) and delta_x (m/s) of (37b) over a run of the adaptive law with the published gains."""
     state, anchors = (run.theta, run.theta_dot, run.x, run.x_dot), run.memory[:, MEMORY.index("x_anchor")]
     return sliding_variables(state, anchors, run.reference.T, PUBLISHED)
 
@@ -47,11 +44,11 @@ def lyapunov(run: Trajectory, start: tuple[float, ...], plant: Plant) -> np.ndar
 
     `start` is the law's memory before its first call; the parameters of `plant` are the true ones.
     """
-    s, ml, n = sliding(run), plant.m * plant.l, REGULARISED.n
+    (delta_theta, delta_x), ml, n = sliding(run), plant.m * plant.l, REGULARISED.n
     # The memory of a sample is that after its call; the call itself used the one before.
     before = np.vstack([start, run.memory[:-1]])
-    kinetic = 0.5 * (ml * plant.l * s.delta_theta**2 + (plant.M + plant.m) * s.delta_x**2)
-    kinetic -= ml * np.cos(run.theta) * s.delta_theta * s.delta_x
+    kinetic = 0.5 * (ml * plant.l * delta_theta**2 + (plant.M + plant.m) * delta_x**2)
+    kinetic -= ml * np.cos(run.theta) * delta_theta * delta_x
     squares = (before[:, :9] - nominal_estimates(plant)) ** 2
     wrong = squares[:, :5].sum(axis=1) / PUBLISHED.Gamma_1 + squares[:, 5:].sum(axis=1) / PUBLISHED.Gamma_2
     return kinetic + 0.5 * wrong + (2.0 * n + 1.0) / (2.0 * n) * eta_of(before) ** (2.0 * n / (2.0 * n + 1.0))
@@ -153,16 +150,3 @@ def study_variants() -> list[tuple[float, float, int, int, int]]:
         failed, _ = run_cycles(controller, plant_grid())
         variants.append((beta, eta_0, n, rate, int(failed.sum())))
     return variants
-
-
-def study_adaptive() -> dict[str, Any]:
-    """Runs all studies of the adaptive law.
-
-    Returns:
-        `laws`: the `LawStudy` of the regularised law, of the corrected, unregularised one, and of the latter with the
-        motor's torque limited. `variants`: see `study_variants`. `long_runs`: the largest of each of `ERRORS` of the
-        regularised law in `LONG_CYCLES` on `LONG_PLANTS`, shape (cycles, 3, plants).
-    """
-    laws = [study_law(True), study_law(False), study_law(False, TORQUE_LIMIT)]
-    _, long_runs = run_cycles(adaptive(), LONG_PLANTS, cycles=LONG_CYCLES[-1], shown=LONG_CYCLES)
-    return {"laws": laws, "variants": study_variants(), "long_runs": long_runs}

@@ -1,9 +1,7 @@
 """Figures 3 to 9 of the paper from our own runs, with the published numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +15,6 @@ from baselines.drawing import (
     PUBLISHED_DASHES,
     PURPLE,
     REFERENCE,
-    Pen,
     add_note,
     mark_published,
     new_figure,
@@ -46,7 +43,7 @@ NO_CURVES = "The paper's curves are not available as data"
 DOTTED = f"{NO_CURVES}: dotted are the numbers of its text."
 # Figures 6 to 9: nominal, lightest with least friction, heaviest with most.
 PLANTS = ((NOMINAL.M, NOMINAL.mu), *zip(published.M_RANGE, published.MU_RANGE, strict=True))
-PLANT_PENS = (Pen(INK), Pen(GREEN, (0.0, (5.0, 1.6))), Pen(PURPLE, (0.0, (2.5, 1.2))))
+PLANT_COLOURS, PLANT_DASHES = (INK, GREEN, PURPLE), ("-", (0.0, (5.0, 1.6)), (0.0, (2.5, 1.2)))
 
 
 @lru_cache(maxsize=1)
@@ -78,8 +75,8 @@ def draw_tracking() -> Any:
             value = numbers[key].value
             for axes, stated in zip(row, ("", f"published, {name}: {value:g}{unit}"), strict=True):
                 axes.plot(run.t[cycle], target[cycle], **REFERENCE)
-                axes.plot(run.t[cycle], found[cycle], **pen.line(label=label))
-                mark_published(axes, value, stated, pen)
+                axes.plot(run.t[cycle], found[cycle], **pen, label=label)
+                mark_published(axes, value, stated, pen["color"])
     panels[0][0].plot([], [], **REFERENCE, label="reference")
     panels[0][0].legend(loc="center right")
     panels[0][0].set(title="Figure 3: tracking of the two profiles", ylabel="rate θ' (rad/s)", ylim=(-1.0, 12.5))
@@ -96,9 +93,9 @@ def draw_displacement() -> Any:
     axes = figure.subplots()
     for run, (name, numbers) in zip(profile_runs(), published.RUNS.items(), strict=True):
         pen, value = PENS[name], numbers["mean_speed"].value
-        axes.plot(run.t, 100.0 * run.x, **pen.line(label=f"{name}, found: {run.metrics['mean_speed']:.3f} cm/s"))
+        axes.plot(run.t, 100.0 * run.x, **pen, label=f"{name}, found: {run.metrics['mean_speed']:.3f} cm/s")
         dotted = {"linestyle": PUBLISHED_DASHES, "label": f"{name}, published: {value:g} cm/s"}
-        axes.plot([0.0, DURATION], [0.0, value * DURATION], color=pen.colour, **dotted)
+        axes.plot([0.0, DURATION], [0.0, value * DURATION], color=pen["color"], **dotted)
     axes.set(title="Figure 4: displacement for five cycles", xlim=(0.0, DURATION))
     axes.set(xlabel="time (s)", ylabel="displacement x (cm)")
     axes.legend(loc="upper left")
@@ -113,9 +110,9 @@ def draw_torque() -> Any:
     for row, run, (name, numbers) in zip(panels, profile_runs(), published.RUNS.items(), strict=True):
         value = numbers["peak_torque"].value
         for axes, label in zip(row, ("", f"published largest: {value:g} N m"), strict=True):
-            axes.plot(run.t[1:], run.torque[1:], color=PENS[name].colour, lw=1.0)
-            mark_published(axes, -value, "", Pen(INK))
-            mark_published(axes, value, label, Pen(INK))
+            axes.plot(run.t[1:], run.torque[1:], color=PENS[name]["color"], lw=1.0)
+            mark_published(axes, -value, "")
+            mark_published(axes, value, label)
         row[0].set(title=f"{name}: largest {run.metrics['peak_torque']:.3f} N m", ylabel="torque u (N m)")
     figure.suptitle("Figure 5: input torque, five cycles and the first second", x=0.01, ha="left", fontsize=8.5)
     panels[1][0].set(xlabel="time (s)", xlim=(0.0, DURATION))
@@ -135,10 +132,11 @@ def _draw_law(title: str, quantities: dict[str, Quantity], stated: str) -> Any:
     for column, end, (law, runs) in zip(panels.T, (DURATION, CHATTER), adaptive_runs().items(), strict=True):
         window = slice(1, round(end / LAW_DT) + 1)
         for axes, (label, quantity) in zip(column, quantities.items(), strict=True):
-            for (M, mu), pen, run in zip(PLANTS, PLANT_PENS, runs, strict=True):
-                axes.plot(run.t[window], quantity(run)[window], **pen.line(label=f"M = {M:g} kg, μ = {mu:g}", lw=1.0))
+            for (M, mu), colour, dashes, run in zip(PLANTS, PLANT_COLOURS, PLANT_DASHES, runs, strict=True):
+                drawn = {"color": colour, "linestyle": dashes, "label": f"M = {M:g} kg, μ = {mu:g}", "lw": 1.0}
+                axes.plot(run.t[window], quantity(run)[window], **drawn)
                 if not run.completed:
-                    axes.plot(run.t[-1], quantity(run)[-1], "x", color=pen.colour, ms=6, mew=1.6, clip_on=False)
+                    axes.plot(run.t[-1], quantity(run)[-1], "x", color=colour, ms=6, mew=1.6, clip_on=False)
             axes.set(xlim=(0.0, end), ylabel=label if end == DURATION else "")
             largest.setdefault(law, []).append(f"{max(np.abs(quantity(run)).max() for run in runs):.3g}")
         column[0].set_title(f"{title}, {law}" if end == DURATION else f"{law}, the first {end:g} s")
@@ -168,18 +166,8 @@ def draw_adaptive_tracking() -> Any:
         axes.plot(run.t, run.reference[:, 1] if n < 2 else np.degrees(run.reference[:, 0]), **REFERENCE)
         if n < 2:
             axes.set_ylim(-1.2, 9.5)
-            mark_published(axes, rate, f"published largest: {rate:g} rad/s", Pen(INK))
+            mark_published(axes, rate, f"published largest: {rate:g} rad/s")
     return figure
-
-
-def draw_adaptive_error() -> Any:
-    """Fig. 7: the errors of angle and rate under the adaptive law."""
-    quantities: dict[str, Quantity] = {
-        r"angle error $\theta - \theta_d$ (mrad)": lambda run: 1e3 * run.error,
-        r"rate error $\dot\theta - \dot\theta_d$ (mrad/s)": lambda run: 1e3 * run.rate_error,
-    }
-    stated = "'tracks the planned trajectory accurately', 'the angular velocity will eventually converge to zero'"
-    return _draw_law("Figure 7: tracking errors", quantities, stated)
 
 
 def draw_adaptive_torque() -> Any:
@@ -187,15 +175,8 @@ def draw_adaptive_torque() -> Any:
     torque = published.PROPOSED["peak_torque"].value
     stated = f"no number here; {torque:g} N m for the law (35) on the same profile"
     figure = _draw_law("Figure 8: torque of the law (39)", {"torque u (N m)": lambda run: run.torque}, stated)
-    mark_published(figure.axes[0], torque, f"{torque:g} N m", Pen(MUTED), x=0.58)
+    mark_published(figure.axes[0], torque, f"{torque:g} N m", MUTED, x=0.58)
     return figure
-
-
-def draw_sliding_variable() -> Any:
-    """Fig. 9: the collocated sliding variable delta_theta of (37b)."""
-    title, label = r"Figure 9: sliding variable $\delta_\theta$ of (37b)", r"$\delta_\theta$ (mrad/s)"
-    stated = "'convergence towards zero'; the progressive stage of every cycle excites it anew"
-    return _draw_law(title, {label: lambda run: 1e3 * sliding(run).delta_theta}, stated)
 
 
 FIGURES: dict[str, Callable[[], Any]] = {
@@ -203,9 +184,22 @@ FIGURES: dict[str, Callable[[], Any]] = {
     "fig4_displacement": draw_displacement,
     "fig5_torque": draw_torque,
     "fig6_adaptive_tracking": draw_adaptive_tracking,
-    "fig7_adaptive_error": draw_adaptive_error,
+    "fig7_adaptive_error": partial(
+        _draw_law,
+        "Figure 7: tracking errors",
+        {
+            r"angle error $\theta - \theta_d$ (mrad)": lambda run: 1e3 * run.error,
+            r"rate error $\dot\theta - \dot\theta_d$ (mrad/s)": lambda run: 1e3 * run.rate_error,
+        },
+        "'tracks the planned trajectory accurately', 'the angular velocity will eventually converge to zero'",
+    ),
     "fig8_adaptive_torque": draw_adaptive_torque,
-    "fig9_sliding_variable": draw_sliding_variable,
+    "fig9_sliding_variable": partial(
+        _draw_law,
+        r"Figure 9: sliding variable $\delta_\theta$ of (37b)",
+        {r"$\delta_\theta$ (mrad/s)": lambda run: 1e3 * sliding(run)[0]},
+        "'convergence towards zero'; the progressive stage of every cycle excites it anew",
+    ),
 }
 
 

@@ -6,24 +6,20 @@ profile's own largest angle, velocity and acceleration are used, so that this pr
 search finds are lower bounds of the optimum.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from baselines.laws.profiles import OPTIMA, P2, PROPOSED, V1, Profile, seven_phases
-from baselines.laws.reference import platform_motion
+from baselines.laws.profiles import OPTIMA, P2, PROPOSED, V1, Profile, platform_motion, seven_phases
 from baselines.paper import published
 from baselines.paper.principles import Cycle, principle_3, principle_4, sample
-from capsule_gym.command_line import check_output, parse
+from capsule_gym.command_line import check_output, command, refuse
 from capsule_gym.files import to_json, write_atomically
 from capsule_gym.parameters import NOMINAL, Plant
 
@@ -35,6 +31,8 @@ FORCE_FROM, REST_FROM = 5, 6
 # Speed in m/s that counts as a violation of 1 where the platform must be at rest.
 SPEED_SCALE = 0.1
 ROUNDING = 1e-9
+# theta_0 (rad), v_theta (rad/s) and a_theta (rad/s^2): the largest values of the published profile itself.
+BOUNDS = np.abs(sample(PROPOSED).motion).max(axis=1)
 
 # The search integrates the platform's motion in steps of 1 ms, the final assessment in finer ones: hence the reserves.
 TORQUE_RESERVE = 0.01
@@ -94,13 +92,6 @@ class Solution:
         return sum(share - 1.0 for share in self.shares.values() if share > 1.0 + ROUNDING)
 
 
-@lru_cache(maxsize=1)
-def published_bounds() -> tuple[float, ...]:
-    """theta_0 (rad), v_theta (rad/s) and a_theta (rad/s^2): the largest values of the published profile itself."""
-    cycle = sample(PROPOSED)
-    return tuple(float(np.abs(values).max()) for values in (cycle.theta, cycle.theta_dot, cycle.theta_ddot))
-
-
 def assess(
     problem: Problem, times: Sequence[float], V1: float, P2: float, h: float = 1e-4, *, reserve: bool = False
 ) -> Solution:
@@ -127,7 +118,7 @@ def _assess_plant(
     problem: Problem, profile: Profile, steps: Cycle, cycle: Cycle, h: float, reserve: bool, p: Plant
 ) -> tuple[float, float, float, float, dict[str, float]]:
     """The assessment on one plant; `steps` are integrated, and the demands are evaluated at the samples of `cycle`."""
-    t, theta, theta_dot, theta_ddot = steps.t, steps.theta, steps.theta_dot, steps.theta_ddot
+    t, (theta, theta_dot, theta_ddot) = steps.t, steps.motion
     x, x_dot, x_ddot = platform_motion(theta, theta_dot, theta_ddot, h, p)
     if x_dot[-1] + h * x_ddot[-1] != 0.0:
         t, theta, theta_dot, theta_ddot = (np.tile(row, 5) for row in (t, theta, theta_dot, theta_ddot))
@@ -140,12 +131,10 @@ def _assess_plant(
     back = backward / forward if forward > 0.0 else math.inf if backward > 0.0 else 0.0
     cost = energy / ((p.M + p.m) * p.g * distance) if distance > 0.0 else math.inf
 
-    theta_0, v_theta, a_theta = published_bounds()
-    shares = {"torque": peak / (problem.torque_limit * (1.0 - TORQUE_RESERVE * reserve))}
-    shares["principle_1"] = float(np.abs(cycle.theta).max()) / theta_0
+    angle, velocity, acceleration = (np.abs(cycle.motion).max(axis=1) / BOUNDS).tolist()
+    shares = {"torque": peak / (problem.torque_limit * (1.0 - TORQUE_RESERVE * reserve)), "principle_1": angle}
     if problem.dropped != 2:
-        shares["principle_2_velocity"] = float(np.abs(cycle.theta_dot).max()) / v_theta
-        shares["principle_2_acceleration"] = float(np.abs(cycle.theta_ddot).max()) / a_theta
+        shares |= {"principle_2_velocity": velocity, "principle_2_acceleration": acceleration}
     if problem.dropped != 3:
         shares["principle_3"] = max(0.0, float(principle_3(cycle, p).ratio.max()))
     if problem.dropped != 4:
@@ -160,7 +149,7 @@ def _decode(z: np.ndarray, problem: Problem) -> tuple[tuple[float, ...], float, 
     """Times, V1 and P2 of a point of the search space."""
     durations = np.maximum(1.0, np.rint(10.0 ** np.asarray(z[:7]) / GRID))
     times = tuple(float(t) for t in np.round(np.cumsum(durations) * GRID, 3))
-    V1 = float(z[7]) if problem.dropped == 2 else min(float(z[7]), published_bounds()[1])
+    V1 = float(z[7] if problem.dropped == 2 else min(z[7], BOUNDS[1]))
     return times, V1, V1 * float(10.0 ** z[8])
 
 
@@ -209,23 +198,8 @@ def load(path: Path = OPTIMA) -> list[Solution]:
     return [Solution(**{**row, "problem": Problem(**row["problem"]), "times": tuple(row["times"])}) for row in rows]
 
 
-def solve(path: Path, seed: int, generations: int) -> None:
-    """Solves all problems and writes the solutions."""
-    solutions: list[Solution] = []
-    for problem in problems():
-        solutions.append(search(problem, solutions, seed=seed, generations=generations))
-        print(f"{problem.label}: {solutions[-1].mean_speed:.5f} m/s", flush=True)
-    document = {
-        "command": f"{PROG} --seed {seed} --generations {generations}",
-        "bounds": dict(zip(("theta_0", "v_theta", "a_theta"), published_bounds(), strict=True)),
-        "solutions": [asdict(each) for each in exchange(solutions)],
-    }
-    write_atomically(path, to_json(document))
-    print(f"{len(solutions)} solutions written to {path}")
-
-
-@dataclass(frozen=True)
-class Args:
+@command(PROG)
+def main(json: Path = OPTIMA, seed: int = 0, generations: int = 200, overwrite: bool = False) -> None:
     """Optimises the paper's profile (9) for speed, under exact tracking, Principles 1 to 4 and a torque limit.
 
     About half an hour on one core.
@@ -233,27 +207,28 @@ class Args:
     Examples:
       python -m baselines.paper.optimal_profiles --json mine.json                     solve all problems
       python -m baselines.paper.optimal_profiles --json short.json --generations 5    a short search
+
+    Args:
+        json: File of the results.
+        seed: Seed of the searches.
+        generations: Generations of each search.
+        overwrite: Replace an existing file.
     """
-
-    json: Path = OPTIMA
-    """File of the results."""
-    seed: int = 0
-    """Seed of the searches."""
-    generations: int = 200
-    """Generations of each search."""
-    overwrite: bool = False
-    """Replace an existing file."""
-
-    def check(self) -> None:
-        """Raises an error for a path that cannot be written, before the computation."""
-        check_output("--json", self.json, overwrite=self.overwrite)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns the exit status."""
-    args = parse(Args, PROG, arguments)
-    solve(args.json, args.seed, args.generations)
-    return 0
+    try:
+        check_output("--json", json, overwrite=overwrite)
+    except ValueError as error:
+        refuse(PROG, str(error))
+    solutions: list[Solution] = []
+    for problem in problems():
+        solutions.append(search(problem, solutions, seed=seed, generations=generations))
+        print(f"{problem.label}: {solutions[-1].mean_speed:.5f} m/s", flush=True)
+    document = {
+        "command": f"{PROG} --seed {seed} --generations {generations}",
+        "bounds": dict(zip(("theta_0", "v_theta", "a_theta"), BOUNDS.tolist(), strict=True)),
+        "solutions": [asdict(each) for each in exchange(solutions)],
+    }
+    write_atomically(json, to_json(document))
+    print(f"{len(solutions)} solutions written to {json}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Principles 3 and 4 (Eqs. 7 and 8) and Lemmas 1 and 2 of the paper.
+"""Principles 3 and 4 (Eqs. 7 and 8) and Lemmas 1 and 2 of the paper, and a proof about its torques.
 
 A principle or lemma is evaluated as load and limit over a cycle of a profile, or over samples of any motion: it is met
 where the load does not exceed the limit. Cycles are sampled phase by phase with both ends, so that the acceleration's
@@ -7,9 +7,12 @@ jumps count from either side.
 A plant with the paper's normal force has the contact of (7) and (8) as printed: they add the torque of spring and
 damper, k theta + c theta', to forces. That torque acts between pendulum and platform, never on the floor, and its
 dimension is N m.
-"""
 
-from __future__ import annotations
+The proof is that the published torques cannot give the published velocities on the published plant. It does not depend
+on the reference, the gains or the law: it holds for every motor torque that stays within the limit. It is certified:
+sampled quantities are widened by a bound on their change between the samples. It covers either direction of slip,
+stick, and both options for the normal force. It bounds the torque against the rate, not the mean speed.
+"""
 
 import math
 from dataclasses import dataclass
@@ -18,10 +21,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from baselines.laws.profiles import EPC, PROPOSED, Profile
+from baselines.paper import published
 from capsule_gym import dynamics
 from capsule_gym.parameters import NOMINAL, Capsule, Plant
+from capsule_gym.task import START_THETA
 
-SAMPLES_PER_PHASE = 2001
+# Samples of a phase, and of the angle in the proof.
+SAMPLES_PER_PHASE, SAMPLES = 2001, 20_001
 THETA_0 = math.pi / 3.0  # the boundary condition of Sect. 3.2, rad
 # Definition 4: the restoring stage. In the profile (9) these are phases IV to VII, in EPC's its last four.
 RESTORING_PHASES = 4
@@ -62,13 +68,9 @@ class Demand(NamedTuple):
 
 def sample(profile: Profile, samples: int = SAMPLES_PER_PHASE) -> Cycle:
     """A cycle of the profile with the given number of samples in each phase, both of its ends included."""
-    phases, begin, reached = [], 0.0, profile.start
-    for n, segment in enumerate(profile.segments):
-        s = np.linspace(0.0, segment.duration, samples)
-        angle, velocity, acceleration = segment.turned(s), segment.velocity(s), segment.acceleration(s)
-        phases.append((begin + s, np.full(samples, n), reached + angle, velocity, acceleration))
-        begin, reached = begin + segment.duration, reached + float(angle[-1])
-    return Cycle(*(np.concatenate(columns) for columns in zip(*phases, strict=True)))
+    phase = np.repeat(np.arange(len(profile.segments)), samples)
+    s = np.concatenate([np.linspace(0.0, segment.duration, samples) for segment in profile.segments])
+    return Cycle(np.append(0.0, profile.times)[phase] + s, phase, *profile.evaluate_phases(phase, s))
 
 
 def principle_3(cycle: Cycle, p: Plant) -> Demand:
@@ -172,3 +174,60 @@ def check_lemmas(states: int = 200_000, seed: int = 0) -> list[dict[str, Any]]:
             row = {"lemma": names[sufficient], "forces": forces, "states": int(met.sum())}
             rows.append({**row, "violations": int((ratio > 1.0).sum()), "worst": float(ratio.max())})
     return rows
+
+
+def torque_without_acceleration(theta: np.ndarray, theta_dot: float, slip: float, p: Plant) -> np.ndarray:
+    """Motor torque in N m at theta'' = 0, from Eq. (1); `slip` is +1.0, -1.0 or, for stick, 0.0."""
+    ml = p.m * p.l
+    sin, cos = np.sin(theta), np.cos(theta)
+    at_rest = -ml * p.g * sin + p.k * theta + p.c * theta_dot
+    if slip == 0.0:
+        return at_rest
+    friction = slip * p.mu * np.maximum(0.0, dynamics.normal_force(theta, theta_dot, 0.0, p))
+    return at_rest + ml * cos * (ml * sin * theta_dot**2 + friction) / (p.M + p.m)  # Eq. (32)
+
+
+def _slope_of_torque(largest_theta: float, theta_dot: float, p: Plant) -> float:
+    """Bound on |d torque / d theta| of `torque_without_acceleration` in N m/rad, for |theta| <= largest_theta."""
+    ml, total = p.m * p.l, p.M + p.m
+    pivot = p.k * largest_theta + p.c * abs(theta_dot)
+    centrifugal = ml * theta_dot**2
+    friction = p.mu * (total * p.g + 2.0 * centrifugal + 2.0 * pivot + p.k)
+    return ml * p.g + p.k + ml * (centrifugal + friction) / total
+
+
+def torque_at_peak(velocity: float, low: float, high: float, slips: tuple[float, ...] = (0.0, 1.0, -1.0)) -> float:
+    """A lower bound in N m on the largest torque of every motion whose theta' peaks at a given value (rad/s).
+
+    Theorem. Let theta' > 0 attain its maximum V at an angle in [low, high]. Then the torque is, at or just before the
+    peak, at least min over [low, high] and over the contact modes of the torque of Eq. (1) at theta'' = 0, theta' = V.
+
+    Argument. In every mode Eq. (1) gives u = J theta'' + u_0(theta, theta') with J > 0: m l^2 in stick and
+    m l^2 (1 - m cos (cos +- mu sin) / (M + m)) in slip, positive where the contact is regular. Where u is continuous,
+    theta'' = 0 at the peak and u = u_0. Where u or the mode jumps there, theta' still grew towards its maximum, so
+    theta'' >= 0 at times arbitrarily close before it, and there u >= u_0, which is continuous within a mode. The
+    torque's friction enters by N at theta'' = 0, so both options for the normal force are searched. The minimum over a
+    grid is lowered by the largest slope times half the spacing, which makes it a bound.
+    """
+    theta = np.linspace(low, high, SAMPLES)
+    margin = 0.5 * (high - low) / (SAMPLES - 1)
+    return min(
+        float(torque_without_acceleration(theta, velocity, slip, p).min())
+        - _slope_of_torque(max(abs(low), abs(high)), velocity, p) * margin
+        for p in (NEWTON, PAPER)
+        for slip in slips
+    )
+
+
+def check_torques() -> list[dict[str, Any]]:
+    """For both profiles certified lower bounds on the torque at the peak, in any contact and `sticking`, N m.
+
+    The proof holds where the `published` torque is below the `bound`.
+    """
+    found = []
+    for name, numbers in published.RUNS.items():
+        velocity, torque, swing = (numbers[key].value for key in ("peak_velocity", "peak_torque", "swing"))
+        row: dict[str, Any] = {"name": name, "velocity": velocity, "published": torque}
+        row["bound"] = torque_at_peak(velocity, START_THETA, math.radians(swing))
+        found.append({**row, "sticking": torque_at_peak(velocity, START_THETA, math.radians(swing), slips=(0.0,))})
+    return found

@@ -4,8 +4,6 @@ Liu, Yu, Cang: Optimized adaptive tracking control for an underactuated vibro-dr
 Dynamics 94 (2018).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import cast
 

@@ -4,13 +4,12 @@ Sect. 3.2 presents the times of Table 1 as the outcome of these equations. They 
 several add an angle to a velocity times a time, or a radian to a second. V1 = P1 omega; theta_0 = pi/3; N = 1.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from typing import Any
 
 import numpy as np
+from scipy.integrate import trapezoid
 
 from baselines.laws.profiles import P2, PROPOSED, TABLE_1, V1, seven_phases
 from baselines.paper.principles import THETA_0, friction_bound
@@ -20,11 +19,6 @@ from capsule_gym.parameters import NOMINAL
 # Half a unit of the last digit of each time in Table 1, s.
 ROUNDING = (0.0005, 0.0005, 0.005, 0.05, 0.05, 0.05, 0.05)
 ROMAN = ("I", "II", "III", "IV", "V", "VI", "VII")
-
-
-def _integral(values: np.ndarray, t: np.ndarray) -> float:
-    """The trapezoidal rule on equal steps."""
-    return float((values.sum() - 0.5 * (values[0] + values[-1])) * (t[1] - t[0]))
 
 
 def printed_profile() -> list[dict[str, Any]]:
@@ -42,7 +36,7 @@ def printed_profile() -> list[dict[str, Any]]:
         "(t6 - t) / (t5 - t6) P3": (t6 - t[6]) / (t5 - t6) * P3,
     }
     return [
-        {"name": name, "formula": formula, "printed": (float(v[0]), float(v[-1]), _integral(v, times))}
+        {"name": name, "formula": formula, "printed": (float(v[0]), float(v[-1]), float(trapezoid(v, times)))}
         for name, (formula, v), times in zip(ROMAN, formulas.items(), t, strict=True)
     ]
 
@@ -62,7 +56,7 @@ def _equations(t: tuple[float, ...]) -> list[tuple[str, str, str, float, float, 
     # the antiderivative between 0 and t3; without its slip it would be cos(theta(0)) - cos(theta(t3)) = 0.
     s = np.linspace(0.0, t3, 3001)
     theta, _, _ = seven_phases(t, V1, P2).evaluate(s)
-    int_sin, int_cos = (_integral(theta * each(theta), s) for each in (np.sin, np.cos))
+    int_sin, int_cos = (float(trapezoid(theta * each(theta), s)) for each in (np.sin, np.cos))
     edge = float(theta[-1] * math.sin(theta[-1]) - theta[0] * math.sin(theta[0]))
     pushed = p.mu * (p.M + p.m) * p.g * t3 - p.mu * p.k * int_sin + p.mu * p.c * (edge - int_cos)
     p2_21 = pushed / (ml * math.cos(THETA_0) + p.mu * ml * math.sin(THETA_0))

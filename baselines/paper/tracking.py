@@ -4,18 +4,15 @@ Under exact tracking the platform's motion follows from M, m, l, g and mu alone:
 plants. `simulate` and `track` run the environment's own simulation.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
 from baselines.laws.feedback_linearisation import feedback_linearising
-from baselines.laws.profiles import EPC, PROPOSED, Profile
-from baselines.laws.reference import platform_motion
+from baselines.laws.profiles import EPC, PROPOSED, Profile, platform_motion
 from capsule_gym import Capsule, Controller
 from capsule_gym.config import LAW_DT, EnvConfig
 from capsule_gym.layout import ROWS, Row
@@ -193,15 +190,3 @@ def speed_ratio(proposed: SpeedMap, epc: SpeedMap) -> np.ndarray:
     """Speed of the proposed profile over EPC's; NaN where EPC does not move."""
     ratio = np.full_like(epc.speed, np.nan)
     return np.divide(proposed.speed, epc.speed, out=ratio, where=epc.speed > AT_REST)
-
-
-def reproduce() -> dict[str, Any]:
-    """Reproduces Sect. 5 without the adaptive law, in some seconds.
-
-    Returns:
-        `tracking`: see `track`, by profile and normal force. `maps`: speed of both profiles over M and mu.
-    """
-    return {
-        "tracking": {p.name: {force: track(p, force) for force in get_args(NormalForce)} for p in PROFILES},
-        "maps": [speed_map(profile, *grid()) for profile in PROFILES],
-    }

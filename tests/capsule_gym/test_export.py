@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from baselines.laws import LAWS, TASK_LAWS
+from baselines.laws import LAWS
 from capsule_gym import CapsuleVectorEnv, Controller, load_policy
 from capsule_gym.config import find_task
 from capsule_gym.export import Exported, main
@@ -183,7 +183,7 @@ def test_float_does_not_change_the_speed(library: Any, name: str):
     assert speeds[1] == pytest.approx(speeds[0], abs=1e-3)
 
 
-@pytest.mark.parametrize("name", [*LAWS, *TASK_LAWS])
+@pytest.mark.parametrize("name", LAWS)
 def test_c_law(library: Any, name: str):
     """On 3,000 states, some of them at rest, and with changes that no plant makes."""
     exported, rng, n = Exported(f"baselines:{name}"), np.random.default_rng(21), 3000

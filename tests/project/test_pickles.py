@@ -120,7 +120,7 @@ def test_what_reads_a_path_is_among_these():
     others = {name for name in commands() if name.startswith(("benchmarks", "tests", "web"))}
     only_written = {"agents.analysis", "agents.distillation", "agents.evaluation.sets", "agents.leaderboard"}
     only_written |= {"baselines.paper", "baselines.paper.optimal_profiles"}
-    only_written |= {"baselines.gaits", "baselines.mpc", "baselines.tuning"}
+    only_written |= {"baselines.tuning"}
     assert set(commands()) == {*READERS, *others, *only_written}
 
 

@@ -6,10 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines.archive import GRID, STICKY_GRID, find_grid
 from baselines.dynamic_programming import __main__ as command
 from baselines.dynamic_programming import archive, solver
-from baselines.dynamic_programming import problem as module
 from baselines.dynamic_programming.archive import (
     Archive,
     known_results,
@@ -20,7 +18,7 @@ from baselines.dynamic_programming.archive import (
 )
 from baselines.dynamic_programming.grid import Grid
 from baselines.dynamic_programming.policy import Oracle
-from baselines.dynamic_programming.problem import Problem, repeat
+from baselines.dynamic_programming.problem import GRID, STICKY_GRID, Problem, find_grid, repeat
 from baselines.dynamic_programming.solver import Solution, solve_on_grids
 from baselines.evaluation.episodes import evaluate
 from baselines.policies import SCRIPTED
@@ -105,9 +103,9 @@ def test_the_command_solves_what_is_missing_and_keeps_it(tmp_path, monkeypatch, 
             raise KeyboardInterrupt
         return solve_on_grids(problem, [(13, 18, 7)])
 
-    monkeypatch.setattr(module, "PROBLEMS", problems)
+    monkeypatch.setattr(command, "PROBLEMS", problems)
     monkeypatch.setattr(solver, "solve_on_grids", quick)
-    monkeypatch.setattr(archive, "set_plants", lambda *_: [(0.5, 0.01), (0.5, 0.02)])
+    monkeypatch.setattr(command, "set_plants", lambda *_: [(0.5, 0.01), (0.5, 0.02)])
     monkeypatch.setattr(archive, "solve_plant", lambda problem, _: repeat(problem, np.full(1650, 60, np.uint8)))
     arguments = ["--folder", str(tmp_path / "new")]
     assert command.main(arguments) == 130

@@ -101,5 +101,5 @@ def test_malformed_scores_are_refused():
     for scores in ([1.0, 2.0, 3.0], np.empty((1, 0))):
         with pytest.raises(ValueError, match=r"scores must have the shape .* got \((3,|1, 0)\)"):
             estimate(scores)
-    with pytest.raises(ValueError, match="same episodes, got 3 and 2"):
+    with pytest.raises(ValueError, match=r"same episodes, got .* and .*"):
         paired_difference([[1.0, 2.0, 3.0]], [[1.0, 2.0]])

@@ -7,8 +7,7 @@ import pytest
 
 from baselines.laws.adaptive import MEMORY, adaptive, constants_of, eta_of, nominal_estimates, sliding_variables
 from baselines.laws.gains import PUBLISHED, REGULARISED, UNREGULARISED, Gains
-from baselines.laws.profiles import PROPOSED
-from baselines.laws.reference import COLUMNS, reference_table
+from baselines.laws.profiles import COLUMNS, PROPOSED, reference_table
 from capsule_gym import Capsule, dynamics
 from capsule_gym.controller import CoreLaw
 from capsule_gym.parameters import NOMINAL
@@ -123,15 +122,15 @@ def test_error_dynamics_are_those_of_the_plant(contact):
         # The law uses theta_d'' in place of theta'' in N. If both are equal, its N is the plant's.
         reference = (*reference[:2], theta_ddot, *reference[3:])
         _, after = law(theta, theta_dot, x, x_dot, memory, reference)
-        s = sliding_variables((theta, theta_dot, x, x_dot), memory[-1], np.array(reference), GAINS)
+        delta_theta, delta_x = sliding_variables((theta, theta_dot, x, x_dot), memory[-1], np.array(reference), GAINS)
         change = np.subtract(memory, after)
-        Y_theta, Y_x = change[:5] / (GAINS.Gamma_1 * s.delta_theta), change[5:9] / (GAINS.Gamma_2 * s.delta_x)
+        Y_theta, Y_x = change[:5] / (GAINS.Gamma_1 * delta_theta), change[5:9] / (GAINS.Gamma_2 * delta_x)
         e_dot, e_x_dot = theta_dot - reference[1], x_dot - reference[4]
         delta_dot = np.array([GAINS.Lambda_theta * e_dot, x_ddot - (reference[5] - GAINS.Lambda_x * e_x_dot)])
         ml, sin, c = p.m * p.l, math.sin(theta), math.cos(theta)
         mass = np.array([[ml * p.l, -ml * c], [-ml * c, p.M + p.m]])
         coriolis = np.array([[0.0, 0.0], [ml * sin * theta_dot, 0.0]])
-        left = mass @ delta_dot + coriolis @ [s.delta_theta, s.delta_x]
+        left = mass @ delta_dot + coriolis @ [delta_theta, delta_x]
         right = np.array([u - np.dot(Y_theta, alpha[:5]), -np.dot(Y_x, alpha[5:])])
         np.testing.assert_allclose(left, right, rtol=1e-9, atol=1e-10)
     assert checked > 100

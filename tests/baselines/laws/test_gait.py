@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from baselines.laws import gait as module
-from baselines.laws.gait import COEFFICIENTS, LIGHTEST, gait, known_parameters
+from baselines.laws.gains import known_parameters
+from baselines.laws.gait import LIGHTEST, PARAMETERS, gait
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.layout import ROWS
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
@@ -12,7 +13,7 @@ from capsule_gym.resets import draw_plant
 from capsule_gym.task import HORIZON, TORQUE_LIMIT
 
 LIGHT = ([0.26, 0.3, 0.3, 0.33, 0.33, 0.29], [0.003, 0.01, 0.5, 0.05, 0.4, 0.1])
-FREE = (*known_parameters()[:-2], 0.0, 0.0)
+FREE = (*known_parameters("gait")[:-2], 0.0, 0.0)
 
 
 def episodes(controller, M, mu, horizon=HORIZON):
@@ -35,7 +36,7 @@ def test_the_law_without_guard_is_a_polynomial_of_the_state():
     a, b, c = (states / (1.0, 5.0, 0.3)).T
     *coefficients, step = FREE[:-2]
     # The name phi_ijk holds the powers of theta, theta_dot and x_dot.
-    powers = [map(int, name.removeprefix("phi_")) for name in COEFFICIENTS[:-1]]
+    powers = [map(int, name.removeprefix("phi_")) for name in PARAMETERS[:-3]]
     cubic = sum(phi * a**i * b**j * c**k for phi, (i, j, k) in zip(coefficients, powers, strict=True))
     expected = TORQUE_LIMIT * (cubic + step * np.sign(c))
     found = [torque(gait(FREE), *state) for state in states.tolist()]
@@ -43,7 +44,7 @@ def test_the_law_without_guard_is_a_polynomial_of_the_state():
 
 
 def test_the_guard_opposes_the_rate_in_proportion_to_its_excess():
-    *_, gain, threshold = known_parameters()
+    *_, gain, threshold = known_parameters("gait")
     for theta in (-0.6, 0.0, 0.3):
         limit = math.sqrt(threshold / math.cos(theta))
         for theta_dot in (0.99 * limit, 1.1 * limit, -0.99 * limit, -1.2 * limit):
@@ -79,6 +80,6 @@ def test_invalid_parameters_raise_an_error():
     with pytest.raises(ValueError, match=r"parameters must be 23 numbers, phi_000, .*, got \[1.0\]"):
         gait([1.0])
     with pytest.raises(ValueError, match="parameters, guard_from, must be a finite number, got nan"):
-        gait((*known_parameters()[:-1], math.nan))
+        gait((*known_parameters("gait")[:-1], math.nan))
     with pytest.raises(TypeError, match="parameters, phi_000, must be a finite number, got '1'"):
-        gait(("1", *known_parameters()[1:]))
+        gait(("1", *known_parameters("gait")[1:]))

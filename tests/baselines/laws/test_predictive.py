@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from baselines.laws.gains import plant_constants
-from baselines.laws.gait import LIGHTEST, PARAMETERS, gait
-from baselines.laws.predictive import gait_predictive
+from baselines.laws.gait import LIGHTEST, PARAMETERS, gait, gait_predictive
 from capsule_gym import CapsuleVectorEnv, Disturbances, dynamics
 from capsule_gym.config import LAW_DT
 from capsule_gym.controller import CoreLaw

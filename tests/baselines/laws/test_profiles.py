@@ -5,8 +5,7 @@ import pytest
 from scipy.integrate import quad
 
 from baselines.laws.feedback_linearisation import feedback_linearising
-from baselines.laws.profiles import EPC, PROPOSED, seven_phases, six_phases
-from baselines.laws.reference import COLUMNS, reference_table
+from baselines.laws.profiles import COLUMNS, EPC, PROPOSED, reference_table, seven_phases, six_phases
 from capsule_gym import dynamics
 from capsule_gym.parameters import NOMINAL
 

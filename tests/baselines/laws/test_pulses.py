@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from baselines.laws.pulses import goal_pulses, velocity_pulses
+from baselines.laws.gait import goal_pulses, velocity_pulses
 from baselines.policies import TASK_SCRIPTED
 from capsule_gym import Capsule, CapsuleVectorEnv, Randomization, _core
 from capsule_gym.parameters import NOMINAL

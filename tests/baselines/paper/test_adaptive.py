@@ -44,7 +44,7 @@ def test_errors_by_cycle_are_those_of_the_run(regularised):
         if failed[i]:
             continue
         cycle = len(run.t) // 2
-        for k, values in enumerate((run.error, run.rate_error, sliding(run).delta_theta)):
+        for k, values in enumerate((run.error, run.rate_error, sliding(run)[0])):
             first, second = (np.abs(part).max() for part in (values[: cycle + 1], values[cycle + 1 :]))
             assert errors[:, k, i] == pytest.approx([first, second], rel=1e-9)
     assert failed.any() == (not regularised)

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from baselines.laws.profiles import P2, PROPOSED, TABLE_1, V1
-from baselines.laws.reference import reference_table
+from baselines.laws.profiles import P2, PROPOSED, TABLE_1, V1, reference_table
 from baselines.paper.optimal_profiles import Problem, assess, load, problems, search
 from capsule_gym.parameters import NOMINAL
 

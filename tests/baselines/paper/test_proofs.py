@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines.paper import proofs, published
+from baselines.paper import principles as proofs
+from baselines.paper import published
 from baselines.tables import printed_below
 from capsule_gym import Capsule, dynamics
 
