@@ -1,7 +1,5 @@
 """Trains an agent and compares it with the paper's controller: `python train.py --help` lists the options."""
 
-from __future__ import annotations
-
 import secrets
 import sys
 import threading

@@ -1,7 +1,5 @@
 """Evaluates a policy on a set and compares it with a reference on the same episodes: `python -m agents.evaluate`."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The comparison at the end of a training: with the paper's controller, and with the published row of the same kind."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

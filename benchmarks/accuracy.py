@@ -9,8 +9,6 @@ second row then contains only x''. SciPy's DOP853 integrates the phases of conta
 after another.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Sequence

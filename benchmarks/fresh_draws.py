@@ -1,7 +1,5 @@
 """Compares the main table of the leaderboard with plants drawn anew: `python -m benchmarks.fresh_draws`."""
 
-from __future__ import annotations
-
 import sys
 from itertools import chain
 from typing import Annotated

@@ -3,8 +3,6 @@
 Plants are drawn from the prior's own ranges, and recorded for 20 s at 100 Hz with the sensors of `real`.
 """
 
-from __future__ import annotations
-
 import time
 import warnings
 from collections.abc import Iterator

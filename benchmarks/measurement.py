@@ -3,8 +3,6 @@
 Ratios within one run are comparable between machines; absolute numbers are not.
 """
 
-from __future__ import annotations
-
 import os
 import platform
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """The same capsule in MuJoCo (`capsule.xml`). Without friction it agrees with `capsule_gym` to 1e-8 over 2 s."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from string import Template
 from typing import Any

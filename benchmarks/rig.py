@@ -5,8 +5,6 @@ with the settings of `direct-ppo` and the last 4 observations is trained on the 
 for one episode, as do agents trained on `paper` without disturbances, and on `real-wide` with the disturbances `real`.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

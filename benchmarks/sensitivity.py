@@ -1,7 +1,5 @@
 """Accuracy and cost of `capsule_gym.sensitivity`: `python -m benchmarks.sensitivity`."""
 
-from __future__ import annotations
-
 import timeit
 from dataclasses import replace
 from functools import partial

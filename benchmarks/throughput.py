@@ -8,8 +8,6 @@ effect. Unlike rates, ratios are comparable between machines. A ratio below its 
 vectorises a loop no longer.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import shutil

@@ -6,8 +6,6 @@ wrappers, network and hyperparameters of CleanRL's `ppo_continuous_action.py`. A
 environment of the preset; evaluations, on its validation plants, do not count. What is not installed is skipped.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Callable, Sequence

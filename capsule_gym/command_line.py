@@ -5,8 +5,6 @@ options declares them as a frozen dataclass and calls `parse(Args, "python -m ag
 of type `Positional[str]` is a positional argument; an option of type `Count` accepts the form 8e6.
 """
 
-from __future__ import annotations
-
 import inspect
 import io
 import os

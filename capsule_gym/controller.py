@@ -1,7 +1,5 @@
 """Control laws that run inside the environment's step."""
 
-from __future__ import annotations
-
 import math
 import pkgutil
 import re
@@ -94,7 +92,7 @@ class CoreLaw:
         return float(torques[0]), tuple(renewed[0].tolist())
 
 
-def bind_law(controller: Controller, lanes: int, state: int, raised: list[Exception]) -> dict[str, Any]:
+def bind_law(controller: "Controller", lanes: int, state: int, raised: list[Exception]) -> dict[str, Any]:
     """The law of a controller as fields of the core's `Batch`, for blocks of `lanes` environments.
 
     The law observes theta in the row `state`, and theta_dot, x and x_dot in the next ones. `raised` receives the

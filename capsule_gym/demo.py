@@ -1,7 +1,5 @@
 """One episode of a policy or of your own, in a window or as a GIF: `python -m capsule_gym.demo`."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Iterator

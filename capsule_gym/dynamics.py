@@ -12,8 +12,6 @@ Examples:
     array([ True, False])
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

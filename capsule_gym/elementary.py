@@ -4,8 +4,6 @@ They are the functions of the core (`capsule_gym/core/elementary.hpp`), over arr
 differ in the last digit between versions and instruction sets.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -3,8 +3,6 @@
 `agents.evaluation.sets` describes and draws the frozen sets.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -3,8 +3,6 @@
 The loops of the network are in `policy.h.jinja`; everything else is recorded from the core (`capsule_gym.trace`).
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Atomic writing of files, and JSON that any reader accepts."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Identification of a rig's plant from a log of torques and readings."""
 
-from __future__ import annotations
-
 import math
 import os
 import warnings

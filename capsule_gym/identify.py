@@ -1,7 +1,5 @@
 """Identifies a rig from a log: `python -m capsule_gym.identify log.csv`."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from types import ModuleType

@@ -6,8 +6,6 @@ show. A batch has blocks of LANES environments, which are stepped together; a si
 lane. The arithmetic is the same, and so are the results, bit for bit.
 """
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 from capsule_gym import _core

@@ -1,7 +1,5 @@
 """The metrics of episodes, from the sums that the core keeps."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 

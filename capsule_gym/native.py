@@ -4,8 +4,6 @@ The core contains the same code for several levels of instructions, which give t
 processor runs is chosen at import; the environment variable CAPSULE_GYM_LEVEL chooses another one.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Iterable, Mapping

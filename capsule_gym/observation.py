@@ -1,7 +1,5 @@
 """The observation: its entries and their bounds. The core writes it (`capsule_gym/core/observation.hpp`)."""
 
-from __future__ import annotations
-
 from capsule_gym._core import ESTIMATES, THETA_DOT_BOUND, X_DOT_BOUND
 from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.parameters import NOMINAL, Capsule, Randomization

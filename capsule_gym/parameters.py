@@ -1,7 +1,5 @@
 """The plant: its constants, their randomisation, and disturbances, with their checks."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields, replace
 from itertools import product
@@ -265,7 +263,7 @@ class Randomization:
         return [name for name in CONSTANTS if getattr(self, name) is not None]
 
     @classmethod
-    def named(cls, name: str | Randomization) -> Randomization:
+    def named(cls, name: "str | Randomization") -> "Randomization":
         """The `Randomization` of a name; a `Randomization` is returned unchanged."""
         if isinstance(name, cls):
             return name
@@ -406,7 +404,7 @@ class Disturbances:
         return lowest, LONGEST_LATENCY if name == "latency" else LARGEST_DISTURBANCE
 
     @classmethod
-    def named(cls, name: str | Disturbances) -> Disturbances | None:
+    def named(cls, name: "str | Disturbances") -> "Disturbances | None":
         """The `Disturbances` of a name, None for "none"; a `Disturbances` is returned unchanged."""
         if isinstance(name, cls):
             return name

@@ -12,8 +12,6 @@ The metadata are `format`, "capsule_gym policy", `format_version`, "2", and the 
 JSON.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import pkgutil

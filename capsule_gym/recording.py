@@ -1,7 +1,5 @@
 """Logs of a rig: recording, reading and their checks."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

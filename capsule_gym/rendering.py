@@ -3,8 +3,6 @@
 pygame draws the frames and pillow writes the GIF; both are imported only when needed.
 """
 
-from __future__ import annotations
-
 import importlib
 import math
 import os

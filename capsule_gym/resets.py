@@ -1,7 +1,5 @@
 """The start of an episode: random draws, which the core makes (`capsule_gym/core/resets.hpp`), and given values."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from enum import IntEnum
 from typing import Any

@@ -3,8 +3,6 @@
 A model saved with `AsymmetricPolicy` loads wherever this package and Stable-Baselines3 are installed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The settings of the core's step that follow from the options of an environment."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

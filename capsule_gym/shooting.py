@@ -5,8 +5,6 @@ meet the start of the next. Predictions and derivatives come from the core (`cap
 sensor are a bias, white noise and a Gauss-Markov drift, whose sizes follow from the residuals (Whittle, 1953).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache

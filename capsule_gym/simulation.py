@@ -1,7 +1,5 @@
 """The simulation of N environments, which `CapsuleEnv` and `CapsuleVectorEnv` share."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -145,7 +143,7 @@ class Simulation:
             getattr(self, name)[...] = state[name]
         self._set_changes(state["_changes"])
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> Simulation:
+    def __deepcopy__(self, memo: dict[int, Any]) -> "Simulation":
         twin = memo[id(self)] = type(self).__new__(type(self))
         twin.__setstate__({**self.__getstate__(), "controller": self.controller})
         return twin

@@ -3,8 +3,6 @@
 The tasks themselves are in `capsule_gym.tasks`; their functions of a single step are in `capsule_gym/core/tasks`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Functions of the core as lists of operations, which become code in other languages (`capsule_gym/core/trace.hpp`)."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence

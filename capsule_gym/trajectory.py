@@ -1,7 +1,5 @@
 """Derivatives of a trajectory by the plant's constants, the torques and the initial state."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 

@@ -5,8 +5,6 @@ kept on disk. Without numba, or where numba cannot compile the law, the interpre
 takes many times as long in a batch (docs/controllers.md). The torques are the same up to rounding.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import math
 import threading

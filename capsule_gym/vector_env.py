@@ -1,7 +1,5 @@
 """The native batch of environments."""
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Sequence

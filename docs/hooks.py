@@ -1,7 +1,5 @@
 """Hooks of mkdocs: pages of the notebooks, links to the live page, and words without line breaks."""
 
-from __future__ import annotations
-
 import base64
 import html
 import json

@@ -1,7 +1,5 @@
 """Draws media/stick_and_slip.gif, the paper's controller above an agent: `python docs/stick_and_slip.py`."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

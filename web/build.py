@@ -4,8 +4,6 @@ The command compiles the core to WebAssembly and writes three files to the folde
 the module `capsule.mjs`, and its types `capsule.d.mts`. Page and module need no other file and no server.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

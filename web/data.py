@@ -5,8 +5,6 @@ are in the header. Float64 arrays are stored column by column; for each column, 
 first, then the next bytes. Neighbouring bytes are then similar, which reduces the compressed size by a third.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import zlib

@@ -9,8 +9,6 @@ therefore contains recordings: for each of its plants, the index in `TORQUES` of
 its own step.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import sys

@@ -1,7 +1,5 @@
 """Writes the tables and figures of the documentation's result pages: `python -m agents.analysis --help`."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Annotated

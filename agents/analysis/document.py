@@ -1,7 +1,5 @@
 """What the analysis writes for one page of the documentation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any

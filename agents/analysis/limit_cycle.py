@@ -1,7 +1,5 @@
 """One steady cycle of some policies on the paper's plant: a table and a figure."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 

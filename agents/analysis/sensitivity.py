@@ -1,7 +1,5 @@
 """Sensitivity to disturbances: every row of the speed task under each single disturbance, in four sizes."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Tables and figures of the leaderboard's results: learning curves, cost of transport."""
 
-from __future__ import annotations
-
 import csv
 import math
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Distils the optimum into networks: `python -m agents.distillation`."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """The students of the optimum: what each observes, the episodes it is trained on, and the size of its training."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -7,8 +7,6 @@ The loss of a torque is its interpolated regret, not its distance from the exper
                          time of the run (core_seconds) and git revision
 """
 
-from __future__ import annotations
-
 import math
 import sys
 import time

@@ -5,8 +5,6 @@ From a student, M and mu are hidden: it observes the online estimates of `capsul
 torque with the least mean regret over the plants that a state may belong to.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

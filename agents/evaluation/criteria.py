@@ -1,7 +1,5 @@
 """The criteria of each task: metric, score, baseline and evaluation set."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

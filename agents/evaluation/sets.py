@@ -22,8 +22,6 @@ Every result and leaderboard.json contain it; results are comparable only if the
 never changes: a different set gets a different name.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from pathlib import Path

@@ -6,8 +6,6 @@ only on these files.
 The check compares headers, pages and every bit of every episode with the results, but not the versions of packages.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Iterable, Iterator, Sequence

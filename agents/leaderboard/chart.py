@@ -1,7 +1,5 @@
 """The chart of the main table: bars of the mean speeds on `paper` and `real`, with shares of failed episodes."""
 
-from __future__ import annotations
-
 import io
 import textwrap
 from collections.abc import Mapping

@@ -3,8 +3,6 @@
 All depend only on the content of leaderboard.json, so that they can be checked without a simulation.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path

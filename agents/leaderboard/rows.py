@@ -8,8 +8,6 @@ seeds, revisions, files (sha256) and base law; `metrics`, the first axis of the 
 Distance, energy and share of the optimum are omitted, since they follow from speed, cost of transport and plant.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

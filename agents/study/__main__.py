@@ -1,7 +1,5 @@
 """Trains rows of the leaderboard over training seeds: `python -m agents.study --help`."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The runs of a study: one per row and training seed, each in its own folder, from which it can be resumed."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import json

@@ -3,8 +3,6 @@
 To train with another algorithm, pass it the environments that `make_env(config, seed)` returns.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import pkgutil

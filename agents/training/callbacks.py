@@ -1,7 +1,5 @@
 """Callbacks of Stable-Baselines3 for a run: its log, its evaluations and its progress bar."""
 
-from __future__ import annotations
-
 import copy
 import math
 import time

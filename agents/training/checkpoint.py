@@ -6,8 +6,6 @@ files and checkpoints contain pickles, which can run any code when loaded: resum
 contains no pickle.
 """
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import io

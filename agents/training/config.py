@@ -3,8 +3,6 @@
 The docstring of a field is its help text. This module does not import torch.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

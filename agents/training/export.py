@@ -1,7 +1,5 @@
 """An agent's files: Stable-Baselines3's archive, the normalisation of observations, and the policy file."""
 
-from __future__ import annotations
-
 import io
 import pickle
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Starts and resumes a run: its folder, its agent, and the call of Stable-Baselines3's `learn`."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import pickle

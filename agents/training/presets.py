@@ -1,7 +1,5 @@
 """Tuned hyperparameters: for every algorithm and task, and for the trained rows of the leaderboard (`ROWS`)."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -3,8 +3,6 @@
 Imports only the standard library, so that train.py can handle signals before its slow imports.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal
@@ -57,7 +55,7 @@ class Stop:
         self.requested = False
         self._before: dict[signal.Signals, Any] = {}
 
-    def __enter__(self) -> Stop:
+    def __enter__(self) -> "Stop":
         if threading.current_thread() is threading.main_thread():
             self._before = {number: signal.signal(number, self._request) for number in SIGNALS}
         return self

@@ -4,8 +4,6 @@ The environment variable CXX names another compiler. The environment variable RE
 address: the metadata gets its URLs, and the README gets absolute links.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

@@ -1,7 +1,5 @@
 """The speed task, `CapsuleStickSlip-v0`: forwards as fast as possible."""
 
-from __future__ import annotations
-
 from capsule_gym.task import Task
 
 TASK = Task(name="speed", term="reward_progress")

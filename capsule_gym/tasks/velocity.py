@@ -55,8 +55,6 @@ Those of `CapsuleStickSlip-v0`, with the defaults `capsule=Capsule(static_ratio=
 log-uniform in [0.05, 0.5], `energy_weight=0` and `termination_penalty=3`.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any
