@@ -117,7 +117,7 @@ INLINE Pack sqrt(Pack x) { return (Doubles)_mm256_sqrt_pd((__m256d)x.v); }
 INLINE Pack floor(Pack x) { return (Doubles)_mm256_floor_pd((__m256d)x.v); }
 INLINE unsigned lanes(Mask condition) { return (unsigned)_mm256_movemask_pd((__m256d)condition.m); }
 #else
-#if defined(__clang__)
+#if __has_builtin(__builtin_elementwise_fma)
 INLINE Pack fma(Pack a, Pack b, Pack c) { return __builtin_elementwise_fma(a.v, b.v, c.v); }
 #elif defined(__aarch64__)
 INLINE Pack fma(Pack a, Pack b, Pack c) {
