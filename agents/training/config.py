@@ -173,7 +173,7 @@ class Config:
         """
         for field in dataclasses.fields(self):
             name, value = field.name, getattr(self, field.name)
-            if field.type == "Count":
+            if field.type == Count:
                 least, most = LEAST.get(name, 1), LARGEST_SEED if name == "seed" else sys.maxsize
                 accepted = f"an integer >= {least}" + (f" and <= {most}" if name == "seed" else "")
                 check_integer(name, value, accepted, least, most)
