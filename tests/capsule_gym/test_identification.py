@@ -220,7 +220,7 @@ def changed(**columns):
     ("change", "text"),
     [
         (changed(t=lambda t: t**1.1), "column 't' must be in equal steps"),
-        (changed(torque=lambda u: 0.0 * u + 0.3), r"column 'torque' must be varied \(N m\), got .*0.3"),
+        (changed(torque=lambda u: 5.0 + 1e-6 * u), r"column 'torque' must be varied \(N m\), got .*5"),
         (changed(torque=lambda u: np.where(u > 0.5, np.nan, u)), "column 'torque' must be finite numbers"),
         (changed(theta=np.degrees), "column 'theta' must be in rad"),
         (changed(theta_dot=lambda w: 0.1 * w), "column 'theta_dot' must be the derivative of column 'theta'"),

@@ -24,7 +24,7 @@ from capsule_gym.checks import first_cause
 from capsule_gym.config import find_task
 from capsule_gym.controller import CoreLaw
 from capsule_gym.demo import main as demo
-from capsule_gym.evaluation_sets import parse_set
+from capsule_gym.evaluation_sets import load_set, parse_set
 from capsule_gym.export import Exported
 from capsule_gym.export import main as export
 from capsule_gym.identification import OTHERS
@@ -46,7 +46,7 @@ from train import main as train
 T = np.arange(0.0, 3.0, 0.01)
 LOG = {"t": T, "torque": 0.1 * np.sin(T), "theta": 0.1 * np.sin(T)}
 KNOWN = {name: getattr(NOMINAL, name) for name in PLANT} | dict.fromkeys(OTHERS, 0.0)
-GAIT = known_parameters("gait")
+GAIT, GOALS = known_parameters("gait"), CapsuleEnv(task="goal", goal_env=True)
 ORIGIN = (0.0, 0.0, 0.0, 0.0)
 CALLS = [
     (lambda: CapsuleEnv(randomization=Randomization(M=(0.001, 0.5), mu=(5.0, 20.0))), ValueError, "Painleve"),
@@ -130,6 +130,12 @@ CALLS = [
     # Zero is a friction coefficient, but no mass, and has no logarithm.
     (lambda: Randomization(M=(0.0, 1.0)), ValueError, r"^Randomization\.M\[0\].*0 < low"),
     (lambda: Randomization(mu=(5e-324, 0.1), log_mu=True), ValueError, r"mu must be within a factor .*5e-324"),
+    (lambda: CapsuleEnv(task="velocity", goal_env=True), ValueError, "^goal_env must be False for the task 'vel"),
+    (lambda: GOALS.compute_reward([0.1, 0.0], [0.1], {}), ValueError, r"^desired_goal must be .*, got \[0\.1\]$"),
+    (lambda: load_set("papre"), ValueError, "^set must be one of .*, or the path of a JSON file, got 'papre'"),
+    (lambda: load_set("x" * 10_000), ValueError, "^set must be one of .* got 'xx"),
+    (lambda: load_set("/dev/null"), ValueError, "^set must be one of .* got '/dev"),
+    (lambda: load_set("a\0b"), ValueError, "^set must be one of .* got 'a"),
     (lambda: load_policy("residual-pppo"), ValueError, r"direct-ppo, .*residual-ppo, .*did you mean 'residual-ppo'\?"),
     (lambda: load_policy("direct-sac/seed-9"), ValueError, r"did you mean 'direct-sac/seed-\d'\?"),
     (lambda: load_policy("direct_ppo"), ValueError, r"did you mean 'direct-ppo'\?"),

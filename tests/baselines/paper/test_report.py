@@ -50,7 +50,7 @@ def test_command_prints_every_published_number(made, monkeypatch, capsys, tmp_pa
         shown = f" {number.value:.{number.digits}f} "
         assert any(number.quantity in line and shown in line for line in text.splitlines())
     words = " ".join(text.split())
-    assert all(claim in words for claim in made["claims"])
+    assert all(claim in words for claim in made["claims"]) and "in the cycles (1, 60, 600)" in words
     # Every fastest profile is limited by a demand, but not by one that it need not satisfy.
     for optimum in made["optimal_profiles"]:
         binding = report._optimum(optimum)["binding"]
