@@ -29,13 +29,15 @@ from capsule_gym.export import Exported
 from capsule_gym.export import main as export
 from capsule_gym.identification import OTHERS
 from capsule_gym.identify import main as identify_file
-from capsule_gym.parameters import NOMINAL
+from capsule_gym.network import rollout
+from capsule_gym.parameters import NOMINAL, Disturbances
 from capsule_gym.policy import load_policy
 from capsule_gym.recording import read_log
 from capsule_gym.rendering import write_gif
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 from capsule_gym.settings import divide
 from capsule_gym.shooting import PLANT
+from capsule_gym.simulation import Simulation
 from capsule_gym.task import Task
 from tests.agents.fakes import Sine
 from tests.capsule_gym.test_evaluation_sets import plant
@@ -46,7 +48,8 @@ from train import main as train
 T = np.arange(0.0, 3.0, 0.01)
 LOG = {"t": T, "torque": 0.1 * np.sin(T), "theta": 0.1 * np.sin(T)}
 KNOWN = {name: getattr(NOMINAL, name) for name in PLANT} | dict.fromkeys(OTHERS, 0.0)
-GAIT, GOALS = known_parameters("gait"), CapsuleEnv(task="goal", goal_env=True)
+GAIT = known_parameters("gait")
+GOALS, REAL = CapsuleEnv(task="goal", goal_env=True), CapsuleEnv(disturbances="real")
 ORIGIN = (0.0, 0.0, 0.0, 0.0)
 CALLS = [
     (lambda: CapsuleEnv(randomization=Randomization(M=(0.001, 0.5), mu=(5.0, 20.0))), ValueError, "Painleve"),
@@ -132,6 +135,13 @@ CALLS = [
     (lambda: Randomization(mu=(5e-324, 0.1), log_mu=True), ValueError, r"mu must be within a factor .*5e-324"),
     (lambda: CapsuleEnv(task="velocity", goal_env=True), ValueError, "^goal_env must be False for the task 'vel"),
     (lambda: GOALS.compute_reward([0.1, 0.0], [0.1], {}), ValueError, r"^desired_goal must be .*, got \[0\.1\]$"),
+    (lambda: Disturbances(latency=-1.0), ValueError, r"^Disturbances\.latency must be a .* 0 to 0\.5, or .*-1"),
+    (lambda: Disturbances(unmeasured=("x",)), ValueError, r"^Disturbances\.unmeasured must be .* got \('x',\)"),
+    (lambda: Randomization(m=(0.1, 40.0), mu=(0.5, 9.0)).corners(NOMINAL), ValueError, "Painleve"),
+    (lambda: REAL.reset(options={"disturbances": {"latency": 0.1}}), ValueError, r"must be .* 0 to 0\.016, got 0\.1"),
+    (lambda: REAL.reset(options={"disturbances": {"speed": 0.1}}), ValueError, "must be a dict with keys out of"),
+    (lambda: rollout(Simulation(2), load_policy("residual-ppo"), 9), ValueError, "policy .* 5 entries, .*takes 10"),
+    (lambda: rollout(Simulation(2), load_policy("direct-ppo"), 0), ValueError, "steps must be an integer >= 1, got 0"),
     (lambda: load_set("papre"), ValueError, "^set must be one of .*, or the path of a JSON file, got 'papre'"),
     (lambda: load_set("x" * 10_000), ValueError, "^set must be one of .* got 'xx"),
     (lambda: load_set("/dev/null"), ValueError, "^set must be one of .* got '/dev"),
