@@ -148,14 +148,6 @@ def test_what_an_option_does_not_accept_is_refused_by_name_and_value(name, value
         EnvConfig(**{name: value})
 
 
-@pytest.mark.parametrize("value", [(math.pi / 2, 0.0), (-0.1, 0.0), (0.0, 1e4), (math.nan, 0.0)])
-def test_starts_that_no_episode_can_have_are_refused(value):
-    with pytest.raises(ValueError, match=r"^initial_range must be None or \(theta < pi/2 in rad, .*, got "):
-        EnvConfig(initial_range=value)
-    with pytest.raises(ValueError, match=r"^initial_noise must be 0 where initial_range is given, got 0\.1"):
-        Simulation(1, EnvConfig(initial_range=(0.1, 0.1), initial_noise=0.1))
-
-
 def test_what_is_none_follows_from_the_others():
     direct = Simulation(1, EnvConfig(torque_limit=2.0)).settings
     assert (direct.residual_limit, direct.physics_dt, direct.physics_steps, direct.law_steps) == (2.0, 2e-3, 10, 1)

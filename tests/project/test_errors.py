@@ -133,6 +133,11 @@ CALLS = [
     # Zero is a friction coefficient, but no mass, and has no logarithm.
     (lambda: Randomization(M=(0.0, 1.0)), ValueError, r"^Randomization\.M\[0\].*0 < low"),
     (lambda: Randomization(mu=(5e-324, 0.1), log_mu=True), ValueError, r"mu must be within a factor .*5e-324"),
+    (lambda: CapsuleEnv(initial_range=(np.pi / 2, 0.0)), ValueError, r"^initial_range must be None or .*, got 1\.57"),
+    (lambda: CapsuleEnv(initial_range=(-0.1, 0.0)), ValueError, r"^initial_range must be .* >= 0, got -0\.1"),
+    (lambda: CapsuleEnv(initial_range=(0.0, 1e4)), ValueError, r"^initial_range must be .* <= 1000 .*, got 10000\.0"),
+    (lambda: CapsuleEnv(initial_range=(np.nan, 0.0)), ValueError, "^initial_range must be .*, got nan"),
+    (lambda: CapsuleEnv(initial_range=(0.1, 0.1), initial_noise=0.1), ValueError, "initial_noise must be 0 .*got 0.1"),
     (lambda: CapsuleEnv(task="velocity", goal_env=True), ValueError, "^goal_env must be False for the task 'vel"),
     (lambda: GOALS.compute_reward([0.1, 0.0], [0.1], {}), ValueError, r"^desired_goal must be .*, got \[0\.1\]$"),
     (lambda: Disturbances(latency=-1.0), ValueError, r"^Disturbances\.latency must be a .* 0 to 0\.5, or .*-1"),
