@@ -14,24 +14,6 @@ from agents.training.presets import ENV_PRESETS, PRESETS, ROWS
 ROOT = Path(train.__file__).parent
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--total-steps", "inf"], "--total-steps: must be an integer >= 0, got 'inf'"),
-        (["--tota", "4"], "--tota"),
-        (["--resume", "nowhere"], "nowhere"),
-        (["--row", "fastest"], "--row: a row must be one of residual-ppo, "),
-        (["--row", "direct-ppo", "--task", "residual"], "--task must stay direct with --row direct-ppo, got residual"),
-    ],
-)
-def test_bad_options_are_named(arguments, message, capsys):
-    with pytest.raises(SystemExit) as stop:
-        train.main(arguments)
-    assert stop.value.code == 2
-    error = capsys.readouterr().err
-    assert message in " ".join(error.replace("│", " ").split())
-
-
 def test_another_environment_has_settings_of_its_own():
     for env, tuned in ENV_PRESETS.items():
         options = train.read_args(["--env", env])

@@ -47,7 +47,8 @@ def test_a_limit_cycle_is_the_steady_one_from_its_smallest_angle_on():
     assert cycle[0, 0] == pytest.approx(-1.0) and cycle[-1, 2] - cycle[0, 2] == pytest.approx(0.08)
 
 
-def test_stale_tables_are_found(tmp_path, capsys):
+def test_current_and_stale_tables_are_found(tmp_path, capsys):
+    assert analysis.main(["limit_cycle", "--check"]) == 0
     assert analysis.main(["statistics", "--check", "--output", str(tmp_path)]) == 1
     assert re.search(r"statistics_tables\.md is not up to date: run `python -m", capsys.readouterr().out)
 

@@ -36,7 +36,7 @@ def test_a_finished_run_is_compared(tmp_path, capsys, env, options, plant, shown
     set_file.write_text(json.dumps({"name": "two", "task": task, "plants": plants}))
     report.compare(folder, str(set_file))
     out = capsys.readouterr().out
-    assert all(word in out for word in ("mean speed", "peak torque", "failures", "difference", shown))
+    assert all(word in out for word in ("mean speed", "peak torque", "failures", "difference", "comparison.png", shown))
 
 
 @pytest.mark.parametrize(

@@ -88,16 +88,17 @@ def test_a_search_of_gaits_is_seeded_and_keeps_its_best_when_interrupted(small, 
         return calls[-1]
 
     monkeypatch.setattr(tuning, "run_gaits", interrupted)
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(SystemExit, match="130"):
         tuning.main(["gait", "--generations", "100"])
     assert len(on_file("gait")["parameters"]) == len(PARAMETERS)
 
 
 @pytest.mark.parametrize(
-    ("name", "expected"), [("pd", -1.1786), ("oscillator", 12.3786), ("open-loop", 7.4638), ("open-loop-real", 8.6820)]
+    ("name", "expected"),
+    [("pd", -1.1786), ("oscillator", 12.3786), ("open-loop", 7.4638), ("open-loop-real", 8.6820), ("gait", 12.1028)],
 )
 def test_the_score_of_the_start_of_a_search(name, expected, monkeypatch):
-    for attribute, value in (("VALIDATION_SEED", 0), ("VALIDATION_PLANTS", 8), ("HORIZON", 10.0)):
+    for attribute, value in (("VALIDATION_SEED", 0), ("VALIDATION_PLANTS", 8), ("HORIZON", 10.0), ("GAIT_EPISODES", 8)):
         monkeypatch.setattr(tuning, attribute, value)
     problem = tuning.problem(name)
     assert problem.start.shape == problem.units.shape and (problem.units > 0.0).all()

@@ -93,23 +93,6 @@ def test_held_keys_apply_torque_and_cancel_each_other(monkeypatch):
         assert state(episode)["torque"] == pytest.approx(1.5 * STRENGTH * action)
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["direct-po"], "did you mean 'direct-ppo'?"),
-        (["adaptive", "--set", "papr"], "got 'papr'; did you mean 'paper'?"),
-        (["adaptive", "--seed", "400"], "--seed must be one of the set's, 0 to 399, got 400"),
-        (["adaptive", "--speed", "0"], "--speed must be a number from 0.1 to 20"),
-        (["adaptive", "--rival", "keyboard", "-o", "out.gif"], "'keyboard' with --output"),
-    ],
-)
-def test_bad_arguments_are_refused_in_a_line(words, said, capsys):
-    with pytest.raises(SystemExit) as ended:
-        demo.main(words)
-    error = capsys.readouterr().err
-    assert ended.value.code == 2 and said in error and "Traceback" not in error
-
-
 def test_the_command_ends_with_its_window_and_by_an_interrupt(monkeypatch):
     events = iter([[], [pygame.event.Event(pygame.QUIT)]])
     monkeypatch.setattr(pygame.event, "get", lambda: next(events))

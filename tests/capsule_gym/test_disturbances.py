@@ -252,25 +252,3 @@ def test_static_friction_balances_a_push_below_the_threshold_only(push, moves):
     # Without a torque, the upright pendulum does not fall: the platform stands still until it is pushed.
     infos = run(env, np.zeros((150, 1, 1), np.float32), options={"state": [0.0] * 4}, seed=3)
     assert any(info["state"][3] != 0.0 for info in infos) == moves
-
-
-def reset(**options: object) -> None:
-    CapsuleEnv(disturbances="real").reset(options=options)
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (
-            lambda: Disturbances(latency=-1.0),
-            r"Disturbances\.latency must be a number from 0 to 0\.5, or a pair .*-1\.0",
-        ),
-        (lambda: Disturbances(unmeasured=("x",)), r"Disturbances\.unmeasured must be .* got \('x',\)"),
-        (lambda: CapsuleEnv(randomization=Randomization(m=(0.1, 40.0), mu=(0.5, 9.0))), r"Painleve"),
-        (lambda: reset(disturbances={"latency": 0.1}), r"\['latency'\] must be a number from 0 to 0\.016, got 0\.1"),
-        (lambda: reset(disturbances={"speed": 0.1}), r"options\['disturbances'\] must be a dict with keys out of"),
-    ],
-)
-def test_what_cannot_be_is_refused_by_name(make, message):
-    with pytest.raises((TypeError, ValueError), match=message):
-        make()

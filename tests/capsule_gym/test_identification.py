@@ -1,11 +1,14 @@
 """Identification: the predictor is the environment, the intervals contain the truth, invalid logs raise errors."""
 
 import csv
+import math
 import subprocess
 import sys
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
+from scipy.signal import lfilter
 
 from capsule_gym import Capsule, CapsuleEnv, Disturbances, Excitation, identify, record
 from capsule_gym.identification import OTHERS
@@ -74,6 +77,87 @@ def test_slopes_of_predictions_equal_differences(log):
             np.testing.assert_allclose(slope[inside, 1 + n], difference, rtol=1e-4, atol=1e-4 * abs(difference).max())
 
 
+T = 0.01 * np.arange(400)
+
+
+def make_small_problem(count: int = 400, **more) -> Problem:
+    t, torque = 0.01 * np.arange(count), np.random.default_rng(0).normal(size=count)
+    columns = {"t": t, "torque": torque, "theta": 0.3 * np.sin(2.0 * t), **more}
+    ranges = {"M": (0.4, 0.8), "mu": (0.01, 0.16), "latency": (0.004, 0.012)}
+    return Problem(columns, Capsule(), ranges, True, {"lag": 0.0}, 3e-3)
+
+
+def test_quantities_segments_and_first_states_by_hand():
+    problem = make_small_problem(x_dot=np.where(T % 0.05 < 1e-9, np.nan, T))
+    # 3 ms divide no 10 ms; the segments of 12 ms latency begin 2 readings before their first.
+    assert (problem.period, problem.h) == pytest.approx((0.01, 0.0025)) and (problem.steps, problem.lead) == (4, 2)
+    values, slopes = problem.values(np.array([0.25, 0.5, 1.0]))
+    assert values == pytest.approx({"lag": 0.0, "M": 0.5, "mu": 0.04, "latency": 0.012})
+    assert slopes == pytest.approx([0.4, 0.04 * math.log(16.0), 0.008])
+    expected = np.transpose([0.3 * np.sin(2.0 * T), 0.6 * np.cos(2.0 * T), T])[2::80]
+    for seconds, ends in ((0.8, [82, 162, 242, 322, 400]), (0.2, [22, 102, 182, 262, 342])):
+        np.testing.assert_allclose(problem.cut(seconds), expected.ravel(), atol=1e-3)
+        assert problem.segments == list(zip((2, 82, 162, 242, 322), ends, strict=True))
+
+
+def test_errors_are_whitened_by_the_covariance_of_noise_and_drift():
+    problem, rng = make_small_problem(), np.random.default_rng(0)
+    noise, drift, time = problem.noise["theta"] = (0.02, 0.05, 0.3)
+    rows = rng.uniform(size=400) > 0.1
+    errors = np.where(rows[:, None], rng.normal(size=(400, 3)), 0.0)
+    covariance = drift**2 * np.exp(-np.abs(np.subtract.outer(T, T)) / time) + noise**2 * np.eye(400)
+    expected = np.linalg.solve(np.linalg.cholesky(covariance[rows][:, rows]), errors[rows])
+    np.testing.assert_allclose(problem.whiten("theta", errors, rows), expected, rtol=1e-8, atol=1e-9)
+
+
+def test_sizes_of_noise_and_drift_are_those_of_the_errors():
+    count, rng, kept = 40_000, np.random.default_rng(1), math.exp(-0.01 / 0.2)
+    drift = lfilter([math.sqrt(1.0 - kept**2)], [1.0, -kept], 0.05 * rng.normal(size=count))
+    problem = make_small_problem(count, theta=drift + 0.02 * rng.normal(size=count))
+    problem.log["theta"][rng.uniform(size=count) < 0.01] = np.nan
+    problem.predict = lambda *_, **__: (np.zeros((count, 1, 1)), None)
+    problem.estimate_noise(np.zeros(3))
+    assert problem.noise["theta"] == pytest.approx((0.02, 0.05, 0.2), rel=0.15)
+
+
+def test_the_fit_and_its_posterior_are_those_of_least_squares():
+    problem = make_small_problem()
+    problem.names = ["a", "b"]
+
+    def residuals(u: np.ndarray, *_, **__) -> tuple[np.ndarray, np.ndarray]:
+        r = np.array([30.0 * (u[0] - 1.4) + u[2] ** 2, 40.0 * (u[1] ** 2 - 0.25), u[2] - 3.0 * u[1], u[1] * u[2] - 0.4])
+        return r, np.array([[30.0, 0.0, 2.0 * u[2]], [0.0, 80.0 * u[1], 0.0], [0.0, -3.0, 1.0], [0.0, u[2], u[1]]])
+
+    problem.residuals = residuals
+    found, cost = problem.fit(np.array([0.2, 0.9, 0.0]), 1e-9)
+    bounds = ([0.0, 0.0, -np.inf], [1.0, 1.0, np.inf])
+    expected = least_squares(lambda u: residuals(u)[0], [0.2, 0.9, 0.0], bounds=bounds, xtol=1e-12, ftol=1e-12)
+    np.testing.assert_allclose(found, expected.x, atol=1e-4)
+    assert cost == pytest.approx(2.0 * expected.cost) and found[0] == 1.0
+    # A linear problem: without the third unknown, and within the ranges.
+    A = np.array([[40.0, 5.0, 8.0], [3.0, 30.0, -6.0], [1.0, 2.0, 9.0], [7.0, -9.0, 4.0]])
+    for scale, b in ((1.0, A @ [0.6, 0.4, 2.0]), (1e-4, np.zeros(4))):
+        problem.residuals = lambda u, *_, scale=scale, b=b, **__: (scale * (A @ u - b), scale * A)
+        samples = problem.posterior(np.array([0.58, 0.41, 1.9]))
+        mean, covariance = np.array([0.6, 0.4]), np.linalg.inv(A.T @ A)[:2, :2]
+        if scale < 1.0:
+            mean, covariance = np.full(2, 0.5), np.eye(2) / 12.0
+        np.testing.assert_allclose(samples.mean(axis=0), mean, atol=5.0 * np.sqrt(covariance.max() / len(samples)))
+        np.testing.assert_allclose(np.cov(samples.T), covariance, atol=0.06 * covariance.max())
+
+
+def test_chi2_is_what_past_torques_and_the_motion_explain_of_the_residuals():
+    problem, rng = make_small_problem(), np.random.default_rng(2)
+    motion, r, u = rng.normal(size=400), rng.normal(size=398), problem.log["torque"]
+    problem.predict = lambda *_, **__: (np.where(np.arange(400) < 2, np.nan, motion)[:, None, None], None)
+    problem.residuals = lambda *_, **__: (r, None)
+    past = [np.concatenate([np.zeros(lag), u[:-lag]]) for lag in range(1, 100)]
+    motion[:2] = 0.0
+    X = np.transpose([np.ones(400), *past, np.sign(motion), np.abs(motion)])[2:]
+    explained = r @ X @ np.linalg.lstsq(X, r, rcond=None)[0]
+    assert problem.statistic(np.zeros(3)) == pytest.approx(explained / 102.0) and 0.7 < explained / 102.0 < 1.3
+
+
 def test_intervals_contain_the_truth(fit):
     for name, (low, high) in fit.intervals(0.999).items():
         truth = {**TRUTH, "motor_friction": 0.06, **MOTOR, "x_dot_bias": 0.01}.get(name, 0.0)
@@ -136,7 +220,7 @@ def changed(**columns):
     ("change", "text"),
     [
         (changed(t=lambda t: t**1.1), "column 't' must be in equal steps"),
-        (changed(torque=lambda u: 0.0 * u + 0.3), r"column 'torque' must be varied \(N m\), got .*0.3"),
+        (changed(torque=lambda u: 5.0 + 1e-6 * u), r"column 'torque' must be varied \(N m\), got .*5"),
         (changed(torque=lambda u: np.where(u > 0.5, np.nan, u)), "column 'torque' must be finite numbers"),
         (changed(theta=np.degrees), "column 'theta' must be in rad"),
         (changed(theta_dot=lambda w: 0.1 * w), "column 'theta_dot' must be the derivative of column 'theta'"),

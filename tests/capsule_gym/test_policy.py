@@ -119,23 +119,6 @@ def test_every_pretrained_policy_loads_and_drives_its_environment(name):
     assert env.unwrapped.episode_metrics(1650)["mean_speed"] > 3.0 or policy.env_kwargs.get("task", "speed") != "speed"
 
 
-@pytest.mark.parametrize(
-    ("name", "error", "message"),
-    [
-        ("residual-pppo", ValueError, r"direct-ppo, .*residual-ppo, .*did you mean 'residual-ppo'\?"),
-        ("direct-sac/seed-9", ValueError, r"did you mean 'direct-sac/seed-\d'\?"),
-        *((each, ValueError, r"did you mean 'direct-ppo'\?") for each in ("direct_ppo", "Direct-PPO", "direct-pp")),
-        ("adaptive", ValueError, r"a control law: gym\.make\(\.\., controller='baselines:adaptive'\)"),
-        ("residual-ppo/../direct-ppo", ValueError, r"got 'residual-ppo/\.\./direct-ppo'"),
-        ("a" * 10_000, ValueError, r"got 'a{499} \.\. a{499}'"),
-        (3, TypeError, "name_or_path must be a policy's name or a path, got 3"),
-    ],
-)
-def test_a_name_that_is_none_is_answered_with_the_known_ones(name, error, message):
-    with pytest.raises(error, match=message):
-        load_policy(name)
-
-
 def test_a_name_on_disk_does_not_hide_a_pretrained_policy(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "direct-ppo").mkdir()

@@ -116,11 +116,3 @@ def test_blocks_that_have_ended_stop_and_the_metrics_have_the_rollouts_horizon()
     before = env.simulation.world.copy()
     rollout(env.simulation, policy, 10)
     assert env.simulation.world.tobytes() == before.tobytes()
-
-
-def test_a_policy_for_another_observation_is_refused():
-    env, _ = begun(load_policy("direct-ppo"), 2)
-    with pytest.raises(ValueError, match=r"policy must take the observations of the simulation, 5 entries, .*takes 10"):
-        rollout(env.simulation, load_policy("residual-ppo"), 10)
-    with pytest.raises(ValueError, match="steps must be an integer >= 1, got 0"):
-        rollout(env.simulation, load_policy("direct-ppo"), 0)

@@ -16,24 +16,10 @@ from capsule_gym.task import START_THETA, Termination
 from tests.capsule_gym.fakes import picky_controller  # noqa: F401 (named by a pickle)
 
 
-@pytest.mark.parametrize(
-    ("kwargs", "message"),
-    [
-        ({"control_dt": 1e300}, r"^control_dt must be .* \(s\), at most 1e\+06, got 1e\+300"),
-        ({"physics_dt": 1e-25}, r"^physics_dt must be .*>= 1e-09 \(s\).*, got 1e-25"),
-        ({"control_dt": 1e6}, r"^control_dt must be at most 1000000 times physics_dt=0\.002 s, got 1000000\.0"),
-        ({"physics_dt": 1e-9, "controller": "baselines:adaptive"}, "^control_dt must be at most 1000000 times"),
-    ],
-)
-def test_more_substeps_than_a_step_should_take_are_refused(kwargs, message):
-    with pytest.raises(ValueError, match=message):
-        Simulation(1, EnvConfig(**kwargs))
-
-
-def test_the_integrator_is_stable_where_it_is_said_to_be():
+def test_the_integrator_is_stable_where_it_is_said_to_be_and_not_much_further():
     z = STABLE * np.exp(1j * np.linspace(0.5 * np.pi, np.pi, 1001))
-    growth = np.abs(1.0 + z + z**2 / 2.0 + z**3 / 6.0 + z**4 / 24.0)
-    assert growth.max() < 1.0
+    stable, beyond = (np.abs(1.0 + z + z**2 / 2.0 + z**3 / 6.0 + z**4 / 24.0) for z in (z, 1.1 * z))
+    assert stable.max() < 1.0 < beyond.max()
 
 
 @pytest.mark.parametrize("fields", [{"c": 20.0}, {"k": 40_000.0}, {"m": 1e-4}, {"l": 0.005}])

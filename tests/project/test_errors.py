@@ -13,30 +13,43 @@ from agents.training.algorithms import make_env
 from agents.training.config import Config, RunError
 from baselines.drawing import style
 from baselines.evaluation.episodes import evaluate
-from baselines.evaluation.statistics import estimate
+from baselines.evaluation.statistics import estimate, learning_curve, paired_difference
+from baselines.laws.adaptive import adaptive
+from baselines.laws.feedback_linearisation import feedback_linearising
+from baselines.laws.gains import known_parameters
+from baselines.laws.gait import gait
+from baselines.laws.profiles import TABLE_1, seven_phases, six_phases
 from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Randomization, identify, native, sensitivity
 from capsule_gym.checks import first_cause
 from capsule_gym.config import find_task
 from capsule_gym.controller import CoreLaw
 from capsule_gym.demo import main as demo
-from capsule_gym.evaluation_sets import parse_set
+from capsule_gym.evaluation_sets import load_set, parse_set
 from capsule_gym.export import Exported
 from capsule_gym.export import main as export
 from capsule_gym.identification import OTHERS
 from capsule_gym.identify import main as identify_file
-from capsule_gym.parameters import NOMINAL
+from capsule_gym.network import rollout
+from capsule_gym.parameters import NOMINAL, Disturbances
+from capsule_gym.policy import load_policy
 from capsule_gym.recording import read_log
 from capsule_gym.rendering import write_gif
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 from capsule_gym.settings import divide
 from capsule_gym.shooting import PLANT
+from capsule_gym.simulation import Simulation
+from capsule_gym.task import Task
+from tests.agents.fakes import Sine
 from tests.capsule_gym.test_evaluation_sets import plant
 from tests.capsule_gym.test_policy import make_policy, make_remembering
 from tests.capsule_gym.test_trajectory import START
+from train import main as train
 
 T = np.arange(0.0, 3.0, 0.01)
 LOG = {"t": T, "torque": 0.1 * np.sin(T), "theta": 0.1 * np.sin(T)}
 KNOWN = {name: getattr(NOMINAL, name) for name in PLANT} | dict.fromkeys(OTHERS, 0.0)
+GAIT = known_parameters("gait")
+GOALS, REAL = CapsuleEnv(task="goal", goal_env=True), CapsuleEnv(disturbances="real")
 ORIGIN = (0.0, 0.0, 0.0, 0.0)
 CALLS = [
     (lambda: CapsuleEnv(randomization=Randomization(M=(0.001, 0.5), mu=(5.0, 20.0))), ValueError, "Painleve"),
@@ -89,6 +102,62 @@ CALLS = [
     (lambda: parse_set({**plant(), "plants": []}), ValueError, "set.plants must be a list of at least one plant"),
     (lambda: parse_set(plant(capsule={"m": -1.0})), ValueError, r"plants\[0\].capsule: Capsule.m must be"),
     (lambda: evaluate("direct-ppo", env_kwargs={}), TypeError, "env_kwargs must not be given with a policy's name"),
+    (lambda: adaptive(K1=-1.0), ValueError, "K1 must be"),
+    (lambda: adaptive(eta_0=10.1), ValueError, "eta_0 must be a number > 0 and <= 10, got 10.1"),
+    (lambda: adaptive(dt=7e-4), ValueError, "multiple of dt"),
+    (lambda: adaptive(regularised=1), TypeError, "regularised must be True or False, got 1"),
+    (lambda: gait([1.0]), ValueError, r"parameters must be 23 numbers, phi_000, .*, got \[1.0\]"),
+    (lambda: gait((*GAIT[:-1], np.nan)), ValueError, "parameters, guard_from, must be a finite number, got nan"),
+    (lambda: gait(("1", *GAIT[1:])), TypeError, "parameters, phi_000, must be a finite number, got '1'"),
+    (lambda: seven_phases((0.1, 0.2), 7.8, 2.1), ValueError, "t1 to t7"),
+    (lambda: seven_phases((0.2, 0.1, *TABLE_1[2:]), 7.8, 2.1), ValueError, "must increase"),
+    (lambda: six_phases((0.1, 0.33, 0.9, 1.4, 5.8, 6.6), 1.0, 1.4), ValueError, "P2 must be"),
+    (lambda: feedback_linearising(K_p=np.nan), ValueError, "K_p must be"),
+    (lambda: feedback_linearising(seven_phases((*TABLE_1[:-1], 6.60005), 7.8, 2.1)), ValueError, "multiple"),
+    (lambda: evaluate(lambda seen: np.zeros(3), "nominal"), ValueError, r"of shape \(100, 1\), got array"),
+    (lambda: evaluate(lambda seen: np.full((100, 1), np.nan), "nominal"), ValueError, "must be finite"),
+    (lambda: evaluate(lambda seen: "full", "nominal"), ValueError, "got 'full'"),
+    (lambda: evaluate(3), TypeError, r"policy must be an object with predict.* got a int"),
+    (lambda: evaluate(Sine), TypeError, r"policy must be an object with predict.* got the class"),
+    (lambda: estimate([1.0, 2.0, 3.0]), ValueError, r"scores must have the shape .* got \(3,"),
+    (lambda: estimate(np.empty((1, 0))), ValueError, r"scores must have the shape .* got \(1, 0\)"),
+    (lambda: paired_difference([[1.0, 2.0, 3.0]], [[1.0, 2.0]]), ValueError, "same episodes, got .* and "),
+    (lambda: learning_curve([([1, 2], [0.0] * 2), ([5, 6], [0.0] * 2)]), ValueError, "begins at 5 .* ends at 2"),
+    (lambda: CapsuleEnv(control_dt=1e300), ValueError, r"^control_dt must be .* \(s\), at most 1e\+06, got 1e\+300"),
+    (lambda: CapsuleEnv(physics_dt=1e-25), ValueError, r"^physics_dt must be .*>= 1e-09 \(s\).*, got 1e-25"),
+    (lambda: CapsuleEnv(control_dt=1e6), ValueError, r"^control_dt must be at most 1000000 times physics_dt=0\.002 s,"),
+    (lambda: CapsuleEnv(physics_dt=1e-9, controller=adaptive), ValueError, "^control_dt must be at most 1000000 times"),
+    (lambda: CapsuleEnv(task=Task(name="run", term="reward")), ValueError, r"task\.name must be .*'speed'.*got 'run'"),
+    (lambda: Randomization(M=(0.2, 0.1)), ValueError, r"^Randomization\.M.* a pair \(low, high\) of"),
+    (lambda: Randomization(mu=(True, 2.0)), TypeError, r"^Randomization\.mu.* a pair \(low, high\)"),
+    # Zero is a friction coefficient, but no mass, and has no logarithm.
+    (lambda: Randomization(M=(0.0, 1.0)), ValueError, r"^Randomization\.M\[0\].*0 < low"),
+    (lambda: Randomization(mu=(5e-324, 0.1), log_mu=True), ValueError, r"mu must be within a factor .*5e-324"),
+    (lambda: CapsuleEnv(initial_range=(np.pi / 2, 0.0)), ValueError, r"^initial_range must be None or .*, got 1\.57"),
+    (lambda: CapsuleEnv(initial_range=(-0.1, 0.0)), ValueError, r"^initial_range must be .* >= 0, got -0\.1"),
+    (lambda: CapsuleEnv(initial_range=(0.0, 1e4)), ValueError, r"^initial_range must be .* <= 1000 .*, got 10000\.0"),
+    (lambda: CapsuleEnv(initial_range=(np.nan, 0.0)), ValueError, "^initial_range must be .*, got nan"),
+    (lambda: CapsuleEnv(initial_range=(0.1, 0.1), initial_noise=0.1), ValueError, "initial_noise must be 0 .*got 0.1"),
+    (lambda: CapsuleEnv(task="velocity", goal_env=True), ValueError, "^goal_env must be False for the task 'vel"),
+    (lambda: GOALS.compute_reward([0.1, 0.0], [0.1], {}), ValueError, r"^desired_goal must be .*, got \[0\.1\]$"),
+    (lambda: Disturbances(latency=-1.0), ValueError, r"^Disturbances\.latency must be a .* 0 to 0\.5, or .*-1"),
+    (lambda: Disturbances(unmeasured=("x",)), ValueError, r"^Disturbances\.unmeasured must be .* got \('x',\)"),
+    (lambda: Randomization(m=(0.1, 40.0), mu=(0.5, 9.0)).corners(NOMINAL), ValueError, "Painleve"),
+    (lambda: REAL.reset(options={"disturbances": {"latency": 0.1}}), ValueError, r"must be .* 0 to 0\.016, got 0\.1"),
+    (lambda: REAL.reset(options={"disturbances": {"speed": 0.1}}), ValueError, "must be a dict with keys out of"),
+    (lambda: rollout(Simulation(2), load_policy("residual-ppo"), 9), ValueError, "policy .* 5 entries, .*takes 10"),
+    (lambda: rollout(Simulation(2), load_policy("direct-ppo"), 0), ValueError, "steps must be an integer >= 1, got 0"),
+    (lambda: load_set("papre"), ValueError, "^set must be one of .*, or the path of a JSON file, got 'papre'"),
+    (lambda: load_set("x" * 10_000), ValueError, "^set must be one of .* got 'xx"),
+    (lambda: load_set("/dev/null"), ValueError, "^set must be one of .* got '/dev"),
+    (lambda: load_set("a\0b"), ValueError, "^set must be one of .* got 'a"),
+    (lambda: load_policy("residual-pppo"), ValueError, r"direct-ppo, .*residual-ppo, .*did you mean 'residual-ppo'\?"),
+    (lambda: load_policy("direct-sac/seed-9"), ValueError, r"did you mean 'direct-sac/seed-\d'\?"),
+    (lambda: load_policy("direct_ppo"), ValueError, r"did you mean 'direct-ppo'\?"),
+    (lambda: load_policy("adaptive"), ValueError, r"law: gym\.make\(\.\., controller='baselines:adaptive'\)"),
+    (lambda: load_policy("direct-sac/../direct-ppo"), ValueError, r"got 'direct-sac/\.\./direct-ppo'"),
+    (lambda: load_policy("a" * 10_000), ValueError, r"got 'a{499} \.\. a{499}'"),
+    (lambda: load_policy(3), TypeError, "name_or_path must be a policy's name or a path, got 3"),
     (lambda: make_env(Config(wrapper=("builtins:int",)), 0), RunError, "--wrapper .* not a subclass of"),
 ]
 
@@ -109,6 +178,16 @@ COMMANDS = [
     (demo, ["adaptive", "--output", "film.mp4"], "--output must be the name of a GIF, got 'film.mp4'"),
     (demo, ["adaptive", "--output", "nowhere/film.gif"], "--output must name a file in a folder that exists"),
     (identify_file, ["nowhere.csv"], "log must be a file, got 'nowhere.csv'"),
+    (demo, ["direct-po"], r"did you mean 'direct-ppo'\?"),
+    (demo, ["adaptive", "--set", "papr"], r"got 'papr'; did you mean 'paper'\?"),
+    (demo, ["adaptive", "--seed", "400"], "--seed must be one of the set's, 0 to 399, got 400"),
+    (demo, ["adaptive", "--speed", "0"], "--speed must be a number from 0.1 to 20"),
+    (demo, ["adaptive", "--rival", "keyboard", "-o", "out.gif"], "'keyboard' with --output"),
+    (train, ["--total-steps", "inf"], "--total-steps: must be an integer >= 0, got 'inf'"),
+    (train, ["--tota", "4"], "--tota"),
+    (train, ["--resume", "nowhere"], "nowhere"),
+    (train, ["--row", "fastest"], "--row: a row must be one of residual-ppo, "),
+    (train, ["--row", "direct-ppo", "--task", "residual"], "--task must stay direct with --row direct-ppo,"),
 ]
 
 

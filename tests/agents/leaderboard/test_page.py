@@ -16,8 +16,11 @@ def row_of(board, name):
     return next(row for row in board["rows"] if row["policy"] == name)
 
 
-def test_the_committed_board_has_a_place_for_every_row():
-    assert list(grouped(read(ROOT))) == list(page.GROUPS)
+def test_the_committed_board_has_a_place_for_every_row_and_the_pages_show_it():
+    board = read(ROOT)
+    assert list(grouped(board)) == list(page.GROUPS)
+    for name, text in page.files(ROOT, board).items():
+        assert (ROOT / name).read_text(encoding="utf-8") == text, name
 
 
 def clearly(board, faster, slower, on):

@@ -7,8 +7,9 @@ import re
 import pytest
 
 import train
+from agents.analysis.statistics import read_evaluations
 from agents.distillation.config import STUDENTS
-from agents.training.config import RANGES
+from agents.training.config import EVALUATIONS, RANGES
 from agents.training.presets import PRESETS, ROWS
 from baselines.evaluation.policies import CHECKPOINTS, checkpoint_names, find_candidate
 
@@ -41,6 +42,16 @@ def test_a_committed_policy_acts_as_its_rows_settings_say(name):
         assert found == expected
         assert policy.algorithm == settings.algo
         assert [bias.size for _, bias in policy.layers] == [settings.hidden, settings.hidden, 1]
+
+
+# direct-real is of an earlier revision.
+@pytest.mark.parametrize("name", sorted(set(ROWS) - {"direct-real"}))
+def test_committed_evaluations_are_those_of_the_rows_settings(name):
+    config = ROWS[name]
+    steps, _ = read_evaluations(CHECKPOINTS / name / "seed-0" / EVALUATIONS, config.env_task)
+    rollout = config.num_envs * (config.n_steps if config.algo == "ppo" else 1)
+    expected = [math.ceil(each / rollout) * rollout for each in (config.evaluate_every, config.total_steps)]
+    assert steps[[0, -1]].tolist() == expected
 
 
 def test_the_table_of_commands_names_every_row_and_its_seeds():

@@ -80,12 +80,14 @@ def test_results_survive_the_file(tmp_path, monkeypatch):
     values = np.random.default_rng(0).uniform(-50.0, 80.0, (5, 6, 7)).astype(np.float32)
     solution = Solution(Problem(), Grid((5, 6, 7), (-3.0, 9.0), (-1.0, 4.0), 0.5), values, 0.4, 20.0)
     slow, fast = (repeat(Problem(), (scale * np.arange(1650) % 121).astype(np.uint8)) for scale in (0, 1))
-    monkeypatch.setattr(solver, "solve_on_grids", lambda *_: [(solution, slow), (solution, fast), (solution, slow)])
-    written = Archive()
-    list(written.solve([Problem(), Problem(energy_weight=1.0)]))
+    solved, grids, written = [(solution, slow), (solution, fast), (solution, slow)], [], Archive()
+    monkeypatch.setattr(solver, "solve_on_grids", lambda problem, shapes: grids.append(len(shapes)) or solved)
+    list(written.solve([Problem(), Problem(energy_weight=1.0), Problem(control_dt=0.04)]))
     written.save(tmp_path)
     read = load_archive(tmp_path)
-    assert read.results == written.results
+    assert read.results == written.results and grids == [4, 2, 3]
+    # Only the policies of the speed problems look ahead with values.
+    assert sum("torques" not in name for name in read.arrays) == 2
     # `repeat` returns the trajectory of the largest reward.
     assert (read.repeat(Problem()).choices == fast.choices).all()
     again = read.solution(Problem())

@@ -160,22 +160,3 @@ def test_arguments_of_the_environment_come_from_the_caller_or_the_policy():
     assert wrap_policy(zero).name == "zero"
     evaluate(zero, TINY, env_kwargs={"observe_parameters": True, "control_dt": 0.1}, horizon=0.2)
     assert shapes == [(3, 7)] * 2
-
-
-@pytest.mark.parametrize(
-    ("output", "message"),
-    [
-        (np.zeros(3), r"of shape \(3, 1\), got array"),
-        (np.full((3, 1), np.nan), "must be finite"),
-        ("full", "got 'full'"),
-    ],
-)
-def test_wrong_actions_raise_an_error(output, message):
-    with pytest.raises(ValueError, match=message):
-        evaluate(lambda observations: output, TINY, horizon=0.1)
-
-
-@pytest.mark.parametrize("policy", [3, None, Counting])
-def test_other_objects_raise_an_error(policy):
-    with pytest.raises(TypeError, match=r"policy must be an object with predict.* got (a int|a NoneType|the class)"):
-        evaluate(policy, TINY)

@@ -93,13 +93,3 @@ def test_learning_curves_hold_the_last_evaluation_and_never_a_later_one():
     assert (curve.low < curve.value).all() and (curve.value < curve.high).all()
     alone = learning_curve([([1, 2], [1.0, 2.0])])
     assert np.isnan(alone.low).all()
-
-
-def test_malformed_scores_are_refused():
-    with pytest.raises(ValueError, match="begins at 5 steps and one that ends at 2"):
-        learning_curve([([1, 2], [0.0, 0.0]), ([5, 6], [0.0, 0.0])])
-    for scores in ([1.0, 2.0, 3.0], np.empty((1, 0))):
-        with pytest.raises(ValueError, match=r"scores must have the shape .* got \((3,|1, 0)\)"):
-            estimate(scores)
-    with pytest.raises(ValueError, match=r"same episodes, got .* and .*"):
-        paired_difference([[1.0, 2.0, 3.0]], [[1.0, 2.0]])

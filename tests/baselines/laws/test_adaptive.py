@@ -171,20 +171,6 @@ def test_plant_without_friction_or_spring_has_bounds_too():
     assert after[2] != memory[2] and after[7] != memory[7]
 
 
-@pytest.mark.parametrize(
-    ("error", "make", "message"),
-    [
-        (ValueError, lambda: adaptive(K1=-1.0), "K1 must be"),
-        (ValueError, lambda: adaptive(eta_0=10.1), "eta_0 must be a number > 0 and <= 10, got 10.1"),
-        (ValueError, lambda: adaptive(dt=7e-4), "multiple"),
-        (TypeError, lambda: adaptive(regularised=1), "regularised must be True or False, got 1"),
-    ],
-)
-def test_invalid_arguments_raise_an_error(error, make, message):
-    with pytest.raises(error, match=message):
-        make()
-
-
 @pytest.mark.parametrize("regularised", [True, False])
 def test_choices_reach_the_law(regularised):
     default = FORMS["regularised" if regularised else "unregularised"]

@@ -74,12 +74,3 @@ def test_the_guard_keeps_the_contact_of_platforms_lighter_than_those_of_the_sear
     assert metrics["mean_speed"].min() > 10.0
     # The law's estimates match the plants.
     assert kept.simulation.row(ROWS + 1) == pytest.approx(np.array(LIGHT[0]), rel=0.02)
-
-
-def test_invalid_parameters_raise_an_error():
-    with pytest.raises(ValueError, match=r"parameters must be 23 numbers, phi_000, .*, got \[1.0\]"):
-        gait([1.0])
-    with pytest.raises(ValueError, match="parameters, guard_from, must be a finite number, got nan"):
-        gait((*known_parameters("gait")[:-1], math.nan))
-    with pytest.raises(TypeError, match="parameters, phi_000, must be a finite number, got '1'"):
-        gait(("1", *known_parameters("gait")[1:]))

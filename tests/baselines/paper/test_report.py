@@ -1,5 +1,7 @@
 """The command: every published number and claim with its verdict, and figures of the same numbers."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -36,6 +38,9 @@ def test_verdicts(made):
         assert rows[run, "largest theta'"][""] == "reproduced"
         for quantity in ("mean speed, five cycles", "largest torque"):
             assert rows[run, quantity][""] == "NOT reproduced" and rows[run, quantity]["kind"] == "predicted"
+    # 0.138 (0.3)^2 = 0.01242 kg m^2 is not the printed 0.01424.
+    constants = [row[""] for row in made["numbers"] if row["kind"] == "constant"]
+    assert constants == ["reproduced", "NOT reproduced", *["reproduced"] * 8]
     assert [holds for _, holds in made["claims"].values()] == [False, True, True, True] + [False] * 5
     assert all(word in claim for word, claim in zip(("torque", "energy", "back"), [*made["claims"]][1:4], strict=True))
 
@@ -46,11 +51,15 @@ def test_command_prints_every_published_number(made, monkeypatch, capsys, tmp_pa
     text = capsys.readouterr().out
     numbers = [*published.PROPOSED.values(), *published.EPC.values(), *published.BASE_PARAMETERS]
     numbers += [published.SWING_DIFFERENCE, published.ADAPTIVE_PEAK_VELOCITY, published.NATURAL_FREQUENCY]
-    for number in numbers:
-        shown = f" {number.value:.{number.digits}f} "
-        assert any(number.quantity in line and shown in line for line in text.splitlines())
+    printed = "7.8 68.75 0.642 0.5367 11.0 85.85 0.629 0.6246 "
+    printed += "0.01424 0.0414 0.36 0.0923 0.40527 0.0414 0.638 0.01 0.0414 17.1 7.9 5.7184"
+    for number, shown in zip(numbers, printed.split(), strict=True):
+        assert any(number.quantity in line and f" {shown} " in line for line in text.splitlines())
+    for kind, choose, quantity in (("largest", max, "error_rms"), ("smallest", min, "mean_speed")):
+        for law, line in zip(made["laws"], re.findall(f".*the {kind} {quantity}.*", text), strict=True):
+            assert f" {choose(run[quantity] for run in law.runs):.4g}" in line
     words = " ".join(text.split())
-    assert all(claim in words for claim in made["claims"])
+    assert all(claim in words for claim in made["claims"]) and "in the cycles (1, 60, 600)" in words
     # Every fastest profile is limited by a demand, but not by one that it need not satisfy.
     for optimum in made["optimal_profiles"]:
         binding = report._optimum(optimum)["binding"]
