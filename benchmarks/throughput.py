@@ -54,7 +54,7 @@ C_SETTINGS = (
 # The smallest ratio of two contenders' rates.
 FLOORS = {
     ("capsule", "CartPole-v1"): 1.3,
-    ("capsule, reset", "CartPole-v1, reset"): 0.4,
+    ("capsule, reset", "CartPole-v1, reset"): 0.25,
     ("capsule, 1024", "CartPole-v1, 1024"): 0.2,
     ("capsule, law, 1024", "capsule, 1 ms, 1024"): 0.46,
     ("capsule, core, 1024", "capsule, plain C, 1024"): 0.65,
