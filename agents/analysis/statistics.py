@@ -131,8 +131,8 @@ def draw_transport(rows: Sequence[Row]) -> Any:
     no_progress = f" Without forward progress, and so without a cost: {', '.join(absent)}." if absent else ""
     add_note(
         figure,
-        "Interquartile means over all episodes on nominal. Dynamic programming: with energy weights, over 33 s from one "
-        f"start at rest.{no_progress}",
+        "Interquartile means over all episodes on nominal. Dynamic programming: with energy weights, over 33 s from "
+        f"one start at rest.{no_progress}",
     )
     return figure
 
