@@ -63,7 +63,7 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
     """
 
     # Gymnasium declares it as the instance's, and wrappers change it: each instance gets a copy.
-    metadata: dict[str, Any] = {  # noqa: RUF012
+    metadata: dict[str, Any] = {  # noqa: RUF012 (as Gymnasium declares it)
         "render_modes": ["rgb_array"],
         "render_fps": 50,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
@@ -83,7 +83,7 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         self.closed = True
         config = EnvConfig(render_mode=render_mode, **options)
         require(render_mode != "human", "render_mode of a batch", "None or 'rgb_array'", render_mode)
-        modes = {key: each for each in AutoresetMode for key in (each, each.name)}
+        modes = {key: each for each in AutoresetMode for key in (each, each.name, each.value)}
         accepted = f"an AutoresetMode or one of {list(AutoresetMode.__members__)}"
         fits = isinstance(autoreset_mode, (AutoresetMode, str)) and autoreset_mode in modes
         require(fits, "autoreset_mode", accepted, autoreset_mode)

@@ -69,7 +69,7 @@ def assert_same_infos(ours, theirs, rows=slice(None)):
 @pytest.mark.parametrize(("n", "threads"), [(1, 1), (LANES + 2, 2)])
 def test_batch_equals_single_environments_across_resets(mode, kwargs, n, threads):
     horizon = 40
-    batch = CapsuleVectorEnv(n, max_episode_steps=horizon, autoreset_mode=mode, threads=threads, **kwargs)
+    batch = CapsuleVectorEnv(n, max_episode_steps=horizon, autoreset_mode=mode.value, threads=threads, **kwargs)
     reference = singles(n, horizon, mode, **kwargs)
     rng = np.random.default_rng(1)
     a, b = batch.reset(seed=11), reference.reset(seed=11)
