@@ -7,6 +7,7 @@ of type `Positional[str]` is a positional argument; an option of type `Count` ac
 
 import inspect
 import io
+import math
 import os
 import signal
 import sys
@@ -30,7 +31,10 @@ NO_NEGATIONS = (tyro.conf.FlagCreatePairsOff,)
 
 
 def _count(text: str) -> int:
-    value = float(text.replace("_", ""))
+    try:
+        value = float(text.replace("_", ""))
+    except ValueError:
+        value = math.nan
     if not value.is_integer() or value < 0:
         raise ValueError(f"must be an integer >= 0, got {text!r}")
     return int(value)

@@ -15,7 +15,7 @@ from gymnasium.error import DependencyNotInstalled
 from capsule_gym.checks import check_number, nearest, require, short_repr
 from capsule_gym.command_line import Count, Positional, arg, check_output, command
 from capsule_gym.env import CapsuleEnv, shown_state
-from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec, load_set
+from capsule_gym.evaluation_sets import FURTHER_SET_NAMES, SET_NAMES, EvaluationSet, PlantSpec, load_set
 from capsule_gym.policy import load_policy, policy_names, pretrained
 from capsule_gym.rendering import FRAME_SECONDS, Renderer, write_gif
 from capsule_gym.task import HORIZON, Termination
@@ -112,9 +112,22 @@ def draw_episode(
 
 @command(PROG, DependencyNotInstalled, ImportError, OSError, RuntimeError, ValueError)
 def main(
-    policy: Annotated[Positional[str], arg(metavar="NAME_OR_PATH")],
+    policy: Annotated[
+        Positional[str],
+        arg(
+            metavar="NAME_OR_PATH",
+            help=f"{', '.join(NAMES)}; one run as NAME/seed-0; or the path of a policy file or of a run's folder.",
+        ),
+    ],
     rival: Annotated[str | None, arg(metavar="NAME_OR_PATH")] = None,
-    found: Annotated[str, arg(name="set", metavar="NAME_OR_PATH")] = "paper",
+    found: Annotated[
+        str,
+        arg(
+            name="set",
+            metavar="NAME_OR_PATH",
+            help=f"One of {', '.join(SET_NAMES + FURTHER_SET_NAMES)}, or the path of a file.",
+        ),
+    ] = "paper",
     seed: Count = 0,
     M: float | None = None,
     mu: float | None = None,
@@ -134,8 +147,7 @@ def main(
       python -m capsule_gym.demo direct-ppo/seed-2 --M 0.6 --mu 0.05 --seconds 10 -o out.gif
 
     Args:
-        policy: Name of a policy, or of one run as NAME/seed-0, or path of a policy file or of a run's folder; the
-            error for an unknown name lists all names.
+        policy: Name of a policy or run, or path of its file or folder.
         rival: A second policy, shown as an outline.
         found: Name of an evaluation set, or path of a file.
         seed: Seed of the plant in the set.
@@ -157,16 +169,17 @@ def main(
     require(seed in plants, "--seed", f"one of the set's, {min(plants)} to {max(plants)}", seed)
     given: dict[str, Any] = {name: value for name, value in (("M", M), ("mu", mu)) if value is not None}
     plant = replace(plants[seed], **({**given, "changes": ()} if given else {}))
-    episode, *rivals = (Episode(find_policy(name), chosen, plant) for name in (policy, rival) if name is not None)
+    episode = Episode(find_policy(policy), chosen, plant)
+    outline = None if rival is None else Episode(find_policy(rival), chosen, plant)
     simulation, mode = episode.env.simulation, "rgb_array" if output else "human"
     limit, fps = simulation.settings.torque_limit, round(1.0 / FRAME_SECONDS)
     renderer = Renderer(simulation.capsule, mode, fps, limit, episode.policy.name)
-    frames = draw_episode(renderer, episode, rivals[0] if rivals else None, seconds, speed)
+    frames = draw_episode(renderer, episode, outline, seconds, speed)
     if output is not None:
         write_gif(frames, output)
     for _ in frames:
         pass
-    speeds = "; ".join(each.speed for each in (episode, *rivals))
+    speeds = "; ".join(each.speed for each in (episode, outline) if each)
     end = f": {TERMINATIONS[episode.end]}" if episode.end is not None else ""
     print(f"{speeds} over {episode.time:.1f} s on M = {plant.M:g} kg, mu = {plant.mu:g}{end}")
 

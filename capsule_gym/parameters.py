@@ -379,12 +379,11 @@ class Disturbances:
     x_noise: float | None = None
 
     def __post_init__(self) -> None:
-        for name in (*DISTURBANCES, "stick_threshold", *(["x_noise"] if self.x_noise is not None else [])):
+        for name in DISTURBANCES:
             low, high = self.limits(name)
-            value, whose, accepted = getattr(self, name), f"Disturbances.{name}", f"a number from {low:g} to {high:g}"
-            if name in DISTURBANCES:
-                accepted += ", or a pair (low, high) of such numbers with low <= high"
-            check = check_pair if name in DISTURBANCES and isinstance(value, (tuple, list)) else check_number
+            accepted = f"a number from {low:g} to {high:g}, or a pair (low, high) of such numbers with low <= high"
+            value, whose = getattr(self, name), f"Disturbances.{name}"
+            check = check_pair if isinstance(value, (tuple, list)) else check_number
             checked = check(whose, value, accepted, low=low, high=high)
             for end in checked if isinstance(checked, tuple) else (checked,):
                 check_divisor(name, whose, end)
@@ -394,10 +393,15 @@ class Disturbances:
         require(fits, "Disturbances.unmeasured", f"a tuple of names out of {SENSORS}", names)
         object.__setattr__(self, "unmeasured", tuple(names))
         check_choice("Disturbances.controls", self.controls, ("both", "law", "agent"), "'both', 'law' or 'agent'")
+        for name, kinds in (("stick_threshold", "a number of m/s"), ("x_noise", "None or a number of m")):
+            if (value := getattr(self, name)) is not None or name == "stick_threshold":
+                accepted = f"{kinds} from 0 to {LARGEST_DISTURBANCE:g}"
+                number = check_number(f"Disturbances.{name}", value, accepted, 0.0, LARGEST_DISTURBANCE)
+                object.__setattr__(self, name, number)
 
     @staticmethod
     def limits(name: str) -> tuple[float, float]:
-        """The smallest and the largest value that a number may have."""
+        """The smallest and the largest value that a field of `DISTURBANCES` may have."""
         if name.endswith("_bias"):
             return -LARGEST_DISTURBANCE, LARGEST_DISTURBANCE
         lowest = SHORTEST_STEP if name == "drift_time" else 0.0

@@ -300,6 +300,10 @@ def _read(name: str, path: Path) -> Policy:
         metadata: dict[str, str] = file.metadata() or {}
         known, found = (FORMAT, FORMAT_VERSION), (metadata.get("format"), metadata.get("format_version"))
         require(found == known, "its format and format_version", str(known), found)
+        # Inputs and outputs that no policy has any more.
+        for key, only in (("output", "action"), ("told_energy_weight", "false")):
+            given = metadata.get(key, only)
+            require(given == only, key, f"{only!r} in its metadata", given)
         names = set(file.keys())
         count = sum(tensor.endswith(".weight") for tensor in names)
         layers = [(f"layers.{n}.weight", f"layers.{n}.bias") for n in range(min(count, MOST_LAYERS + 1))]

@@ -65,15 +65,20 @@ def estimate(scores: ArrayLike, *, mean: bool = False) -> Estimate:
     """The interquartile mean of all scores with its 95 % interval.
 
     Args:
-        scores: shape (training seeds, episodes), or with further axes of training runs in front.
+        scores: shape (training seeds, episodes).
         mean: take the mean instead, for shares; the interval is then limited to the range of the scores.
 
     Raises:
         ValueError: if the scores have another shape.
     """
-    scores = np.asarray(scores, dtype=np.float64)
-    if scores.ndim < 2 or 0 in scores.shape:
-        raise ValueError(f"scores must have the shape (training seeds >= 1, episodes >= 1), got {scores.shape}")
+    array = np.asarray(scores, np.float64)
+    if array.ndim != 2 or 0 in array.shape:
+        raise ValueError(f"scores must have the shape (training seeds >= 1, episodes >= 1), got {array.shape}")
+    return _estimate(array, mean)
+
+
+def _estimate(scores: np.ndarray, mean: bool) -> Estimate:
+    """Computes `estimate` for scores with any number of axes of training runs, in front of that of the episodes."""
     # Imported here, since the import takes a tenth of a second.
     try:
         from scipy.special import stdtrit
@@ -113,11 +118,11 @@ def paired_difference(scores: ArrayLike, reference: ArrayLike, *, mean: bool = F
         mean: take the mean of the differences instead, for shares.
     """
     array, other = np.asarray(scores, np.float64), np.asarray(reference, np.float64)
-    if (array.ndim, other.ndim) != (2, 2) or array.shape[1] != other.shape[1]:
+    if (array.ndim, other.ndim) != (2, 2) or array.shape[1] != other.shape[1] or 0 in (array.shape + other.shape):
         raise ValueError(f"scores and reference must contain the same episodes, got {array.shape} and {other.shape}")
     # The difference of two infinite scores is NaN, without a warning.
     with np.errstate(invalid="ignore"):
-        return estimate(array[:, None, :] - other[None, :, :], mean=mean)
+        return _estimate(array[:, None, :] - other[None, :, :], mean)
 
 
 class Curve(NamedTuple):

@@ -219,6 +219,8 @@ HOSTILE_TENSORS: list[tuple[dict[str, np.ndarray | None], str]] = [
 ]
 HOSTILE_METADATA: list[tuple[dict[str, str | None], str]] = [
     ({"format": "pt"}, "must be ('capsule_gym policy', '2'), got ('pt', '2')"),
+    ({"output": "torque"}, "output must be 'action' in its metadata, got 'torque'"),
+    ({"told_energy_weight": "true"}, "told_energy_weight must be 'false' in its metadata, got 'true'"),
     ({"squashing": None}, "squashing must be text in its metadata, got None"),
     ({"identifies": "true"}, "of shape (9,), one for each input"),
     ({"activation": "gelu"}, "activation must be one of"),

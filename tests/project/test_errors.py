@@ -184,6 +184,7 @@ COMMANDS = [
     (demo, ["adaptive", "--speed", "0"], "--speed must be a number from 0.1 to 20"),
     (demo, ["adaptive", "--rival", "keyboard", "-o", "out.gif"], "'keyboard' with --output"),
     (train, ["--total-steps", "inf"], "--total-steps: must be an integer >= 0, got 'inf'"),
+    (train, ["--seed", "abc"], "--seed: must be an integer >= 0, got 'abc'"),
     (train, ["--tota", "4"], "--tota"),
     (train, ["--resume", "nowhere"], "nowhere"),
     (train, ["--row", "fastest"], "--row: a row must be one of residual-ppo, "),
