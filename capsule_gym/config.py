@@ -64,6 +64,11 @@ def find_task(value: Any) -> Task:
     return found
 
 
+def _check_task(name: str, value: Any) -> Any:
+    find_task(value)
+    return value
+
+
 def check_object(name: str, value: Any, kind: Any) -> Any:
     """Checks a `Capsule`, a `Randomization` or a `Disturbances`, or makes it of the dict that JSON contains instead."""
     if isinstance(value, dict):
@@ -134,14 +139,15 @@ class EnvConfig:
     render_mode: str | None = _option(
         None, partial(check_choice, choices=RENDER_MODES, accepted=f"None or one of {RENDER_MODES}")
     )
-    task: str | Task = _option("speed", lambda name, value: find_task(value) and value)
+    task: str | Task = _option("speed", _check_task)
     goal_env: bool = _option(False, check_flag)
 
     def __init__(self, **options: Any) -> None:
         defaults = {each.name: each.default for each in fields(self)}
         checks = {each.name: each.metadata.get("check") for each in fields(self)}
-        for name in sorted(set(options) - set(defaults)):
-            raise TypeError(f"got an unexpected keyword argument {short_repr(name)}{_advice(name, defaults)}")
+        if unknown := sorted(set(options) - set(defaults)):
+            advice = _advice(unknown[0], defaults)
+            raise TypeError(f"got an unexpected keyword argument {short_repr(unknown[0])}{advice}")
         given = {**defaults, **find_task(options.get("task", "speed")).defaults, **options}
         for name, value in given.items():
             if (check := checks[name]) and not (value is None and defaults[name] is None):

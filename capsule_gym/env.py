@@ -414,7 +414,8 @@ def as_actions(actions: Any) -> np.ndarray | None:
 
 def check_options(options: dict[str, Any] | None, accepted: tuple[str, ...]) -> dict[str, Any]:
     """Raises an error for unknown reset options."""
-    options = {} if options is None else options
+    if options is None:
+        return {}
     required = f"a dict with keys out of {accepted}"
     require(isinstance(options, dict), "options", required, options, TypeError)
     require(set(options) <= set(accepted), "options", required, list(options))
