@@ -119,10 +119,10 @@ def integrate_phase(t: float, y: np.ndarray, end: float, slip: float, u: float, 
     def turn(_: float, y: np.ndarray) -> float:
         return y[1]
 
-    margin.terminal = turn.terminal = True  # type: ignore[attr-defined]
-    margin.direction = -1.0  # type: ignore[attr-defined]
+    # scipy reads these attributes of its events.
+    vars(margin).update(terminal=True, direction=-1.0)
     # After a turn, theta_dot is 0 up to rounding.
-    turn.direction = -(y[1] if abs(y[1]) > 1e-12 else derivative(t, y)[1])  # type: ignore[attr-defined]
+    vars(turn).update(terminal=True, direction=-(y[1] if abs(y[1]) > 1e-12 else derivative(t, y)[1]))
     longest = min(LONGEST, end - t)
     for _ in range(20):
         step: dict[str, Any] = {"first_step": longest, "max_step": longest, "rtol": RTOL, "atol": ATOL}

@@ -39,8 +39,8 @@ class EpisodeMetrics(gym.Wrapper[Any, Any, Any, Any]):
         observation, reward, terminated, truncated, info = self.env.step(action)
         if terminated or truncated:
             steps = self.get_wrapper_attr("spec").max_episode_steps
-            # Only Gymnasium's base class lacks this method of `CapsuleEnv`.
-            info = {**info, "metrics": self.env.unwrapped.episode_metrics(steps)}  # type: ignore[attr-defined]
+            env: Any = self.env.unwrapped
+            info = {**info, "metrics": env.episode_metrics(steps)}
         return observation, reward, terminated, truncated, info
 
 

@@ -127,7 +127,7 @@ def test_a_model_of_stable_baselines3():
 class Counting:
     """A recurrent policy whose action is the number of its calls."""
 
-    env_kwargs = {"control_dt": 0.01}  # noqa: RUF012
+    env_kwargs = {"control_dt": 0.01}  # noqa: RUF012 (read only)
 
     def __init__(self):
         self.starts = []
