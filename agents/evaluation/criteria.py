@@ -58,12 +58,12 @@ CRITERIA = {
     "goal": Criteria(
         _OF_TASKS["goal_time"], "s", "s", {"goal_time": -1.0, "success": 15.0, "failed": -15.0}, "goal-pulses", "goal"
     ),
-    # The error of a command that never settles is large in any case.
+    # A failure counts as an error of 100 %; the error of a command that never settles is large in any case.
     "velocity": Criteria(
         _OF_TASKS["velocity_error"],
         "%",
         "percent",
-        {"velocity_error": -1.0, "unsettled": -20.0, "failed": -300.0},
+        {"velocity_error": -1.0, "unsettled": -20.0, "failed": -100.0},
         "velocity-pulses",
         "velocity",
     ),

@@ -95,7 +95,8 @@ def make_env(config: Config, seed: int, **changes: Any) -> VecNormalize:
         venv.seed(seed)
     else:
         venv = CapsuleSB3VecEnv(config.num_envs, seed, privileged=config.asymmetric, max_episode_steps=steps, **kwargs)
-    env = VecNormalize(venv, norm_reward=config.algo == "ppo", gamma=config.gamma)
+    rewards = {"clip_reward": config.clip_reward} if isinstance(config, PPOConfig) else {"norm_reward": False}
+    env = VecNormalize(venv, gamma=config.gamma, **rewards)
     if config.observation_scale is not None:
         statistics: Any = env.obs_rms
         observed = statistics["policy"] if config.asymmetric else statistics

@@ -50,6 +50,7 @@ RANGES: dict[str, tuple[str, float, float, bool]] = {
     "log_std_init": ("a number in [-20, 2]", -20.0, 2.0, False),
     "tau": ("a number in (0, 1]", 0.0, 1.0, True),
     "target_entropy": ("a finite number", -math.inf, math.inf, True),
+    "clip_reward": POSITIVE,
 }
 
 
@@ -199,6 +200,8 @@ class PPOConfig(Config):
     """Weight of the entropy bonus."""
     log_std_init: float = -0.5
     """Logarithm of the initial standard deviation of the action."""
+    clip_reward: float = 10.0
+    """Largest absolute value of a normalised reward."""
     privileged: bool = False
     """The critic also observes the true plant and, where sensors are disturbed, the true state; not under wrappers."""
 

@@ -59,13 +59,15 @@ ENV_PRESETS: dict[Environment, Config] = {
         {"total_steps": 14_000_000, "hidden": 128, "n_steps": 64, "ent_coef": 0.006},
     ),
     # The platform lifts at the ends of the ranges of M, mu and the commands, and at a start with full torque. Training
-    # exceeds all of these limits, so that failures are more frequent in training than in evaluations.
+    # exceeds all of these limits, so that failures are more frequent in training than in evaluations. Without
+    # an entropy bonus, or with rewards clipped at 10, a third of the penalty, failures became more frequent after 4 to
+    # 8 million steps.
     "CapsuleVelocity-v0": _vary(
         ON_GRIP,
         {"env": "CapsuleVelocity-v0", "mass_range": (0.42, 0.55), "friction_range": (0.042, 0.57)},
         {"command_range": (-0.115, 0.115), "residual_limit": 1.3, "training_limit": 1.4, "episode_seconds": 20.0},
         {"total_steps": 16_000_000, "hidden": 128, "num_envs": 128, "n_steps": 128, "termination_penalty": 20.0},
-        {"evaluation_episodes": 4096},
+        {"evaluation_episodes": 4096, "ent_coef": 0.006, "privileged": True, "clip_reward": 100.0},
     ),
 }
 
@@ -86,7 +88,11 @@ ROWS: dict[str, Config] = {
     "direct-ppo-wide": _vary(PRESETS["direct", "ppo"], {"randomization": "wide", "observe_estimates": True}),
     "direct-sac": PRESETS["direct", "sac"],
     "residual-real": _vary(ON_PREDICTION, {"randomization": "real"}),
-    "residual-real-wide": _vary(ON_PREDICTION, {"residual_limit": 1.5, "total_steps": 4_000_000}),
+    # Of failures as rare as these, 512 validation episodes would show too few.
+    "residual-real-wide": _vary(
+        ON_PREDICTION,
+        {"residual_limit": 1.5, "total_steps": 6_000_000, "termination_penalty": 200.0, "evaluation_episodes": 2048},
+    ),
     # With the default start, or a discount factor of 0.9975, the swings stay narrow: 12 to 15 cm/s.
     "direct-real": _vary(
         PRESETS["direct", "ppo"],
