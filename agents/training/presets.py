@@ -88,10 +88,12 @@ ROWS: dict[str, Config] = {
     "direct-ppo-wide": _vary(PRESETS["direct", "ppo"], {"randomization": "wide", "observe_estimates": True}),
     "direct-sac": PRESETS["direct", "sac"],
     "residual-real": _vary(ON_PREDICTION, {"randomization": "real"}),
-    # Of failures as rare as these, 512 validation episodes would show too few.
+    # The lightest platforms lift in the first swing, which cannot know M: training exceeds the range of M. Of failures
+    # as rare as these, 512 validation episodes would show too few.
     "residual-real-wide": _vary(
         ON_PREDICTION,
-        {"residual_limit": 1.5, "total_steps": 6_000_000, "termination_penalty": 200.0, "evaluation_episodes": 2048},
+        {"residual_limit": 1.5, "mass_range": (0.33, 0.75), "total_steps": 6_000_000, "termination_penalty": 200.0},
+        {"evaluation_episodes": 2048},
     ),
     # With the default start, or a discount factor of 0.9975, the swings stay narrow: 12 to 15 cm/s.
     "direct-real": _vary(
