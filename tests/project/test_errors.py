@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from agents.distillation.__main__ import main as distil
-from agents.study.__main__ import main as study
+from agents.study import main as study
 from agents.training.algorithms import make_env
 from agents.training.config import Config, RunError
 from baselines.drawing import style
