@@ -9,9 +9,8 @@ import numpy as np
 from tqdm import tqdm
 
 from agents.analysis.document import Document
-from agents.evaluation.sets import validation_set
 from baselines.drawing import INK, VERMILION, add_note, new_figure
-from baselines.evaluation.episodes import TABLE_METRICS, evaluate, failures, scores
+from baselines.evaluation.episodes import TABLE_METRICS, evaluate, failures, scores, validation_set
 from baselines.evaluation.policies import Candidate, all_candidates
 from baselines.evaluation.statistics import interquartile_mean
 from baselines.tables import markdown_table
