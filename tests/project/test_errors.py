@@ -13,7 +13,7 @@ from agents.training.algorithms import make_env
 from agents.training.config import Config, RunError
 from baselines.drawing import style
 from baselines.evaluation.episodes import evaluate
-from baselines.evaluation.statistics import estimate, learning_curve, paired_difference
+from baselines.evaluation.statistics import estimate, paired_difference
 from baselines.laws.adaptive import adaptive
 from baselines.laws.feedback_linearisation import feedback_linearising
 from baselines.laws.gains import known_parameters
@@ -122,7 +122,6 @@ CALLS = [
     (lambda: estimate([1.0, 2.0, 3.0]), ValueError, r"scores must have the shape .* got \(3,"),
     (lambda: estimate(np.empty((1, 0))), ValueError, r"scores must have the shape .* got \(1, 0\)"),
     (lambda: paired_difference([[1.0, 2.0, 3.0]], [[1.0, 2.0]]), ValueError, "same episodes, got .* and "),
-    (lambda: learning_curve([([1, 2], [0.0] * 2), ([5, 6], [0.0] * 2)]), ValueError, "begins at 5 .* ends at 2"),
     (lambda: CapsuleEnv(control_dt=1e300), ValueError, r"^control_dt must be .* \(s\), at most 1e\+06, got 1e\+300"),
     (lambda: CapsuleEnv(physics_dt=1e-25), ValueError, r"^physics_dt must be .*>= 1e-09 \(s\).*, got 1e-25"),
     (lambda: CapsuleEnv(control_dt=1e6), ValueError, r"^control_dt must be at most 1000000 times physics_dt=0\.002 s,"),
