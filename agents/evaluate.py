@@ -21,11 +21,9 @@ from baselines.evaluation.episodes import (
 from baselines.evaluation.policies import find_candidate
 from baselines.evaluation.statistics import estimate, paired_difference
 from baselines.tables import text_table
-from capsule_gym.command_line import Positional, arg, check_output, command, refuse
+from capsule_gym.command_line import Positional, arg, check_output, command
 from capsule_gym.evaluation_sets import load_set
 from capsule_gym.files import to_json, write_atomically
-
-PROG = "python -m agents.evaluate"
 
 
 def comparison_table(name: str, episodes: Sequence[Episode], reference: str, others: Sequence[Episode]) -> str:
@@ -43,7 +41,7 @@ def comparison_table(name: str, episodes: Sequence[Episode], reference: str, oth
     return text_table(rows)
 
 
-@command(PROG)
+@command("python -m agents.evaluate", ValueError)
 def main(
     policy: Annotated[Positional[str], arg(metavar="NAME_OR_PATH")],
     set: Annotated[str | None, arg(metavar="NAME_OR_PATH")] = None,
@@ -75,16 +73,13 @@ def main(
         trust: Accept a policy given as module:attribute: importing it runs its code.
         trust_controller: Accept a policy with a control law that is not of this package: importing it runs its code.
     """
-    try:
-        check_output("--json", json, overwrite=overwrite)
-        trusted = {"trust": trust, "trust_controller": trust_controller}
-        candidate = find_candidate(policy, **trusted)
-        evaluation_set = load_set(set or CRITERIA[candidate.task].ranking_set)
-        reference = find_candidate(against or CRITERIA[evaluation_set.task].baseline, **trusted)
-        for each in (candidate, reference):
-            check_task(each, evaluation_set)
-    except ValueError as error:
-        refuse(PROG, str(error))
+    check_output("--json", json, overwrite=overwrite)
+    trusted = {"trust": trust, "trust_controller": trust_controller}
+    candidate = find_candidate(policy, **trusted)
+    evaluation_set = load_set(set or CRITERIA[candidate.task].ranking_set)
+    reference = find_candidate(against or CRITERIA[evaluation_set.task].baseline, **trusted)
+    for each in (candidate, reference):
+        check_task(each, evaluation_set)
     episodes = evaluate(candidate, evaluation_set)
     others = episodes if candidate.name == reference.name else evaluate(reference, evaluation_set)
     summary = summarise(episodes)

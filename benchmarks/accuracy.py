@@ -12,17 +12,17 @@ after another.
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from tqdm import tqdm
 
 from benchmarks import mujoco
-from benchmarks.measurement import OutputArgs, machine
+from benchmarks.measurement import machine, report
 from capsule_gym import sensitivity, task
-from capsule_gym.command_line import parse
+from capsule_gym.command_line import check_output, command
 from capsule_gym.parameters import Capsule, Plant
 
 COMMAND = "python -m benchmarks.accuracy"
@@ -42,15 +42,6 @@ RANGES = {
 MUJOCO_CASES, MUJOCO_STEPS, LOAD = ((0.01, 0.5), (0.1, 1.0)), (0.002, 0.0005), 0.5
 # Tolerances of the reference, and its longest step, s, in which the boundary of a phase is crossed only once.
 RTOL, ATOL, LONGEST = 2e-13, 1e-15, 0.002
-
-
-@dataclass(frozen=True, kw_only=True)
-class Args(OutputArgs):
-    """The integration error of the plant's step at several step sizes, against an independent reference.
-
-    Examples:
-      python -m benchmarks.accuracy --markdown docs/error_table.md
-    """
 
 
 class Trajectory(NamedTuple):
@@ -222,9 +213,17 @@ def compare_mujoco() -> list[list[str]]:
     return table
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns the exit status."""
-    args = parse(Args, COMMAND, arguments)
+@command(COMMAND, ValueError)
+def main(markdown: Path | None = None) -> None:
+    """The integration error of the plant's step at several step sizes, against an independent reference.
+
+    Examples:
+      python -m benchmarks.accuracy --markdown docs/error_table.md
+
+    Args:
+        markdown: Write the tables to this file.
+    """
+    check_output("--markdown", markdown, overwrite=True)
     table = [["plant", "torque, N m", *(f"{1e3 * step:g} ms" for step in STEPS), "length"]]
     kinds = [(f"μ = {mu:g}", [Capsule(mu=mu)] * TRAJECTORIES, a) for mu in FRICTION for a in AMPLITUDES]
     kinds.append((f"{PLANTS} random", [random_capsule(seed) for seed in range(PLANTS)], AMPLITUDE))
@@ -234,8 +233,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         cells = [cell([np.abs(run(u, plant, step) - y).max() for plant, u, y in solved]) for step in STEPS]
         table.append([kind, f"±{amplitude:g}", *cells, f"{length:.1f} s"])
     further = [compare_mujoco()] if find_spec("mujoco") else []
-    args.report(COMMAND, table, *further, f"{machine()}.")
-    return 0
+    report(COMMAND, markdown, table, *further, f"{machine()}.")
 
 
 if __name__ == "__main__":

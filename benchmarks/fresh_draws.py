@@ -4,11 +4,10 @@ import sys
 from itertools import chain
 from typing import Annotated
 
-from agents.evaluation.sets import validation_set
 from agents.leaderboard.__main__ import ROOT
 from agents.leaderboard.page import GROUPS, MAIN_SETS, SPEED
 from agents.leaderboard.rows import RESULTS, load_row
-from baselines.evaluation.episodes import evaluate, failures, scores
+from baselines.evaluation.episodes import evaluate, failures, scores, validation_set
 from baselines.evaluation.statistics import estimate
 from baselines.tables import text_table
 from capsule_gym.command_line import Positional, arg, command

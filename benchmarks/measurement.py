@@ -1,4 +1,4 @@
-"""Output files, the description of the machine, and measurements in turns.
+"""Output, the description of the machine, and measurements in turns.
 
 Ratios within one run are comparable between machines; absolute numbers are not.
 """
@@ -6,7 +6,6 @@ Ratios within one run are comparable between machines; absolute numbers are not.
 import os
 import platform
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -16,7 +15,6 @@ from tqdm import tqdm
 
 from baselines.tables import Rows, markdown_table, text_table
 from capsule_gym import native
-from capsule_gym.command_line import check_output
 from capsule_gym.files import write_atomically
 
 PACKAGES = ("capsule-gym", "numpy", "gymnasium", "mujoco")
@@ -24,25 +22,12 @@ PACKAGES = ("capsule-gym", "numpy", "gymnasium", "mujoco")
 VECTORS = {"v4": " with AVX-512", "v3": " with AVX2"}
 
 
-@dataclass(frozen=True, kw_only=True)
-class OutputArgs:
-    """The arguments of every benchmark."""
-
-    markdown: Path | None = None
-    """Write the table to this file."""
-
-    def check(self) -> None:
-        """Raises a `ValueError` for files that cannot be written, before the measurement starts."""
-        check_output("--markdown", self.markdown, overwrite=True)
-
-    def report(self, command: str, *parts: str | Rows) -> None:
-        """Prints paragraphs and tables, and writes them to the page if it was requested."""
-        print(*(part if isinstance(part, str) else text_table(part, left=1) for part in parts), sep="\n\n")
-        if self.markdown is not None:
-            paragraphs = [part if isinstance(part, str) else markdown_table(part) for part in parts]
-            write_atomically(
-                self.markdown, "\n\n".join([f"<!-- Written by {command}: do not edit. -->", *paragraphs]) + "\n"
-            )
+def report(command: str, markdown: Path | None, *parts: str | Rows) -> None:
+    """Prints paragraphs and tables, and writes them to a page if one is given."""
+    print(*(part if isinstance(part, str) else text_table(part, left=1) for part in parts), sep="\n\n")
+    if markdown is not None:
+        paragraphs = [part if isinstance(part, str) else markdown_table(part) for part in parts]
+        write_atomically(markdown, "\n\n".join([f"<!-- Written by {command}: do not edit. -->", *paragraphs]) + "\n")
 
 
 def machine() -> str:

@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from agents.evaluation.sets import validation_set
 from agents.training.presets import PRESETS
-from baselines.evaluation.episodes import evaluate
+from baselines.evaluation.episodes import evaluate, validation_set
 from capsule_gym import CapsuleEnv, Excitation, Policy, identify, record
 from capsule_gym.command_line import Count, command
 

@@ -15,8 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from functools import partial
 from importlib.util import find_spec
 from itertools import cycle
@@ -28,9 +27,10 @@ import numpy as np
 
 from baselines.drawing import BLUE, MUTED, new_figure, save, style
 from benchmarks import mujoco
-from benchmarks.measurement import OutputArgs, machine, rates
+from benchmarks.measurement import machine, rates, report
 from capsule_gym import ENV_ID, native, task
-from capsule_gym.command_line import Count, parse
+from capsule_gym.checks import check_count
+from capsule_gym.command_line import Count, check_output, command
 from capsule_gym.config import DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, EnvConfig
 from capsule_gym.layout import LANES, Row
 from capsule_gym.parameters import Capsule
@@ -177,29 +177,6 @@ def seconds_per_step(step: Step, environments: int) -> float:
     return seconds / steps
 
 
-@dataclass(frozen=True, kw_only=True)
-class Args(OutputArgs):
-    """Environment steps per second, and ratios to other environments and to plain C; fails if a ratio is too small.
-
-    Plain C needs a compiler, MuJoCo the extra `bench`; what is not installed is left out.
-
-    Examples:
-      python -m benchmarks.throughput --markdown docs/speed_tables.md --figure docs/figures/speed
-      CAPSULE_GYM_LEVEL=v3 CC=clang python -m benchmarks.throughput --turns 10
-    """
-
-    turns: Count = 30
-    """Measurements of every contender, in turns."""
-    figure: Path | None = None
-    """Draw the rates as bars into files with this name, as SVG and PNG."""
-
-    def check(self) -> None:
-        """Also checks the number of turns."""
-        super().check()
-        if self.turns < 1:
-            raise ValueError("--turns must be above 0, got 0")
-
-
 def draw(measured: Mapping[str, float], stem: Path) -> None:
     """Draws the rates as bars on a logarithmic axis, those of this package in blue."""
     with style():
@@ -215,21 +192,35 @@ def draw(measured: Mapping[str, float], stem: Path) -> None:
         save(figure, stem)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns 1 if a ratio is below its floor."""
-    args = parse(Args, COMMAND, arguments)
+@command(COMMAND, ValueError)
+def main(markdown: Path | None = None, figure: Path | None = None, turns: Count = 30) -> int:
+    """Environment steps per second, and ratios to other environments and to plain C; fails if a ratio is too small.
+
+    Plain C needs a compiler, MuJoCo the extra `bench`; what is not installed is left out.
+
+    Examples:
+      python -m benchmarks.throughput --markdown docs/speed_tables.md --figure docs/figures/speed
+      CAPSULE_GYM_LEVEL=v3 CC=clang python -m benchmarks.throughput --turns 10
+
+    Args:
+        markdown: Write the table to this file.
+        figure: Draw the rates as bars into files with this name, as SVG and PNG.
+        turns: Measurements of every contender, in turns.
+    """
+    check_output("--markdown", markdown, overwrite=True)
+    check_count("--turns", turns)
     found = contenders()
     floors = {pair: floor for pair, floor in FLOORS.items() if set(pair) <= set(found)}
     sizes = {name: BATCH if name.endswith(f", {BATCH}") else 1 for name in found}
-    turns = {name: partial(seconds_per_step, make(), sizes[name]) for name, make in found.items()}
-    measured = rates(turns, args.turns)
+    seconds = {name: partial(seconds_per_step, make(), sizes[name]) for name, make in found.items()}
+    measured = rates(seconds, turns)
     ratios = {pair: measured[pair[0]] / measured[pair[1]] for pair in floors}
     compared = {pair[0]: [f"{ratios[pair]:.2f}", pair[1], f"{floor:g}"] for pair, floor in floors.items()}
     table = [["", "env-steps/s", "ratio", "to", "at least"]]
     table += [[name, f"{rate:,.0f}", *compared.get(name, ["", "", ""])] for name, rate in measured.items()]
-    args.report(COMMAND, table, f"{machine()}.")
-    if args.figure:
-        draw(measured, args.figure)
+    report(COMMAND, markdown, table, f"{machine()}.")
+    if figure:
+        draw(measured, figure)
     return int(any(ratios[pair] < floor for pair, floor in floors.items()))
 
 

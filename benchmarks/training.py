@@ -8,11 +8,12 @@ environment of the preset; evaluations, on its validation plants, do not count. 
 
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -22,8 +23,8 @@ from gymnasium import wrappers
 from agents.training.presets import PRESETS
 from baselines.evaluation.episodes import evaluate, scores
 from baselines.evaluation.policies import wrap_policy
-from benchmarks.measurement import OutputArgs, machine
-from capsule_gym.command_line import Count, parse
+from benchmarks.measurement import machine, report
+from capsule_gym.command_line import Count, check_output, command
 from capsule_gym.evaluation_sets import EvaluationSet
 from capsule_gym.task import ENV_ID
 
@@ -163,30 +164,27 @@ CONTENDERS: dict[str, Callable[[int, Clock], None]] = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Args(OutputArgs):
+@command(COMMAND, ValueError)
+def main(markdown: Path | None = None, seeds: Count = 3) -> None:
     """Processor time until an agent moves the capsule at 15 cm/s, for several trainers.
 
     Examples:
       python -m benchmarks.training --markdown docs/speed_training.md
+
+    Args:
+        markdown: Write the table to this file.
+        seeds: Training seeds, from 0 on.
     """
-
-    seeds: Count = 3
-    """Training seeds, from 0 on."""
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns the exit status."""
-    args = parse(Args, COMMAND, arguments)
+    check_output("--markdown", markdown, overwrite=True)
     import torch
 
     from agents.training.callbacks import validation_plants
 
     torch.set_num_threads(1)
-    rows = [["trainer", *(f"seed {seed}, s" for seed in range(args.seeds)), "thousands of steps"]]
+    rows = [["trainer", *(f"seed {seed}, s" for seed in range(seeds)), "thousands of steps"]]
     for name, train in CONTENDERS.items():
         row, steps = [name], []
-        for seed in range(args.seeds):
+        for seed in range(seeds):
             clock = Clock(validation_plants(replace(CONFIG, seed=seed)))
             train(seed, clock)
             reached = clock.speed >= SPEED
@@ -198,8 +196,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         f"Processor time, without evaluations, until the mean speed on validation plants is {SPEED:g} cm/s; > "
         f"where it was not, with the last speed. Direct torque, PPO, one thread of torch. {machine()}."
     )
-    args.report(COMMAND, rows, note)
-    return 0
+    report(COMMAND, markdown, rows, note)
 
 
 if __name__ == "__main__":

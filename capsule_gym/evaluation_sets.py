@@ -1,6 +1,6 @@
 """Evaluation sets: lists of episodes on which policies are evaluated.
 
-`agents.evaluation.sets` describes and draws the frozen sets.
+docs/evaluation.md describes the frozen sets.
 """
 
 import json

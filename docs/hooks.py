@@ -24,10 +24,9 @@ BASELINE = "adaptive"
 # Pages with a ranking of policies.
 RANKINGS = ("index.md", "leaderboard.md")
 TABLE = re.compile(r"<table>.*?</table>", re.DOTALL)
-ROW = re.compile(r"(?<=<tr>).*?(?=</tr>)", re.DOTALL)
+POLICY = re.compile(r"(?<=<tr>\n<td>)[^<]+(?=</td>)")
 # On a telephone a figure is too small to read: a tap opens it alone.
 FIGURE = re.compile(r'<img\b[^>]*\bsrc="(?P<file>[^"]*figures/[^"]*)"[^>]*>')
-CELL = re.compile(r"(?<=<td>).*?(?=</td>)")
 # A telephone would break a line after the hyphens of --set and of 1e-12, and inside short names.
 INLINE_CODE = re.compile(r"(?<!<pre><code>)(?<!<span></span><code>)(?<=<code>)[^<]+(?=</code>)")
 EXPONENTIAL = re.compile(r"\b\d(?:\.\d+)?e-\d+\b")
@@ -121,23 +120,17 @@ def _whole(word: re.Match[str]) -> str:
 
 
 def _watched(page: Any, table: str) -> str:
-    """Links the policies of a ranking to the live page; returns another table unchanged."""
-    heads = re.findall("<th>(.*?)</th>", table)
-    if not {"policy", "senses"} <= {*heads}:
+    """Links the policies of a ranking, in its first column, to the live page; returns another table unchanged."""
+    if not {"policy", "senses"} <= {*re.findall("<th>(.*?)</th>", table)}:
         return table
-    return ROW.sub(lambda row: _watched_row(page, row[0], heads.index("policy")), table)
+    return POLICY.sub(lambda cell: f"{cell[0]} {_watch(page, cell[0])}" if cell[0] in drivers() else cell[0], table)
 
 
-def _watched_row(page: Any, row: str, column: int) -> str:
-    """Adds a link after the first cell of a ranking's row if the live page can show its policy."""
-    cells = CELL.findall(row)
-    if not cells or cells[column] not in drivers():
-        return row
-    words = f"Watch {cells[column]}"
-    rival = {} if cells[column] == BASELINE else {"rival": BASELINE}
-    scene = urlencode({"driver": cells[column], **rival, "set": "paper", "plant": 0})
-    link = _link(page, scene, "&#9654;", {"class": "watch", "title": words, "aria-label": words})
-    return CELL.sub(lambda cell: f"{cell[0]} {link}", row, count=1)
+def _watch(page: Any, policy: str) -> str:
+    """A link to a policy on the live page, next to the paper's controller."""
+    words, rival = f"Watch {policy}", {} if policy == BASELINE else {"rival": BASELINE}
+    scene = urlencode({"driver": policy, **rival, "set": "paper", "plant": 0})
+    return _link(page, scene, "&#9654;", {"class": "watch", "title": words, "aria-label": words})
 
 
 def _link(page: Any, scene: str, text: str, attributes: dict[str, str]) -> str:

@@ -68,7 +68,7 @@ def build_page(module: str) -> str:
     return page.replace("../media/", (os.environ.get("SITE_URL") or "../") + "media/", 1)
 
 
-@command(PROG)
+@command(PROG, RuntimeError)
 def main(output: Path = Path("site/live")) -> None:
     """Builds the environment for browsers and node, and the live page.
 
@@ -83,8 +83,6 @@ def main(output: Path = Path("site/live")) -> None:
         module = build_module(pack_data(compile_wasm()))
     except OSError as error:
         refuse(PROG, f"--output must be a folder that can be written to, got {str(output)!r}: {error}")
-    except RuntimeError as error:
-        refuse(PROG, str(error))
     page = build_page(module)
     if not (output.parent / "index.html").is_file():
         # Hides the link to the documentation, which does not exist in the folder above.

@@ -2,24 +2,23 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 from agents.analysis import limit_cycle, sensitivity, statistics
 from baselines.drawing import save, style
-from capsule_gym.command_line import Positional, arg, command, refuse
+from capsule_gym.command_line import Positional, arg, command
 from capsule_gym.files import write_atomically
 
 COMMAND = "python -m agents.analysis"
 ROOT = Path(__file__).resolve().parents[2]
-# Each module has a function `document`.
-DOCUMENTS = {"limit_cycle": limit_cycle, "statistics": statistics, "sensitivity": sensitivity}
+# The function `document` of each returns Markdown by the name under which a page includes it, and functions that draw
+# figures of matplotlib by the names of their files.
+DOCUMENTS: dict[str, Any] = {"limit_cycle": limit_cycle, "statistics": statistics, "sensitivity": sensitivity}
 
 
 @command(COMMAND)
 def main(
-    names: Annotated[
-        Positional[tuple[str, ...]], arg(metavar="NAME", help=f"Any of {', '.join(DOCUMENTS)}; all by default.")
-    ] = (),
+    names: Positional[tuple[Literal["limit_cycle", "statistics", "sensitivity"], ...]] = (),
     check: bool = False,
     output: Annotated[Path, arg(metavar="DIR", aliases=["-o"])] = ROOT / "docs",
 ) -> int:
@@ -31,17 +30,15 @@ def main(
       python -m agents.analysis sensitivity --output elsewhere
 
     Args:
-        names: documents.
+        names: Documents; all by default.
         check: Write nothing; fail if the tables in the folder are not up to date.
         output: Folder of the files, which are replaced.
     """
-    if unknown := [name for name in names if name not in DOCUMENTS]:
-        refuse(COMMAND, f"NAME must be one of {', '.join(DOCUMENTS)}, got {unknown[0]!r}")
     stale = False
     for name in names or DOCUMENTS:
-        document, path = DOCUMENTS[name].document(), output / f"{name}_tables.md"
+        (sections, figures), path = DOCUMENTS[name].document(), output / f"{name}_tables.md"
         parts = [f"<!-- Written by {COMMAND}: do not edit. -->"]
-        for section, table in document.sections.items():
+        for section, table in sections.items():
             parts.append(f"<!-- --8<-- [start:{section}] -->\n{table}\n<!-- --8<-- [end:{section}] -->")
         text = "\n\n".join(parts) + "\n"
         if check:
@@ -51,7 +48,7 @@ def main(
             continue
         (output / "figures").mkdir(parents=True, exist_ok=True)
         with style():
-            for figure, draw in document.figures.items():
+            for figure, draw in figures.items():
                 save(draw(), output / "figures" / figure)
         write_atomically(path, text)
         print(f"Written: {name}", flush=True)

@@ -1,11 +1,11 @@
 """One steady cycle of some policies on the paper's plant: a table and a figure."""
 
 import itertools
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from agents.analysis.document import Document
 from baselines.drawing import BLUE, INK, MUTED, add_note, new_figure
 from baselines.evaluation.policies import find_candidate
 from baselines.tables import markdown_table
@@ -57,7 +57,7 @@ def find_cycle(samples: np.ndarray) -> np.ndarray:
     return samples[begin : begin + periods[chosen] + 1]
 
 
-def document() -> Document:
+def document() -> tuple[dict[str, str], dict[str, Callable[[], Any]]]:
     """The table and the figure."""
     cycles = {name: find_cycle(record(find_candidate(name).policies[0])) for name in POLICIES}
     lines = [["policy", "period (s)", "distance (cm)", "speed (cm/s)", "time in stick", "time at 1.5 N m"]]
@@ -66,7 +66,7 @@ def document() -> Document:
         shares = (cycle[1:, 3] == 0.0).mean(), (np.abs(cycle[1:, 5]) >= TORQUE_LIMIT).mean()
         numbers = [f"{each:.2f}" for each in (period, distance, distance / period)]
         lines.append([name, *numbers, *(f"{100.0 * share:.0f} %" for share in shares)])
-    return Document({"cycles": markdown_table(lines)}, {"limit_cycle": lambda: draw(cycles)})
+    return {"cycles": markdown_table(lines)}, {"limit_cycle": lambda: draw(cycles)}
 
 
 def draw(cycles: dict[str, np.ndarray]) -> Any:

@@ -1,17 +1,15 @@
 """Sensitivity to disturbances: every row of the speed task under each single disturbance, in four sizes."""
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
-from agents.analysis.document import Document
-from agents.evaluation.sets import validation_set
 from baselines.drawing import INK, VERMILION, add_note, new_figure
-from baselines.evaluation.episodes import TABLE_METRICS, evaluate, failures, scores
+from baselines.evaluation.episodes import TABLE_METRICS, evaluate, failures, scores, validation_set
 from baselines.evaluation.policies import Candidate, all_candidates
 from baselines.evaluation.statistics import interquartile_mean
 from baselines.tables import markdown_table
@@ -79,13 +77,13 @@ def run(candidates: Sequence[Candidate], horizon: float | None = None) -> dict[s
     return dict(sorted(found.items(), key=lambda row: -row[1][NONE, 1.0][0]))
 
 
-def document() -> Document:
+def document() -> tuple[dict[str, str], dict[str, Callable[[], Any]]]:
     """The tables and the figure for all rows."""
     results = run(all_candidates())
     fields = {name: ", ".join(f"`{each}={size}`" for each, size in given.items()) for name, given in DISTURBED.items()}
     fields[ALL] = '`disturbances="real"`'
     sizes = markdown_table([["disturbance", "at the size 1"], *([name, text] for name, text in fields.items())])
-    return Document({"sizes": sizes, "speeds": table(results)}, {"sensitivity": lambda: draw(results)})
+    return {"sizes": sizes, "speeds": table(results)}, {"sensitivity": lambda: draw(results)}
 
 
 def table(results: Mapping[str, Cells]) -> str:

@@ -2,13 +2,12 @@
 
 import csv
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from agents.analysis.document import Document
 from agents.evaluation.criteria import CRITERIA
 from agents.leaderboard.rows import RESULTS, Row, load_rows
 from agents.training.config import EVALUATIONS
@@ -16,7 +15,7 @@ from baselines.drawing import BLUE, GREEN, INK, MUTED, add_note, new_figure
 from baselines.dynamic_programming.archive import optimal_front
 from baselines.evaluation.episodes import TABLE_METRICS
 from baselines.evaluation.policies import CHECKPOINTS, all_candidates
-from baselines.evaluation.statistics import estimate, learning_curve
+from baselines.evaluation.statistics import estimate
 from baselines.tables import markdown_table
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -28,7 +27,7 @@ LABEL_SPACING = 0.048
 Learning = dict[int, tuple[np.ndarray, np.ndarray]]
 
 
-def document() -> Document:
+def document() -> tuple[dict[str, str], dict[str, Callable[[], Any]]]:
     """Tables and figures of the leaderboard's stored results, without new evaluations."""
     rows = load_rows(ROOT / RESULTS, [candidate.name for candidate in all_candidates()])
     ranking_set = CRITERIA["speed"].ranking_set
@@ -37,11 +36,10 @@ def document() -> Document:
     for path in sorted(CHECKPOINTS.glob(f"*/seed-*/{EVALUATIONS}")):
         if (name := path.parts[-3]) in learning:
             learning[name][int(path.parts[-2].removeprefix("seed-"))] = read_evaluations(path)
-    figures = {
+    return {"learning": table(learning)}, {
         "statistics_transport": lambda: draw_transport(rows),
         "statistics_learning": lambda: draw_learning({name: runs for name, runs in learning.items() if runs}),
     }
-    return Document({"learning": table(learning)}, figures)
 
 
 def read_evaluations(path: Path, task: str = "speed") -> tuple[np.ndarray, np.ndarray]:
@@ -53,15 +51,23 @@ def read_evaluations(path: Path, task: str = "speed") -> tuple[np.ndarray, np.nd
     return steps, values
 
 
+def learning_curve(runs: Learning) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The steps and, at each, the interquartile mean over the seeds with its interval; all runs have the same steps."""
+    (steps,) = {tuple(steps) for steps, _ in runs.values()}
+    found = [estimate(column[:, None]) for column in np.array([speeds for _, speeds in runs.values()]).T]
+    value, low, high = np.array([[each.value, each.low, each.high] for each in found]).T
+    return np.array(steps), value, low, high
+
+
 def table(learning: Mapping[str, Learning]) -> str:
     """A Markdown table of the speed at the end of training, and the steps to 90 % of this speed."""
     lines = [["policy", "training seeds", "steps", f"{SPEED.label} at the end", "steps to 90 % of that"]]
     for name, runs in learning.items():
         if runs:
-            curve = learning_curve(list(runs.values()))
-            end = {"iqm": curve.value[-1], "low": curve.low[-1], "high": curve.high[-1]}
-            reached = curve.x[curve.value >= 0.9 * curve.value[-1]][0]
-            cells = f"{curve.x[-1]:,.0f}", SPEED.with_interval(end), f"{reached:,.0f}"
+            steps, value, low, high = learning_curve(runs)
+            end = {"iqm": value[-1], "low": low[-1], "high": high[-1]}
+            reached = steps[value >= 0.9 * value[-1]][0]
+            cells = f"{steps[-1]:,.0f}", SPEED.with_interval(end), f"{reached:,.0f}"
             lines.append([name, str(len(runs)), *cells])
     without = [name for name, runs in learning.items() if not runs]
     return markdown_table(lines) + (f"\n\nWithout committed evaluations: {', '.join(without)}." if without else "")
@@ -78,9 +84,9 @@ def draw_learning(learning: Mapping[str, Learning]) -> Any:
         for steps, values in runs.values():
             # A run with a single evaluation is drawn as a point.
             axes.plot(steps / 1e6, values, "." if len(values) == 1 else "-", color=MUTED, linewidth=0.5, alpha=0.6)
-        curve = learning_curve(list(runs.values()))
-        axes.fill_between(curve.x / 1e6, curve.low, curve.high, color=BLUE, alpha=0.18, linewidth=0.0)
-        axes.plot(curve.x / 1e6, curve.value, color=BLUE)
+        steps, value, low, high = learning_curve(runs)
+        axes.fill_between(steps / 1e6, low, high, color=BLUE, alpha=0.18, linewidth=0.0)
+        axes.plot(steps / 1e6, value, color=BLUE)
     axes.set(xlim=(0.0, None), ylim=(0.0, None))
     for n in range(len(learning), grid.size):
         grid.flat[n].set_visible(False)

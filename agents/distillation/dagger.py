@@ -20,10 +20,9 @@ from tqdm import tqdm
 
 from agents.distillation.config import Student
 from agents.distillation.dataset import Dataset, collect
-from agents.evaluation.sets import validation_set
 from agents.training.checkpoint import git_revision
 from baselines.dynamic_programming.policy import NUM_TORQUES
-from baselines.evaluation.episodes import evaluate, scores
+from baselines.evaluation.episodes import evaluate, scores, validation_set
 from capsule_gym import Policy
 from capsule_gym.files import to_json, write_atomically
 from capsule_gym.policy import IMITATION, POLICY

@@ -9,7 +9,7 @@ The check compares headers, pages and every bit of every episode with the result
 import os
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -18,9 +18,10 @@ import numpy as np
 from agents.leaderboard.chart import CHART, digest, draw
 from agents.leaderboard.page import COMMAND, build, files
 from agents.leaderboard.rows import RESULTS, Row, evaluate, load_row, load_rows, save_row, static_header
+from agents.training.signals import INTERRUPTED
 from baselines.evaluation.policies import Candidate, all_candidates
-from capsule_gym.checks import nearest
-from capsule_gym.command_line import Count, Positional, arg, parse, refuse
+from capsule_gym.checks import check_count, nearest, require
+from capsule_gym.command_line import Count, Positional, arg, command
 from capsule_gym.evaluation_sets import FURTHER_SET_NAMES, SET_NAMES, TASK_SET_NAMES, EvaluationSet, load_set
 from capsule_gym.files import write_atomically
 from capsule_gym.task import TASKS
@@ -29,36 +30,13 @@ ROOT = Path(__file__).resolve().parents[2]
 SETS = SET_NAMES + FURTHER_SET_NAMES + TASK_SET_NAMES
 
 
-@dataclass(frozen=True)
-class Args:
-    """Evaluates policies on every frozen set, and writes leaderboard.json, the pages and the chart.
-
-    Examples:
-      python -m agents.leaderboard                    evaluate every policy and write everything
-      python -m agents.leaderboard direct-ppo         evaluate one policy and write everything
-      python -m agents.leaderboard --from-results     write everything from stored results
-      python -m agents.leaderboard --check            fail if anything is stale, and print it
-    """
-
-    names: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME")] = ()
-    """Policies to evaluate; all by default."""
-    check: bool = False
-    """Write nothing; fail if the leaderboard is stale."""
-    from_results: bool = False
-    """Use the stored results instead of evaluating."""
-    plants: Count | None = None
-    """With --check, number of plants per set that are evaluated again; all by default."""
-    jobs: int = os.cpu_count() or 1
-    """Processes."""
-
-
 def uncommitted(candidates: Sequence[Candidate]) -> list[str]:
     """The policies that cannot be trained again, since their training code was not committed."""
     policies = [(f"{each.name}/seed-{p.training_seed}", p.revision) for each in candidates for p in each.trained]
     return [f"{name}: the revision {revision} is not committed" for name, revision in policies if "+" in revision]
 
 
-def check(root: Path, candidates: Sequence[Candidate], sets: Sequence[EvaluationSet]) -> Iterator[str]:
+def find_stale(root: Path, candidates: Sequence[Candidate], sets: Sequence[EvaluationSet]) -> Iterator[str]:
     """Lists what is stale in the project's folder without an evaluation: headers of rows, the pages, the chart.
 
     Raises:
@@ -96,42 +74,57 @@ def check_episodes(root: Path, rows: Iterable[Row]) -> Iterator[str]:
                 yield f"{row.name} on {set_name}: {row.header['metrics'][metric]} {numbers} {where}"
 
 
-def main(arguments: Sequence[str] | None = None, *, root: Path = ROOT) -> int:
-    """The command line; returns the exit status."""
-    args = parse(Args, COMMAND, arguments)
+@command(COMMAND, ValueError)
+def main(
+    names: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME")] = (),
+    check: bool = False,
+    from_results: bool = False,
+    plants: Count | None = None,
+    jobs: int = os.cpu_count() or 1,
+) -> int:
+    """Evaluates policies on every frozen set, and writes leaderboard.json, the pages and the chart.
+
+    Examples:
+      python -m agents.leaderboard                    evaluate every policy and write everything
+      python -m agents.leaderboard direct-ppo         evaluate one policy and write everything
+      python -m agents.leaderboard --from-results     write everything from stored results
+      python -m agents.leaderboard --check            fail if anything is stale, and print it
+
+    Args:
+        names: Policies to evaluate; all by default.
+        check: Write nothing; fail if the leaderboard is stale.
+        from_results: Use the stored results instead of evaluating.
+        plants: With --check, number of plants per set that are evaluated again; all by default.
+        jobs: Processes.
+    """
     candidates, sets = [each for task in TASKS for each in all_candidates(task)], [load_set(name) for name in SETS]
-    names = [candidate.name for candidate in candidates]
-    chosen = [] if args.from_results else [each for each in candidates if each.name in (args.names or names)]
-    if args.jobs < 1:
-        refuse(COMMAND, f"--jobs must be an integer >= 1, got {args.jobs}")
-    if args.plants is not None and (args.plants < 1 or not args.check):
-        refuse(COMMAND, f"--plants must be an integer >= 1 and needs --check, got {args.plants}")
-    if args.names and args.from_results:
-        refuse(COMMAND, f"--from-results must be given without names, got {' '.join(args.names)}")
-    for name in args.names:
-        if name not in names:
-            refuse(COMMAND, f"names must be among {', '.join(names)}, got {name}{nearest(name, names)}")
+    known = [candidate.name for candidate in candidates]
+    chosen = [] if from_results else [each for each in candidates if each.name in (names or known)]
+    check_count("--jobs", jobs)
+    require(plants is None or (plants >= 1 and check), "--plants", "an integer >= 1, with --check", plants)
+    require(not (names and from_results), "--from-results", "given without names", " ".join(names))
+    for name in names:
+        if name not in known:
+            raise ValueError(f"names must be among {', '.join(known)}, got {name}{nearest(name, known)}")
+    if check:
+        stale = [*find_stale(ROOT, candidates, sets)]
+        if not stale:
+            sets = [replace(each, plants=each.plants[:plants]) for each in sets]
+            stale += check_episodes(ROOT, evaluate(chosen, sets, jobs=jobs))
+        print("The leaderboard is stale:" if stale else "The leaderboard is up to date.", *stale, sep="\n- ")
+        return int(bool(stale))
+    for line in uncommitted(chosen):
+        raise ValueError(line)
     try:
-        if args.check:
-            stale = [*check(root, candidates, sets)]
-            if not stale:
-                sets = [replace(each, plants=each.plants[: args.plants]) for each in sets]
-                stale += check_episodes(root, evaluate(chosen, sets, jobs=args.jobs))
-            print("The leaderboard is stale:" if stale else "The leaderboard is up to date.", *stale, sep="\n- ")
-            return int(bool(stale))
-        for line in uncommitted(chosen):
-            raise ValueError(line)
-        for row in evaluate(chosen, sets, jobs=args.jobs):
-            save_row(root / RESULTS, row)
-        board = build(load_rows(root / RESULTS, names), sets)
-        for name, text in {**files(root, board), CHART: draw(board)}.items():
-            write_atomically(root / name, text)
+        for row in evaluate(chosen, sets, jobs=jobs):
+            save_row(ROOT / RESULTS, row)
     except KeyboardInterrupt:
-        print(f"Stopped. The rows that were finished are kept in {root / RESULTS}.")
-        return 130
-    except ValueError as error:
-        refuse(COMMAND, str(error))
-    print(f"Written: {len(candidates)} policies on {len(sets)} sets, to {root / 'LEADERBOARD.md'}")
+        print(f"Stopped. The rows that were finished are kept in {ROOT / RESULTS}.")
+        return INTERRUPTED
+    board = build(load_rows(ROOT / RESULTS, known), sets)
+    for path, text in {**files(ROOT, board), CHART: draw(board)}.items():
+        write_atomically(ROOT / path, text)
+    print(f"Written: {len(candidates)} policies on {len(sets)} sets, to {ROOT / 'LEADERBOARD.md'}")
     return 0
 
 

@@ -16,14 +16,13 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from tqdm import tqdm
 
 from agents.evaluation.criteria import CRITERIA
-from agents.evaluation.sets import validation_set
 from agents.training import checkpoint
 from agents.training.algorithms import wrapped_env
 from agents.training.checkpoint import Progress
 from agents.training.config import BEST, EVALUATIONS, Config
 from agents.training.export import export, normalisation, save
 from agents.training.signals import Stop
-from baselines.evaluation.episodes import Episode, evaluate, scores
+from baselines.evaluation.episodes import Episode, evaluate, scores, validation_set
 from baselines.evaluation.statistics import interquartile_mean
 from capsule_gym import Policy
 from capsule_gym.config import EnvConfig, find_task

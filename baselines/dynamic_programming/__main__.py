@@ -9,12 +9,10 @@ from pathlib import Path
 
 from baselines.dynamic_programming.archive import FOLDER, load_archive, set_plants, solve_plants, tables
 from baselines.dynamic_programming.problem import PROBLEMS
-from capsule_gym.command_line import command, refuse
-
-PROG = "python -m baselines.dynamic_programming"
+from capsule_gym.command_line import command
 
 
-@command(PROG)
+@command("python -m baselines.dynamic_programming", ValueError)
 def main(check: bool = False, report: bool = False, folder: Path = FOLDER) -> int:
     """Computes the results of dynamic programming that the archive lacks. Ctrl-C keeps finished results.
 
@@ -29,10 +27,7 @@ def main(check: bool = False, report: bool = False, folder: Path = FOLDER) -> in
         report: Only print the tables of what is on file.
         folder: Folder of the archive.
     """
-    try:
-        archive = load_archive(folder)
-    except ValueError as error:
-        refuse(PROG, str(error))
+    archive = load_archive(folder)
     if check:
         stale = archive.check()
         count = len(archive.results) + len(archive.plant_speeds)
@@ -42,7 +37,7 @@ def main(check: bool = False, report: bool = False, folder: Path = FOLDER) -> in
     plants = [plant for plant in set_plants() if plant not in archive.plant_speeds]
     if report:
         if lacking := len(missing) + len(plants):
-            refuse(PROG, f"--report needs all problems and plants on file, and {folder} lacks {lacking}")
+            raise ValueError(f"--report needs all problems and plants on file, and {folder} lacks {lacking}")
         print(tables(archive))
         return 0
     status = 0

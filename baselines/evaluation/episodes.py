@@ -20,9 +20,10 @@ from baselines.evaluation.statistics import estimate
 from baselines.policies import ScriptedPolicy
 from capsule_gym import __version__
 from capsule_gym.config import find_task
-from capsule_gym.evaluation_sets import EvaluationSet, load_set
+from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec, load_set
 from capsule_gym.network import rollout
-from capsule_gym.parameters import NOMINAL
+from capsule_gym.parameters import CONSTANTS, NOMINAL, Capsule, Disturbances, Randomization
+from capsule_gym.resets import Stream, draw_plant, random_stream
 from capsule_gym.task import CONTROL_DT, START_THETA, TORQUE_LIMIT
 
 Episode = dict[str, Any]
@@ -83,6 +84,38 @@ SHARES = [metric.name for metric in TASK_METRICS if metric.share]
 SHARE_OF_OPTIMUM = TableMetric("share_of_optimum", "share of optimum", 2)
 
 
+def validation_set(
+    randomization: str | Randomization,
+    name: str,
+    first_seed: int,
+    count: int,
+    capsule: Capsule | None = None,
+    task: str = "speed",
+    disturbances: str | Disturbances = "none",
+) -> EvaluationSet:
+    """Draws a set of plants as the environment draws the plants of its episodes.
+
+    Args:
+        randomization: distribution of the environment's plants.
+        name: name of the set.
+        first_seed: seed of the first episode; the others follow. Far from 0, 1, .., the seeds of the frozen sets.
+        count: number of plants.
+        capsule: constants of the environment's plant.
+        task: task of the environment; its further draws follow from the episodes' seeds.
+        disturbances: disturbances of the environment.
+    """
+    drawn, plants = Randomization.named(randomization), []
+    for seed in range(first_seed, first_seed + count):
+        M, mu = draw_plant(drawn, NOMINAL, random_stream(seed, 0, Stream.parameters))
+        shares = random_stream(seed, 0, Stream.variation).random(len(CONSTANTS)).tolist()
+        own = {}
+        for constant in drawn.drawn:
+            low, high = getattr(drawn, constant)
+            own[constant] = low + (high - low) * shares[CONSTANTS.index(constant)]
+        plants.append(PlantSpec(M, mu, seed, capsule=own or None))
+    return EvaluationSet(name, tuple(plants), task, capsule, disturbances)
+
+
 def evaluate(
     policy: Any,
     evaluation_set: EvaluationSet | str | Path = "paper",
@@ -117,9 +150,9 @@ def evaluate(
     if isinstance(policy, Candidate):
         return [episode for each in policy.policies for episode in evaluate(each, chosen, horizon=horizon)]
     policy = wrap_policy(policy, env_kwargs=env_kwargs)
-    task = check_task(Candidate(policy.name, (policy,), ""), chosen)
+    check_task(Candidate(policy.name, (policy,), ""), chosen)
     settings: dict[str, Any] = {**policy.env_kwargs, **chosen.env_kwargs}
-    seconds = find_task(task).episode_steps * CONTROL_DT if horizon is None else horizon
+    seconds = find_task(chosen.task).episode_steps * CONTROL_DT if horizon is None else horizon
     steps, seeds = round(seconds / settings.get("control_dt", CONTROL_DT)), [plant.seed for plant in chosen.plants]
     batch = {"num_envs": len(seeds), "max_episode_steps": steps, "autoreset_mode": AutoresetMode.DISABLED}
     env = capsule_gym.CapsuleVectorEnv(**{**settings, **batch})
@@ -145,8 +178,8 @@ def evaluate(
     return as_episodes(chosen, metrics, training_seed=seed, shared=limited)
 
 
-def check_task(candidate: Candidate, evaluation_set: EvaluationSet) -> str:
-    """Checks that policies are for the task of a set, and returns it. Scripted policies without a task fit any set.
+def check_task(candidate: Candidate, evaluation_set: EvaluationSet) -> None:
+    """Checks that policies are for the task of a set. Scripted policies without a task fit any set.
 
     Raises:
         ValueError: if a policy is for another task.
@@ -159,7 +192,6 @@ def check_task(candidate: Candidate, evaluation_set: EvaluationSet) -> str:
                 f"policy must be for the task {wanted!r} of the set {evaluation_set.name!r}, got {candidate.name!r}, "
                 f"which is for {task!r}"
             )
-    return wanted
 
 
 def as_episodes(

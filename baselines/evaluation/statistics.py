@@ -1,4 +1,4 @@
-"""Interquartile means and learning curves, with 95 % intervals.
+"""Interquartile means and means, with 95 % intervals.
 
 Scores have the shape (training seeds, episodes): every seed is evaluated on the same episodes, those of a set of
 plants. A scripted policy has one row.
@@ -12,9 +12,7 @@ The percentile bootstrap over seeds, or over seeds and plants, covers less: with
 plants', 80 and 90 % instead of 95 % (`tests/baselines/evaluation/test_statistics.py` measures the coverage of ours).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -123,35 +121,3 @@ def paired_difference(scores: ArrayLike, reference: ArrayLike, *, mean: bool = F
     # The difference of two infinite scores is NaN, without a warning.
     with np.errstate(invalid="ignore"):
         return _estimate(array[:, None, :] - other[None, :, :], mean)
-
-
-class Curve(NamedTuple):
-    """Estimates over a variable, ascending, with pointwise 95 % intervals; all of shape (n,)."""
-
-    x: np.ndarray
-    value: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-
-
-def learning_curve(runs: Sequence[tuple[ArrayLike, ArrayLike]]) -> Curve:
-    """The interquartile mean of evaluations over training seeds, as a function of the training steps.
-
-    At each step, the value of a run is that of its last evaluation so far. The curve starts when all runs have been
-    evaluated once, and ends with the shortest run.
-
-    Args:
-        runs: for each seed the steps of its evaluations, ascending, and their values, both of shape (evaluations,).
-
-    Raises:
-        ValueError: if the runs have no steps in common.
-    """
-    checked = [(np.asarray(steps, np.float64), np.asarray(values, np.float64)) for steps, values in runs]
-    first, last = max(steps[0] for steps, _ in checked), min(steps[-1] for steps, _ in checked)
-    if first > last:
-        raise ValueError(f"runs must overlap, got one that begins at {first:g} steps and one that ends at {last:g}")
-    every = np.unique(np.concatenate([steps for steps, _ in checked]))
-    x = every[(every >= first) & (every <= last)]
-    held = np.stack([values[np.searchsorted(steps, x, side="right") - 1] for steps, values in checked])
-    found = [estimate(column[:, None]) for column in held.T]
-    return Curve(x, *(np.array([getattr(each, name) for each in found]) for name in ("value", "low", "high")))

@@ -4,12 +4,10 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
-from capsule_gym.command_line import command, refuse
-
-PROG = "python -m baselines.paper"
+from capsule_gym.command_line import command
 
 
-@command(PROG)
+@command("python -m baselines.paper", ValueError)
 def main(figures: Path | None = None) -> None:
     """Prints the paper's numbers and claims next to the computed ones; draws its figures. About a minute.
 
@@ -22,9 +20,9 @@ def main(figures: Path | None = None) -> None:
     """
     if figures is not None:
         if not next(path for path in (figures, *figures.absolute().parents) if path.exists()).is_dir():
-            refuse(PROG, f"--figures must name a folder, got {str(figures)!r}")
+            raise ValueError(f"--figures must name a folder, got {str(figures)!r}")
         if find_spec("matplotlib") is None:
-            refuse(PROG, "--figures needs matplotlib: pip install 'capsule-gym[paper]'")
+            raise ValueError("--figures needs matplotlib: pip install 'capsule-gym[paper]'")
     # Imported after parsing, since `--help` does not need these modules.
     from baselines.paper.report import compute, text
 

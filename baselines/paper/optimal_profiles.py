@@ -19,7 +19,7 @@ import numpy as np
 from baselines.laws.profiles import OPTIMA, P2, PROPOSED, V1, Profile, platform_motion, seven_phases
 from baselines.paper import published
 from baselines.paper.principles import Cycle, principle_3, principle_4, sample
-from capsule_gym.command_line import check_output, command, refuse
+from capsule_gym.command_line import check_output, command
 from capsule_gym.files import to_json, write_atomically
 from capsule_gym.parameters import NOMINAL, Plant
 
@@ -198,7 +198,7 @@ def load(path: Path = OPTIMA) -> list[Solution]:
     return [Solution(**{**row, "problem": Problem(**row["problem"]), "times": tuple(row["times"])}) for row in rows]
 
 
-@command(PROG)
+@command(PROG, ValueError)
 def main(json: Path = OPTIMA, seed: int = 0, generations: int = 200, overwrite: bool = False) -> None:
     """Optimises the paper's profile (9) for speed, under exact tracking, Principles 1 to 4 and a torque limit.
 
@@ -214,10 +214,7 @@ def main(json: Path = OPTIMA, seed: int = 0, generations: int = 200, overwrite: 
         generations: Generations of each search.
         overwrite: Replace an existing file.
     """
-    try:
-        check_output("--json", json, overwrite=overwrite)
-    except ValueError as error:
-        refuse(PROG, str(error))
+    check_output("--json", json, overwrite=overwrite)
     solutions: list[Solution] = []
     for problem in problems():
         solutions.append(search(problem, solutions, seed=seed, generations=generations))

@@ -178,7 +178,8 @@ def text(results: Results) -> str:
         f"Sensitivity: speeds over M in {tracking.M_RANGE} kg, mu in {tracking.MU_RANGE}": [
             {
                 "mu for the published speed": tuple(
-                    each.friction_for(published.RUNS[each.profile]["mean_speed"].value) for each in results["maps"]
+                    tracking.friction_for(each, published.RUNS[each.name]["mean_speed"].value)
+                    for each in tracking.PROFILES
                 ),
                 "proposed over EPC, least": float(np.nanmin(ratio)),
                 "most": float(np.nanmax(ratio)),

@@ -150,23 +150,6 @@ def displacement(motion: Sequence[np.ndarray], p: Plant, h: float) -> float:
     return float(CYCLES * x if x_dot == 0.0 else slide(CYCLES)[0])
 
 
-@dataclass(frozen=True)
-class SpeedMap:
-    """Mean speed along one profile over five cycles from rest, exact tracking, cm/s, shape (M, mu)."""
-
-    profile: str
-    M: np.ndarray
-    mu: np.ndarray
-    speed: np.ndarray
-
-    def friction_for(self, speed: float) -> list[float]:
-        """Every friction coefficient at which the nominal mass has a speed (cm/s), interpolated in log mu."""
-        row, logs = self.speed[int(np.argmin(np.abs(self.M - NOMINAL.M)))] - speed, np.log(self.mu)
-        signs = np.flatnonzero(row[:-1] * row[1:] < 0.0)
-        shares = row[signs] / (row[signs] - row[signs + 1])
-        return [float(mu) for mu in np.exp(logs[signs] + shares * (logs[signs + 1] - logs[signs]))]
-
-
 def grid(rows: int = 29, columns: int = 61) -> tuple[list[float], list[float]]:
     """Evenly spaced M in kg over M_RANGE, and mu over MU_RANGE in equal ratios."""
     return np.linspace(*M_RANGE, rows).tolist(), np.geomspace(*MU_RANGE, columns).tolist()
@@ -174,19 +157,31 @@ def grid(rows: int = 29, columns: int = 61) -> tuple[list[float], list[float]]:
 
 def speed_map(
     profile: Profile, M: Sequence[float] = (NOMINAL.M,), mu: Sequence[float] = (NOMINAL.mu,), h: float = MAP_STEP
-) -> SpeedMap:
-    """Mean speed along a profile under exact tracking, for every M with every mu, in steps of h seconds.
+) -> np.ndarray:
+    """Mean speed along a profile over five cycles from rest, exact tracking in steps of h seconds, for every M and mu.
 
     Where the motion would lift the platform, the floor is without friction.
+
+    Returns:
+        Shape (M, mu), cm/s.
     """
     # In the middle of the steps, where theta_d'' does not jump.
     motion = profile.evaluate((np.arange(round(profile.period / h)) + 0.5) * h)
     plants = [[NOMINAL.plant(M=mass, mu=friction) for friction in mu] for mass in M]
     travelled = np.array([[displacement(motion, plant, h) for plant in row] for row in plants])
-    return SpeedMap(profile.name, np.array(M), np.array(mu), 100.0 * travelled / (CYCLES * profile.period))
+    speeds: np.ndarray = 100.0 * travelled / (CYCLES * profile.period)
+    return speeds
 
 
-def speed_ratio(proposed: SpeedMap, epc: SpeedMap) -> np.ndarray:
+def friction_for(profile: Profile, speed: float) -> list[float]:
+    """Every mu of `grid` at which the nominal mass has a speed (cm/s), interpolated in log mu."""
+    _, mu = grid()
+    row, logs = speed_map(profile, mu=mu)[0] - speed, np.log(mu)
+    signs = np.flatnonzero(row[:-1] * row[1:] < 0.0)
+    shares = row[signs] / (row[signs] - row[signs + 1])
+    return [float(mu) for mu in np.exp(logs[signs] + shares * (logs[signs + 1] - logs[signs]))]
+
+
+def speed_ratio(proposed: np.ndarray, epc: np.ndarray) -> np.ndarray:
     """Speed of the proposed profile over EPC's; NaN where EPC does not move."""
-    ratio = np.full_like(epc.speed, np.nan)
-    return np.divide(proposed.speed, epc.speed, out=ratio, where=epc.speed > AT_REST)
+    return np.divide(proposed, epc, out=np.full_like(epc, np.nan), where=epc > AT_REST)

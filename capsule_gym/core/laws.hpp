@@ -19,6 +19,6 @@ struct NoLaw {
   template <class T> INLINE T torque(const State<T>&, NoMemory<T>&, const NoReference<T>&) const { return 0.0; }
 };
 
-using Laws = List<NoLaw, Adaptive, FeedbackLinearising, Gait, GaitCandidate, GaitPredictive, GoalPulses,
-                  VelocityPulses, Tracking, Oscillator>;
+using Laws = List<NoLaw, Adaptive, FeedbackLinearising, Gait, GaitPredictive, GoalPulses, VelocityPulses,
+                  Tracking, Oscillator>;
 }  // namespace LEVEL

@@ -7,8 +7,7 @@ import time
 
 import pytest
 
-from agents.study.__main__ import main
-from agents.study.jobs import FINISHED, Job, plan, publish, results_table, train_all
+from agents.study import FINISHED, Job, copy_policy, main, plan, results_table, train_all
 from agents.training.config import RunError
 from agents.training.presets import ROWS
 from tests.agents.fakes import write_run
@@ -112,13 +111,13 @@ def finished(tmp_path):
 
 def test_the_best_policy_and_the_evaluations_are_published(finished, tmp_path):
     checkpoints = tmp_path / "checkpoints"
-    folder = publish(finished, checkpoints)
+    folder = copy_policy(finished, checkpoints)
     assert folder == checkpoints / "tiny" / "seed-3"
     assert sorted(path.name for path in folder.iterdir()) == ["evaluations.csv", "policy.safetensors"]
     policy = (finished.run / "best" / "policy.safetensors").read_bytes()
     # Existing files are replaced.
     (folder / "policy.safetensors").write_bytes(b"")
-    publish(finished, checkpoints)
+    copy_policy(finished, checkpoints)
     assert (folder / "policy.safetensors").read_bytes() == policy
 
 
@@ -127,11 +126,11 @@ def test_a_revision_that_cannot_be_checked_out_is_not_published(finished, tmp_pa
     path = finished.run / "config.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "revision": revision}))
     with pytest.raises(RunError, match="committed code") as error:
-        publish(finished, tmp_path / "checkpoints")
+        copy_policy(finished, tmp_path / "checkpoints")
     assert repr(revision) in str(error.value)
     (finished.run / FINISHED).unlink()
     with pytest.raises(RunError, match="not finished"):
-        publish(finished, tmp_path / "checkpoints")
+        copy_policy(finished, tmp_path / "checkpoints")
     assert not (tmp_path / "checkpoints").exists()
 
 
@@ -145,6 +144,6 @@ def test_failures_and_ctrl_c_have_their_exit_status(tmp_path, monkeypatch, capsy
             raise error
         return {jobs[0]: "lost"}
 
-    monkeypatch.setattr("agents.study.__main__.train_all", train)
+    monkeypatch.setattr("agents.study.train_all", train)
     assert main(["direct-ppo", "--seeds", "0", "1", "--jobs", "3", "--runs", str(tmp_path), "--publish"]) == status
     assert message in "".join(capsys.readouterr())

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from agents.distillation.__main__ import main as distil
-from agents.study.__main__ import main as study
+from agents.study import main as study
 from agents.training.algorithms import make_env
 from agents.training.config import Config, RunError
 from baselines.drawing import style
 from baselines.evaluation.episodes import evaluate
-from baselines.evaluation.statistics import estimate, learning_curve, paired_difference
+from baselines.evaluation.statistics import estimate, paired_difference
 from baselines.laws.adaptive import adaptive
 from baselines.laws.feedback_linearisation import feedback_linearising
 from baselines.laws.gains import known_parameters
@@ -46,6 +46,8 @@ from tests.capsule_gym.test_trajectory import START
 from train import main as train
 
 T = np.arange(0.0, 3.0, 0.01)
+OSCILLATOR = dict.fromkeys(("omega", "alpha", "bias", "K_theta", "K_theta_dot", "dt"), 1.0)
+OSCILLATOR |= dict.fromkeys(("E_a", "E_b", "real", "imaginary"), (1.0, 2.0, 3.0))
 LOG = {"t": T, "torque": 0.1 * np.sin(T), "theta": 0.1 * np.sin(T)}
 KNOWN = {name: getattr(NOMINAL, name) for name in PLANT} | dict.fromkeys(OTHERS, 0.0)
 GAIT = known_parameters("gait")
@@ -63,10 +65,10 @@ CALLS = [
     (lambda: CapsuleVectorEnv(2, max_episode_steps=0), ValueError, "max_episode_steps must be an integer >= 1, or -1"),
     (lambda: CapsuleVectorEnv(2, render_mode="human"), ValueError, "render_mode of a batch must be None or"),
     (lambda: CapsuleSB3VecEnv(2, 0, privileged=True, task="goal", goal_env=True), ValueError, "privileged must be"),
-    (lambda: CoreLaw("gait_candidate", torque_limit=(1.0, 2.0)), ValueError, "torque_limit must be 1 numbers, got"),
+    (lambda: CoreLaw("oscillator", **{**OSCILLATOR, "real": 1.0}), ValueError, "real must be 3 numbers, got"),
     (lambda: CoreLaw("odd"), ValueError, "name must be one of none, adaptive, .*, got 'odd'"),
-    (lambda: CoreLaw("gait_candidate"), TypeError, "'gait_candidate' takes the constants torque_limit, got $"),
-    (lambda: CoreLaw("gait_candidate", torque_limit=1.0, K=1.0), TypeError, "the constants torque_limit, got .*, K$"),
+    (lambda: CoreLaw("oscillator"), TypeError, "'oscillator' takes the constants omega, .*, dt, got $"),
+    (lambda: CoreLaw("oscillator", **OSCILLATOR, K=1.0), TypeError, "the constants omega, .*, got .*, K$"),
     (lambda: CoreLaw("none")(*ORIGIN, (0.0, 0.0), (0.0, 0.0)), ValueError, "must have the shapes"),
     (lambda: native.address(np.zeros((2, 2))[:, 0]), ValueError, "array must be C-contiguous"),
     (
@@ -122,7 +124,6 @@ CALLS = [
     (lambda: estimate([1.0, 2.0, 3.0]), ValueError, r"scores must have the shape .* got \(3,"),
     (lambda: estimate(np.empty((1, 0))), ValueError, r"scores must have the shape .* got \(1, 0\)"),
     (lambda: paired_difference([[1.0, 2.0, 3.0]], [[1.0, 2.0]]), ValueError, "same episodes, got .* and "),
-    (lambda: learning_curve([([1, 2], [0.0] * 2), ([5, 6], [0.0] * 2)]), ValueError, "begins at 5 .* ends at 2"),
     (lambda: CapsuleEnv(control_dt=1e300), ValueError, r"^control_dt must be .* \(s\), at most 1e\+06, got 1e\+300"),
     (lambda: CapsuleEnv(physics_dt=1e-25), ValueError, r"^physics_dt must be .*>= 1e-09 \(s\).*, got 1e-25"),
     (lambda: CapsuleEnv(control_dt=1e6), ValueError, r"^control_dt must be at most 1000000 times physics_dt=0\.002 s,"),

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.study.jobs import train_job
+from agents.study import train_job
 from agents.training.config import Config
 from agents.training.presets import row_settings
 from baselines.dynamic_programming.archive import ARCHIVE, ARRAYS
@@ -118,7 +118,7 @@ def test_nothing_is_unpickled_that_is_not_trusted(command, hostile, monkeypatch,
 def test_what_reads_a_path_is_among_these():
     """Every command is listed as one that reads a path, or as one that does not."""
     others = {name for name in commands() if name.startswith(("benchmarks", "tests", "web"))}
-    only_written = {"agents.analysis", "agents.distillation", "agents.evaluation.sets", "agents.leaderboard"}
+    only_written = {"agents.analysis", "agents.distillation", "agents.leaderboard"}
     only_written |= {"baselines.paper", "baselines.paper.optimal_profiles"}
     only_written |= {"baselines.tuning"}
     assert set(commands()) == {*READERS, *others, *only_written}
@@ -126,7 +126,7 @@ def test_what_reads_a_path_is_among_these():
 
 @pytest.mark.parametrize("words", TRUSTING, ids=lambda words: words[0])
 def test_an_option_says_what_is_trusted(words, hostile, monkeypatch):
-    monkeypatch.setattr("agents.study.__main__.train_all", lambda jobs, *_: {job: train_job(job) for job in jobs})
+    monkeypatch.setattr("agents.study.train_all", lambda jobs, *_: {job: train_job(job) for job in jobs})
     with suppress(BaseException):
         main_of(words[0])(words[1:])
     assert Path(MARK).exists()

@@ -5,13 +5,12 @@
 
 namespace LEVEL {
 // phi_ijk is the coefficient of theta^i theta_dot^j x_dot^k, each divided by its scale; then the step in the direction
-// of slip, the guard's gain in N m s^2, and the theta_dot^2 cos(theta), 1/s^2, from which the guard acts.
-#define GAIT_PARAMETERS(ONE)                                                                                           \
+// of slip, the guard's gain in N m s^2, and the theta_dot^2 cos(theta), 1/s^2, from which the guard acts; and the torque
+// in N m that the polynomial is scaled by and clipped to.
+#define GAIT_CONSTANTS(ONE, MANY)                                                                                      \
   ONE(phi_000) ONE(phi_001) ONE(phi_002) ONE(phi_003) ONE(phi_010) ONE(phi_011) ONE(phi_012) ONE(phi_020)              \
   ONE(phi_021) ONE(phi_030) ONE(phi_100) ONE(phi_101) ONE(phi_102) ONE(phi_110) ONE(phi_111) ONE(phi_120)              \
-  ONE(phi_200) ONE(phi_201) ONE(phi_210) ONE(phi_300) ONE(sign_x_dot) ONE(guard_gain) ONE(guard_from)
-// The parameters, and the torque in N m that the polynomial is scaled by and clipped to.
-#define GAIT_CONSTANTS(ONE, MANY) GAIT_PARAMETERS(ONE) ONE(torque_limit)
+  ONE(phi_200) ONE(phi_201) ONE(phi_210) ONE(phi_300) ONE(sign_x_dot) ONE(guard_gain) ONE(guard_from) ONE(torque_limit)
 // Scales in rad, rad/s and m/s that make the polynomial's coefficients comparable.
 constexpr double THETA_SCALE = 1.0, THETA_DOT_SCALE = 5.0, X_DOT_SCALE = 0.3;
 
@@ -36,18 +35,6 @@ INLINE T guarded_torque(T theta, T theta_dot, T x_dot, const P& p, F guard_from,
   T brake = p.guard_gain * max(T(0.0), theta_dot * theta_dot * sincos(theta).cos - guard_from);
   return torque - select(theta_dot > 0.0, brake, -brake);
 }
-
-// The gait with a fixed guard and with its parameters in its memory, so that the environments of a batch can have
-// different ones.
-struct GaitCandidate {
-  template <class T> struct Parameters { GAIT_PARAMETERS(CAPSULE_NUMBER) };
-#define CANDIDATE_CONSTANTS(ONE, MANY) ONE(torque_limit)
-  CAPSULE_LAW(GaitCandidate, "gait_candidate", false, Parameters, NoReference, CANDIDATE_CONSTANTS)
-
-  template <class T> INLINE T torque(const State<T>& s, const Parameters<T>& p, const NoReference<T>&) const {
-    return guarded_torque(s.theta, s.theta_dot, s.x_dot, p, p.guard_from, q.torque_limit);
-  }
-};
 
 // The gait. Its guard estimates M while the platform slips and acts earlier on platforms lighter than `lightest` kg. Its
 // memory is the filter's.

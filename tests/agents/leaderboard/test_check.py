@@ -101,7 +101,8 @@ def main(world, monkeypatch):
     monkeypatch.setattr(leaderboard, "load_set", load)
     evaluate = leaderboard.evaluate
     monkeypatch.setattr(leaderboard, "evaluate", lambda *args, **kwargs: evaluate(*args, **{**kwargs, "horizon": 0.4}))
-    return lambda *words: leaderboard.main([*words, "--jobs", "1"], root=world)
+    monkeypatch.setattr(leaderboard, "ROOT", world)
+    return lambda *words: leaderboard.main([*words, "--jobs", "1"])
 
 
 def test_command_line(main, world, capsys):
@@ -166,12 +167,12 @@ def test_finished_rows_survive_an_interruption(main, world, monkeypatch, capsys)
         (["--check", "--plants", "0"], "--plants"),
         (["--plants", "5"], "--plants"),
         (["lernt"], "got lernt; did you mean 'learnt'?"),
-        (["pd", "--from-results"], "--from-results must be given without names, got pd"),
+        (["pd", "--from-results"], "--from-results must be given without names, got 'pd'"),
         (["pd"], "adaptive: no results in adaptive.npz; `python -m agents.leaderboard NAME` writes them"),
     ],
 )
-def test_wrong_options_are_named(main, words, message, world, capsys):
+def test_wrong_options_are_named(main, words, message, capsys):
     with pytest.raises(SystemExit) as stop:
-        leaderboard.main(words if "--jobs" in words else [*words, "--jobs", "1"], root=world)
+        main(*words)
     assert stop.value.code == 2
     assert message in capsys.readouterr().err

@@ -3,7 +3,7 @@
 import dataclasses
 import json
 
-from agents.leaderboard.__main__ import check, check_episodes
+from agents.leaderboard.__main__ import check_episodes, find_stale
 from agents.leaderboard.chart import CHART, draw
 from agents.leaderboard.page import MAIN_SETS, build, files
 from agents.leaderboard.rows import RESULTS, evaluate, load_row, load_rows, save_row
@@ -37,7 +37,7 @@ def write_pages(root):
 
 
 def checked(root, sets=SETS):
-    return list(check(root, all_candidates(), sets))
+    return list(find_stale(root, all_candidates(), sets))
 
 
 def evaluated_again(root, *candidates, plants=None):

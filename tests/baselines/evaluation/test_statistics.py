@@ -5,7 +5,6 @@ from scipy import stats
 from baselines.evaluation.statistics import (
     estimate,
     interquartile_mean,
-    learning_curve,
     paired_difference,
 )
 
@@ -84,12 +83,3 @@ def test_paired_difference_known_answers():
     with np.errstate(all="raise"):
         undefined = paired_difference([[np.inf] * 4], [[np.inf] * 4])
     assert np.isnan(undefined.value)
-
-
-def test_learning_curves_hold_the_last_evaluation_and_never_a_later_one():
-    curve = learning_curve([([10, 20, 30], [1.0, 2.0, 3.0]), ([5, 25, 40], [4.0, 6.0, 8.0])])
-    np.testing.assert_array_equal(curve.x, [10, 20, 25, 30])
-    np.testing.assert_array_equal(curve.value, [2.5, 3.0, 4.0, 4.5])
-    assert (curve.low < curve.value).all() and (curve.value < curve.high).all()
-    alone = learning_curve([([1, 2], [1.0, 2.0])])
-    assert np.isnan(alone.low).all()

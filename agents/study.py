@@ -1,22 +1,31 @@
-"""The runs of a study: one per row and training seed, each in its own folder, from which it can be resumed."""
+"""Trains rows of the leaderboard over training seeds: `python -m agents.study`.
+
+A study has one run per row and seed, each in its own folder, from which it can be resumed.
+"""
 
 import csv
 import dataclasses
 import json
 import re
+import sys
 import traceback
 from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Annotated, Literal
 
 from tqdm import tqdm
 
 from agents.evaluation.criteria import CRITERIA
 from agents.training.config import BEST, CONFIG, EVALUATIONS, Config, RunError, read_config
-from agents.training.presets import row_settings
+from agents.training.presets import ROWS, row_settings
+from agents.training.signals import INTERRUPTED
 from baselines.evaluation.policies import CHECKPOINTS
 from baselines.tables import text_table
+from capsule_gym.checks import check_count
+from capsule_gym.command_line import Positional, arg, command
 from capsule_gym.files import write_atomically
 from capsule_gym.policy import POLICY
 
@@ -115,7 +124,7 @@ def _train_on_ray(jobs: Sequence[Job]) -> list[str]:
     """
     import ray
 
-    root = str(Path(__file__).resolve().parents[2])
+    root = str(Path(__file__).resolve().parents[1])
     ray.init(runtime_env={"env_vars": {"PYTHONPATH": root}}, log_to_driver=False, logging_level="error")
     try:
         # Ray starts as many as it has processors.
@@ -144,7 +153,7 @@ def results_table(jobs: Sequence[Job]) -> str:
     return text_table(rows, left=1)
 
 
-def publish(job: Job, checkpoints: Path = CHECKPOINTS) -> Path:
+def copy_policy(job: Job, checkpoints: Path = CHECKPOINTS) -> Path:
     """Copies a run's best policy and its evaluations into the folder of its row and seed, which it returns.
 
     Raises:
@@ -160,3 +169,68 @@ def publish(job: Job, checkpoints: Path = CHECKPOINTS) -> Path:
     for path in (job.run / EVALUATIONS, job.run / BEST / POLICY):
         write_atomically(folder / path.name, path.read_bytes())
     return folder
+
+
+@command("python -m agents.study", OSError, ValueError)
+def main(
+    rows: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME", help=f"Rows: {', '.join(ROWS)}.")],
+    seeds: Annotated[tuple[int, ...], arg(metavar="N")] = tuple(range(10)),
+    jobs: int | None = None,
+    backend: Literal["loky", "ray"] = "loky",
+    runs: Path = Path("runs/study"),
+    resume: bool = False,
+    publish: bool = False,
+) -> int:
+    """Trains rows of the leaderboard over training seeds, several runs in parallel.
+
+    Ctrl-C stops; finished runs stay as they are, and --resume continues the others from their last checkpoint. A run
+    that fails does not stop the others; the exit status is then 1.
+
+    Examples:
+      python -m agents.study direct-ppo residual-ppo --seeds {0..4} 7 --jobs 4
+      python -m agents.study direct-ppo --resume --publish
+
+    Args:
+        rows: rows.
+        seeds: Training seeds.
+        jobs: Number of runs in parallel with loky; one per core by default. Ray starts one per processor of the
+            cluster.
+        backend: joblib's processes of this machine, or the Ray cluster that RAY_ADDRESS names (extra `cluster`).
+        runs: Folder of the runs, each in NAME/seed-N with its output in NAME/seed-N.log; a cluster must share it.
+        resume: Continue unfinished runs of your own: checkpoints contain pickles, which can run any code.
+        publish: Copy the policies of finished runs to agents/checkpoints, for the leaderboard.
+    """
+    if not rows:
+        raise ValueError(f"NAME must be one or several of {', '.join(ROWS)}")
+    if jobs is not None:
+        check_count("--jobs", jobs)
+        if backend == "ray":
+            raise ValueError("--jobs needs --backend loky")
+    if backend == "ray" and find_spec("ray") is None:
+        raise ValueError("--backend ray needs Ray: pip install 'capsule-gym[cluster]'")
+    planned = plan(rows, seeds, runs)
+    for job in planned:
+        if job.run.exists() and not job.finished and not resume:
+            raise ValueError(
+                f"{job.run} contains an unfinished run: --resume continues what is your own, reading the pickles of "
+                "its checkpoints"
+            )
+    try:
+        failures = train_all(planned, jobs, backend)
+    except KeyboardInterrupt:
+        print("\nStopped; --resume continues.")
+        return INTERRUPTED
+    print(results_table(planned))
+    print("Mean speed and failures of the best evaluation on the run's validation plants, never on a frozen set.")
+    problems = [f"{job.name} failed: {reason}" for job, reason in failures.items()]
+    for job in (job for job in planned if publish and job.finished):
+        try:
+            print(f"Published: {copy_policy(job)}")
+        except (RunError, OSError) as error:
+            problems.append(f"{job.name} is not published: {error}")
+    print(*problems, sep="\n", end="\n" if problems else "", file=sys.stderr)
+    return 1 if problems else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,1 +1,0 @@
-"""Trains rows of the leaderboard over seeds: `python -m agents.study`."""
