@@ -1,4 +1,4 @@
-"""The network of a trained policy for the core: its packed arrays, its actions and whole episodes.
+"""The network of a trained policy for the core: its packed arrays, and whole episodes.
 
 The layers are computed by `capsule_gym/core/network.hpp`, in strict float64 and in a fixed order.
 """
@@ -43,18 +43,6 @@ def pack(
     padded = [np.pad(part.ravel(), (0, -part.size % _core.PADDING)) for part in parts]
     packed = native.aligned_zeros((sum(part.size for part in padded),))
     return np.concatenate(padded, out=packed)
-
-
-def act(network: np.ndarray, observations: np.ndarray) -> np.ndarray:
-    """The actions, shape (n, 1), float32, in [-1, 1], of any number of environments; threads may share the network.
-
-    Args:
-        network: from `pack`.
-        observations: shape (n, inputs), float32, C-contiguous.
-    """
-    actions = np.empty((len(observations), 1), np.float32)
-    native.call("act", network, observations, len(observations), actions)
-    return actions
 
 
 def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.ndarray]:

@@ -25,12 +25,12 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from capsule_gym import network
 from capsule_gym.checks import check_integer, check_number, nearest, require, short_repr, shortened
 from capsule_gym.config import EnvConfig
 from capsule_gym.controller import is_own
 from capsule_gym.files import write_atomically
-from capsule_gym.network import Layer
+from capsule_gym.native import call
+from capsule_gym.network import Layer, pack
 from capsule_gym.observation import observation_entries
 
 POLICY = "policy.safetensors"
@@ -149,7 +149,7 @@ class Policy:
         scale = 1.0 / np.sqrt(self.variance + self.epsilon)
         kinds = {"relu": self.activation == "relu", "tanh_squashing": self.squashing == "tanh"}
         object.__setattr__(self, "entries", entries)
-        object.__setattr__(self, "_network", network.pack(self.layers, self.mean, scale, clip=self.clip, **kinds))
+        object.__setattr__(self, "_network", pack(self.layers, self.mean, scale, clip=self.clip, **kinds))
 
     @property
     def description(self) -> str:
@@ -168,10 +168,6 @@ class Policy:
         Raises:
             ValueError: if the observation has another shape or is not finite.
         """
-        return self._act(observation)
-
-    def _act(self, observation: Any, count: int | None = None) -> np.ndarray:
-        """The actions for one observation or for many, of `count` episodes where that is fixed."""
         try:
             array = np.require(observation, np.float32, ["C", "A"])
         except (TypeError, ValueError, OverflowError) as error:
@@ -182,9 +178,9 @@ class Policy:
             accepted = f"finite and of shape ({self.entries},) or (n, {self.entries})"
             raise ValueError(f"observation must be {accepted}, got {short_repr(observation)}")
         rows = array.reshape(-1, self.entries)
-        if count not in (None, len(rows)):
-            raise ValueError(f"observations must have one row for each of {count} episodes, got {len(rows)} rows")
-        actions = network.act(self._network, rows)
+        actions = np.empty((len(rows), 1), np.float32)
+        # Threads may share the network.
+        call("act", self._network, rows, len(rows), actions)
         return actions if array.ndim == 2 else actions[0]
 
     def start(self, seeds: Sequence[int]) -> Callable[[np.ndarray], np.ndarray]:
@@ -194,7 +190,14 @@ class Policy:
             The function from observations (episodes, entries) to actions (episodes, 1), or from (entries,) of a single
             episode to (1,). Call it once per step. It raises the same ValueError as the policy.
         """
-        return lambda observations: self._act(observations, len(seeds))
+
+        def act(observations: np.ndarray) -> np.ndarray:
+            actions = self(observations)
+            if (rows := actions.size) != len(seeds):
+                raise ValueError(f"observations must have one row for each of {len(seeds)} episodes, got {rows} rows")
+            return actions
+
+        return act
 
     def save(self, path: str | Path) -> None:
         """Writes the policy file atomically. The same policy gives the same bytes."""

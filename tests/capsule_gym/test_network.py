@@ -5,7 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from capsule_gym.network import Layer, act, pack
+from capsule_gym import native
+from capsule_gym.network import Layer, pack
 
 # Environments in a batch; the core computes four at once, and those left over one by one.
 BATCH = 64
@@ -17,6 +18,12 @@ def make_layers(widths: tuple[int, ...], seed: int = 0) -> list[Layer]:
         tuple(rng.normal(0.0, *size).astype(np.float32) for size in ((1.0 / np.sqrt(i), (o, i)), (0.3, o)))
         for i, o in pairwise(widths)
     ]
+
+
+def act(packed: np.ndarray, observations: np.ndarray) -> np.ndarray:
+    actions = np.empty((len(observations), 1), np.float32)
+    native.call("act", packed, observations, len(observations), actions)
+    return actions
 
 
 def expected(layers, observations, mean, scale, clip, relu, tanh_squashing) -> np.ndarray:
