@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from capsule_gym import __version__, _core, native
+from capsule_gym import __version__, _core
 from capsule_gym.checks import require
 from capsule_gym.command_line import Positional, arg, check_output, command
 from capsule_gym.config import EnvConfig, find_task
@@ -20,10 +20,8 @@ from capsule_gym.controller import CoreLaw, find_controller
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, load_set
 from capsule_gym.files import write_atomically
 from capsule_gym.layout import Row
-from capsule_gym.observation import observation_entries
-from capsule_gym.parameters import Capsule, Disturbances
+from capsule_gym.parameters import Disturbances
 from capsule_gym.policy import load_policy
-from capsule_gym.settings import make_settings
 from capsule_gym.simulation import Simulation
 from capsule_gym.trace import c_number, c_table, record, to_c
 from capsule_gym.vector_env import CapsuleVectorEnv
@@ -57,10 +55,9 @@ class Exported:
         if (law or alone) and not isinstance(getattr(self.controller, "law", None), CoreLaw):
             found = self.options.controller or "a policy without a control law"
             raise ValueError(f"--law needs a control law of the core, such as baselines:adaptive, got {found}")
-        self.task, self.settings = find_task(self.options.task), make_settings(self.options, self.controller)
-        self.plant = (self.options.capsule or Capsule()).plant()
-        values = {**self.settings._asdict(), **self.plant._asdict(), "varied": bool(self.settings.history)}
-        self.constants = native.ordered(_core.SETTINGS, values)
+        simulation = Simulation(1, self.options)
+        self.task, self.settings, self.constants = simulation.task, simulation.settings, simulation.fields["settings"]
+        self.entries = [f"observation[{n}]" for n in range(len(simulation.entries) // self.options.stack_size)]
         self.reading = ["theta", "theta_dot", "x", "x_dot", "action"]
         self.reading += ["theta_d", "theta_d_dot", "phase", "law_torque"] if self.controller else []
         self.reading += ["M", "mu"] if self.options.observe_parameters else []
@@ -95,12 +92,10 @@ class Exported:
         law_inputs += [f"reading->{name}" for name in ("theta", "theta_dot", "x", "x_dot")]
         law_inputs += [f"row[{n}]" for n in range(law.reference.shape[1] if law else 0)]
         fused = re.sub(r"\b(fused|moderate)\b", r"NAME_\1", _core.FUSED.replace("__builtin_", ""))
-        names = list(observation_entries(replace(self.options, stack_size=1)))
         return self._render(
             "policy.h.jinja",
             single,
             code=code,
-            entries=[f"observation[{n}]" for n in range(len(names))],
             memory=[*(f"{name}[{size}]" for size, name in memory if size), "x"],
             task_inputs=task_inputs,
             task_outputs=[f"memory->{cell}" if cell else None for cell in cells],
