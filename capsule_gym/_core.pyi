@@ -29,7 +29,6 @@ SPEED_BOUND: float
 SETTLING: float
 MEASURED: float
 
-NETWORK: list[str]
 PADDING: int
 CELLS: int
 PLAIN_LAW: int

@@ -14,7 +14,6 @@ from capsule_gym import _core, native
 from capsule_gym.checks import check_number, first_cause, require, short_repr
 from capsule_gym.config import LAW_DT, find_task
 from capsule_gym.task import Task
-from capsule_gym.user_law import bind_user_law
 
 Law = Callable[..., tuple[float, tuple[float, ...]]]
 
@@ -92,19 +91,6 @@ class CoreLaw:
         return float(torques[0]), tuple(renewed[0].tolist())
 
 
-def bind_law(controller: "Controller", lanes: int, state: int, raised: list[Exception]) -> dict[str, Any]:
-    """The law of a controller as fields of the core's `Batch`, for blocks of `lanes` environments.
-
-    The law observes theta in the row `state`, and theta_dot, x and x_dot in the next ones. `raised` receives the
-    exceptions of a law that Python calls.
-    """
-    law = controller.law
-    if isinstance(law, CoreLaw):
-        return {"law": law.number, "law_constants": np.array([*law.constants, 0.0])}
-    size = controller.reference.shape[1] + controller.task_size
-    return {"law": len(_core.LAWS), **bind_user_law(controller, size, lanes, state, raised)}
-
-
 @dataclass(frozen=True, eq=False)
 class Controller:
     """A control law with its reference table and its initial memory.
@@ -171,6 +157,11 @@ class Controller:
     def task_size(self) -> int:
         """Numbers that the law receives after its row of the reference: the task's memory."""
         return 0 if self.task is None else find_task(self.task).rows
+
+    @property
+    def row_size(self) -> int:
+        """Numbers that the law receives in `reference`: its row, and the task's memory if it reads it."""
+        return self.reference.shape[1] + self.task_size
 
 
 def _check_reference(reference: Any) -> np.ndarray:

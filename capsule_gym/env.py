@@ -321,7 +321,7 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
         self._drawn = name_drawn(drawn.tolist()) if self.simulation.settings.history else ()
 
     def episode_metrics(self, horizon: int | None) -> dict[str, float]:
-        """The metrics of the episode so far: those of `capsule_gym.task.Metrics`, and those of the task.
+        """The metrics of the episode so far: those of `capsule_gym.task.METRICS`, and those of the task.
 
         Args:
             horizon: agent steps of a whole episode, `env.spec.max_episode_steps`, since gymnasium's `TimeLimit` truncates:

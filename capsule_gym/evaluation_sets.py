@@ -62,13 +62,8 @@ class PlantSpec:
     def reset_options(self) -> dict[str, Any]:
         """The options of `reset` for this episode."""
         state = [self.theta, 0.0, 0.0, 0.0]
-        return {
-            "M": self.M,
-            "mu": self.mu,
-            "state": state,
-            "changes": list(self.changes),
-            **_changed(self, ("goal", "capsule")),
-        }
+        options = {"M": self.M, "mu": self.mu, "state": state, "changes": list(self.changes)}
+        return options | _changed(self, ("goal", "capsule"))
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as plain types."""

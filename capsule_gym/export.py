@@ -6,14 +6,13 @@ The loops of the network are in `policy.h.jinja`; everything else is recorded fr
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from capsule_gym import __version__, _core, native
+from capsule_gym import __version__, _core
 from capsule_gym.checks import require
 from capsule_gym.command_line import Positional, arg, check_output, command
 from capsule_gym.config import EnvConfig, find_task
@@ -21,12 +20,10 @@ from capsule_gym.controller import CoreLaw, find_controller
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, load_set
 from capsule_gym.files import write_atomically
 from capsule_gym.layout import Row
-from capsule_gym.observation import observation_entries
-from capsule_gym.parameters import Capsule, Disturbances
+from capsule_gym.parameters import Disturbances
 from capsule_gym.policy import load_policy
-from capsule_gym.settings import make_settings
 from capsule_gym.simulation import Simulation
-from capsule_gym.trace import c_number, c_table, record, to_c, to_onnx
+from capsule_gym.trace import c_number, c_table, record, to_c
 from capsule_gym.vector_env import CapsuleVectorEnv
 
 PROG = "python -m capsule_gym.export"
@@ -58,16 +55,13 @@ class Exported:
         if (law or alone) and not isinstance(getattr(self.controller, "law", None), CoreLaw):
             found = self.options.controller or "a policy without a control law"
             raise ValueError(f"--law needs a control law of the core, such as baselines:adaptive, got {found}")
-        self.task, self.settings = find_task(self.options.task), make_settings(self.options, self.controller)
-        self.plant = (self.options.capsule or Capsule()).plant()
-        values = {**self.settings._asdict(), **self.plant._asdict(), "varied": bool(self.settings.history)}
-        self.constants = native.ordered(_core.SETTINGS, values)
+        simulation = Simulation(1, self.options)
+        self.task, self.settings, self.constants = simulation.task, simulation.settings, simulation.fields["settings"]
+        self.entries = [f"observation[{n}]" for n in range(len(simulation.entries) // self.options.stack_size)]
         self.reading = ["theta", "theta_dot", "x", "x_dot", "action"]
         self.reading += ["theta_d", "theta_d_dot", "phase", "law_torque"] if self.controller else []
         self.reading += ["M", "mu"] if self.options.observe_parameters else []
         self.reading += {"goal": ["goal"], "velocity": ["command"]}.get(self.task.name, [])
-        # What the filter of M and mu assumes.
-        self.pendulum = [self.plant.m, self.plant.l, self.plant.g, self.options.control_dt]
         if self.policy:
             self.scale = 1.0 / np.sqrt(self.policy.variance + self.policy.epsilon)
 
@@ -77,11 +71,6 @@ class Exported:
 
         def code(function: str, inputs: Iterable[str], outputs: Sequence[str | None], *constants: Any) -> str:
             return to_c(record(function, *constants), inputs, outputs, single)
-
-        def identify(pendulum: Iterable[float], memory: str, deviations: list[str]) -> str:
-            cells = [f"{memory}[{n}]" for n in range(_core.CELLS)]
-            inputs = [*(f"before.{cell}" for cell in cells), *(f"(REAL)observation[{n}]" for n in range(3))]
-            return code("identify", inputs, [*(f"memory->{cell}" for cell in cells), *deviations], pendulum)
 
         # The task's memory but for what an episode draws. Goal and command are given; a new command ends the last one.
         kept = task.rows - len(task.draws)
@@ -94,26 +83,25 @@ class Exported:
         ]
         observed = [*task_inputs, "reading->x", "before.x", "before.begun"]
         observed += [f"reading->{name}" if name in self.reading else "0" for name in _core.OBSERVED]
-        observed += ["memory->estimates[1]", "memory->estimates[2]", "deviations[0]", "deviations[1]"]
+        filtered = [f"estimates[{n}]" for n in range(_core.CELLS)]
+        estimates = [f"memory->{cell}" for cell in filtered]
         memory = [(kept, "task"), (_core.CELLS * self.settings.with_estimates, "estimates")]
-        memory += [(_core.CELLS * bool(self.policy and self.policy.identifies), "filter")]
         memory += [(len(law.memory) if law else 0, "law")]
         law_cells = [f"law[{n}]" for n in range(len(law.memory) if law else 0)]
         law_inputs = [f"before.{cell}" for cell in law_cells]
         law_inputs += [f"reading->{name}" for name in ("theta", "theta_dot", "x", "x_dot")]
         law_inputs += [f"row[{n}]" for n in range(law.reference.shape[1] if law else 0)]
         fused = re.sub(r"\b(fused|moderate)\b", r"NAME_\1", _core.FUSED.replace("__builtin_", ""))
-        names = list(observation_entries(replace(self.options, stack_size=1)))
         return self._render(
             "policy.h.jinja",
             single,
             code=code,
-            identify=identify,
-            entries=[f"observation[{n}]" for n in range(len(names))],
             memory=[*(f"{name}[{size}]" for size, name in memory if size), "x"],
             task_inputs=task_inputs,
             task_outputs=[f"memory->{cell}" if cell else None for cell in cells],
-            observed=observed,
+            observed=observed + estimates,
+            filter_inputs=[*(f"before.{cell}" for cell in filtered), *(f"(REAL)observation[{n}]" for n in range(3))],
+            estimates=estimates,
             law_inputs=law_inputs + (task_inputs if law and law.task else []),
             law_outputs=["torque", *(f"memory->{cell}" for cell in law_cells)],
             widest=max([len(self.policy.mean), *(len(bias) for _, bias in self.policy.layers)]) if self.policy else 0,
@@ -161,7 +149,7 @@ class Exported:
             actions=actions,
             torques=[each["law_torque"] for each in shown],
             periods=periods,
-            tolerance=1e-3 if self.policy and (self.policy.identifies or self.settings.with_estimates) else 2e-5,
+            tolerance=1e-3 if self.settings.with_estimates else 2e-5,
         )
 
     def _render(self, template: str, single: bool, **values: Any) -> str:
@@ -209,26 +197,7 @@ class Exported:
         def cast(name: str, dtype: Any) -> str:
             return add("Cast", name, to=helper.np_dtype_to_tensor_dtype(np.dtype(dtype)))
 
-        def column(name: str, place: int) -> str:
-            return add("Gather", name, constant([place], np.int64), axis=1)
-
-        def tensor(name: str, width: int, dtype: int) -> Any:
-            return helper.make_tensor_value_info(name, dtype, ["n", width])
-
-        inputs, outputs = [tensor("observation", policy.entries, 1)], [tensor("action", 1, 1)]
         x = cast("observation", first)
-        if policy.identifies:
-            # As in the core, the filter computes in double, and the network takes its estimates as float.
-            inputs, outputs = (
-                [*each, tensor(name, _core.CELLS, TensorProto.DOUBLE)]
-                for each, name in ((inputs, "memory"), (outputs, "next_memory"))
-            )
-            observed = cast("observation", np.float64)
-            given = [column("memory", n) for n in range(_core.CELLS)] + [column(observed, n) for n in range(3)]
-            found = to_onnx(record("identify", self.pendulum), given, partial(add, dtype=np.float64))
-            nodes.append(helper.make_node("Concat", found[: _core.CELLS], ["next_memory"], axis=1))
-            estimates = add("Concat", *found[1:3], *found[_core.CELLS :], axis=1)
-            x = add("Concat", x, cast(cast(estimates, np.float32), first), axis=1)
         x = add("Mul", add("Sub", x, policy.mean, dtype=first), self.scale, dtype=first)
         x = add("Clip", x, -policy.clip, policy.clip, dtype=first)
         for n, (weights, bias) in enumerate(policy.layers):
@@ -240,6 +209,10 @@ class Exported:
                 x = cast(x, real)
         action = add("Clip", x, -1.0, 1.0)
         nodes.append(helper.make_node("Cast", [action], ["action"], to=TensorProto.FLOAT))
+        inputs, outputs = (
+            [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["n", width])]
+            for name, width in (("observation", policy.entries), ("action", 1))
+        )
         graph = helper.make_graph(nodes, policy.name, inputs, outputs, initializers, doc_string=policy.description)
         model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
         checker.check_model(model)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from capsule_gym.layout import Row
-from capsule_gym.task import Metrics, Task
+from capsule_gym.task import Task
 
 
 def episode_metrics(world: np.ndarray, horizon: float | None, task: Task) -> dict[str, np.ndarray]:
@@ -15,7 +15,7 @@ def episode_metrics(world: np.ndarray, horizon: float | None, task: Task) -> dic
     The length of a whole episode, `horizon` in s, is by default the time that has passed.
 
     Returns:
-        One float64 array of shape (n,) for each field of `Metrics`, and for each metric of the task.
+        One float64 array of shape (n,) for each of `capsule_gym.task.METRICS`, and for each metric of the task.
     """
     rows = SimpleNamespace(**{name: world[row] for name, row in vars(Row).items()})
     failed, distance = rows.termination != 0, rows.x - rows.start_x
@@ -23,22 +23,21 @@ def episode_metrics(world: np.ndarray, horizon: float | None, task: Task) -> dic
     elapsed = np.where(rows.duration > 0.0, rows.duration, 1.0)
     whole = elapsed if horizon is None else np.where(failed, horizon, elapsed)
     nowhere, never = np.where(rows.backward > 0.0, math.inf, 0.0), np.full(len(failed), math.inf)
-    metrics = Metrics(
-        mean_speed=100.0 * distance / whole,
-        cost_of_transport=np.divide(
-            rows.episode_energy, rows.weight_distance, out=never, where=rows.weight_distance > 0.0
-        ),
-        peak_torque=rows.peak_torque,
-        rms_torque=np.sqrt(rows.torque_squared / elapsed),
-        backward_ratio=np.divide(rows.backward, rows.forward, out=nowhere, where=rows.forward > 0.0),
-        stuck_fraction=rows.stuck / elapsed,
-        smallest_normal_ratio=rows.smallest_normal_ratio,
-        largest_theta=rows.largest_theta,
-        largest_theta_dot=rows.largest_theta_dot,
-        distance=distance,
-        energy=rows.episode_energy,
-        duration=rows.duration,
-        failed=failed.astype(np.float64),
-    )
     memory = SimpleNamespace(**dict(zip(task.fields, world[len(world) - task.rows :], strict=True)))
-    return {**metrics._asdict(), **task.metrics(memory, whole)}
+    advances, moves_forwards = rows.weight_distance > 0.0, rows.forward > 0.0
+    return {
+        "mean_speed": 100.0 * distance / whole,
+        "cost_of_transport": np.divide(rows.episode_energy, rows.weight_distance, out=never, where=advances),
+        "peak_torque": rows.peak_torque,
+        "rms_torque": np.sqrt(rows.torque_squared / elapsed),
+        "backward_ratio": np.divide(rows.backward, rows.forward, out=nowhere, where=moves_forwards),
+        "stuck_fraction": rows.stuck / elapsed,
+        "smallest_normal_ratio": rows.smallest_normal_ratio,
+        "largest_theta": rows.largest_theta,
+        "largest_theta_dot": rows.largest_theta_dot,
+        "distance": distance,
+        "energy": rows.episode_energy,
+        "duration": rows.duration,
+        "failed": failed.astype(np.float64),
+        **task.metrics(memory, whole),
+    }

@@ -25,13 +25,13 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from capsule_gym import network
-from capsule_gym._core import CELLS
 from capsule_gym.checks import check_integer, check_number, nearest, require, short_repr, shortened
 from capsule_gym.config import EnvConfig
 from capsule_gym.controller import is_own
 from capsule_gym.files import write_atomically
-from capsule_gym.network import Layer
+from capsule_gym.native import call
+from capsule_gym.network import Layer, pack
+from capsule_gym.observation import observation_entries
 
 POLICY = "policy.safetensors"
 # The folder of the pretrained policies: in a wheel part of the package, in a checkout next to the training commands.
@@ -39,12 +39,10 @@ FOLDERS = (Path(__file__).with_name("checkpoints"), Path(__file__).parents[1] / 
 FORMAT, FORMAT_VERSION = "capsule_gym policy", "2"
 # The entries of a file's metadata that are plain text, and those that are JSON; `Policy` checks the values.
 TEXTS = ("algorithm", "activation", "squashing", "revision")
-VALUES = ("identifies", "clip", "epsilon", "env_kwargs", "training_seed")
+VALUES = ("clip", "epsilon", "env_kwargs", "training_seed")
 # The algorithm of policies that imitate others, without a reward.
 IMITATION = "dagger"
-CHOICES: dict[str, tuple[Any, ...]] = {
-    **{"activation": ("tanh", "relu"), "squashing": ("clip", "tanh"), "identifies": (False, True)},
-}
+CHOICES = {"activation": ("tanh", "relu"), "squashing": ("clip", "tanh")}
 # Within these limits no float32 weights give a sum beyond float64, and no finite observation gives a NaN.
 MOST_LAYERS, MOST_UNITS, LARGEST_CLIP = 6, 1024, 1e6
 # Largest file that is read, bytes: larger than any file within the limits above, many times larger than usual.
@@ -74,9 +72,7 @@ def pretrained() -> dict[str, Path]:
 class Policy:
     """A trained, deterministic policy: `policy(observation)` returns the action.
 
-    A policy that estimates M and mu has a memory. Call `act = policy.start([0])` at the beginning of an episode and
-    `act(observation)` at every step. The action for an observation is the same bit for bit alone, in any batch and on
-    any processor.
+    The action for an observation is the same bit for bit alone, in any batch and on any processor.
 
     Attributes:
         name: name in messages and tables.
@@ -84,14 +80,13 @@ class Policy:
         layers: weights (outputs, inputs) and biases (outputs,) of each layer, float32; the last has one output.
         activation: activation of the hidden layers, "tanh" or "relu".
         squashing: function that limits the output to [-1, 1], "clip" or "tanh".
-        mean: mean of the inputs in training, shape (inputs,), float64.
+        mean: mean of the inputs, which are the entries of the observation, in training, shape (entries,), float64.
         variance: their variance; an input i becomes (i - mean) / sqrt(variance + epsilon), kept within +-clip.
         clip: see `variance`.
         epsilon: see `variance`.
         env_kwargs: arguments of the training environment, for `gym.make("CapsuleStickSlip-v0", **policy.env_kwargs)`.
         training_seed: seed of the training run.
         revision: git revision of the training code.
-        identifies: online estimates of M and log(mu) and their standard deviations are inputs after the observation.
         entries: number of entries of an observation.
 
     Raises:
@@ -111,7 +106,6 @@ class Policy:
     env_kwargs: dict[str, Any]
     training_seed: int
     revision: str
-    identifies: bool = False
     entries: int = field(init=False)
     _network: np.ndarray = field(init=False, repr=False)
 
@@ -138,15 +132,11 @@ class Policy:
         named = law is None or isinstance(law, str)
         require(named, "env_kwargs['controller']", "None or an import string", law, TypeError)
         require(isinstance(task, str), "env_kwargs['task']", "the name of a task", task, TypeError)
-        flags = {"relu": self.activation == "relu", "tanh_squashing": self.squashing == "tanh"}
-        header = network.make_header(
-            options, identifies=self.identifies, layers=len(self.layers), clip=self.clip, **flags
-        )
-        inputs = int(header["inputs"])
+        entries = len(observation_entries(options))
         for name, array in (("mean", self.mean), ("variance", self.variance)):
-            accepted = "one for each input by env_kwargs and identifies"
-            _check_array(f"inputs.{name}", array, np.float64, (inputs,), accepted)
-        width, last = inputs, len(self.layers) - 1
+            accepted = "one for each entry of the observation by env_kwargs"
+            _check_array(f"inputs.{name}", array, np.float64, (entries,), accepted)
+        width, last = entries, len(self.layers) - 1
         require(0 <= last < MOST_LAYERS, "layers", f"1 to {MOST_LAYERS} layers", last + 1)
         for n, (weights, bias) in enumerate(self.layers):
             units = 1 if n == last else min(max(1, bias.size), MOST_UNITS)
@@ -157,8 +147,9 @@ class Policy:
         fits = (self.variance >= 0.0).all() and (self.variance + self.epsilon >= 1e-300).all()
         require(bool(fits), "inputs.variance", ">= 0, and with epsilon > 0", self.variance)
         scale = 1.0 / np.sqrt(self.variance + self.epsilon)
-        object.__setattr__(self, "entries", int(header["observed"]))
-        object.__setattr__(self, "_network", network.pack(self.layers, self.mean, scale, header))
+        kinds = {"relu": self.activation == "relu", "tanh_squashing": self.squashing == "tanh"}
+        object.__setattr__(self, "entries", entries)
+        object.__setattr__(self, "_network", pack(self.layers, self.mean, scale, clip=self.clip, **kinds))
 
     @property
     def description(self) -> str:
@@ -175,18 +166,8 @@ class Policy:
         """The action, in [-1, 1], float32, for an observation of shape (entries,), or (n, 1) actions for (n, entries).
 
         Raises:
-            TypeError: if the policy estimates M and mu, which needs `start`.
             ValueError: if the observation has another shape or is not finite.
         """
-        if self.identifies:
-            raise TypeError(
-                f"{self.name!r} identifies M and mu from one observation to the next: act = policy.start([0]) at the "
-                "beginning of an episode, then act(observation) at every step"
-            )
-        return self._act(observation, np.zeros(0))
-
-    def _act(self, observation: Any, memory: np.ndarray, count: int | None = None) -> np.ndarray:
-        """The actions for one observation or for many, of `count` episodes where that is fixed; changes the memory."""
         try:
             array = np.require(observation, np.float32, ["C", "A"])
         except (TypeError, ValueError, OverflowError) as error:
@@ -197,9 +178,9 @@ class Policy:
             accepted = f"finite and of shape ({self.entries},) or (n, {self.entries})"
             raise ValueError(f"observation must be {accepted}, got {short_repr(observation)}")
         rows = array.reshape(-1, self.entries)
-        if count not in (None, len(rows)):
-            raise ValueError(f"observations must have one row for each of {count} episodes, got {len(rows)} rows")
-        actions = network.act(self._network, rows, memory)
+        actions = np.empty((len(rows), 1), np.float32)
+        # Threads may share the network.
+        call("act", self._network, rows, len(rows), actions)
         return actions if array.ndim == 2 else actions[0]
 
     def start(self, seeds: Sequence[int]) -> Callable[[np.ndarray], np.ndarray]:
@@ -209,8 +190,14 @@ class Policy:
             The function from observations (episodes, entries) to actions (episodes, 1), or from (entries,) of a single
             episode to (1,). Call it once per step. It raises the same ValueError as the policy.
         """
-        memory = np.zeros(len(seeds) * CELLS)
-        return lambda observations: self._act(observations, memory, len(seeds))
+
+        def act(observations: np.ndarray) -> np.ndarray:
+            actions = self(observations)
+            if (rows := actions.size) != len(seeds):
+                raise ValueError(f"observations must have one row for each of {len(seeds)} episodes, got {rows} rows")
+            return actions
+
+        return act
 
     def save(self, path: str | Path) -> None:
         """Writes the policy file atomically. The same policy gives the same bytes."""
@@ -301,7 +288,7 @@ def _read(name: str, path: Path) -> Policy:
         known, found = (FORMAT, FORMAT_VERSION), (metadata.get("format"), metadata.get("format_version"))
         require(found == known, "its format and format_version", str(known), found)
         # Inputs and outputs that no policy has any more.
-        for key, only in (("output", "action"), ("told_energy_weight", "false")):
+        for key, only in (("output", "action"), ("told_energy_weight", "false"), ("identifies", "false")):
             given = metadata.get(key, only)
             require(given == only, key, f"{only!r} in its metadata", given)
         names = set(file.keys())

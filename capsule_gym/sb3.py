@@ -35,7 +35,7 @@ class CapsuleSB3VecEnv(VecEnv):
     It replaces `make_vec_env("capsule_gym:CapsuleStickSlip-v0", n_envs=num_envs)`. The info of an environment is empty,
     and the same dict at every step, except at the end of an episode. There it contains "terminal_observation",
     "TimeLimit.truncated", "episode" with the return "r" and the length "l" as in SB3's `Monitor`, and "metrics"
-    (`capsule_gym.task.Metrics`, and the task's). With `goal_env=True` every info contains the terms that
+    (`capsule_gym.task.METRICS`, and the task's). With `goal_env=True` every info contains the terms that
     `HerReplayBuffer(copy_info_dict=True)` adds to a reward.
 
     Args:

@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capsule_gym import layout
 from capsule_gym.checks import require
 from capsule_gym.config import DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, MOST_SUBSTEPS, EnvConfig, find_task
 from capsule_gym.controller import Controller, CoreLaw
@@ -118,9 +117,3 @@ def make_settings(options: EnvConfig, controller: Controller | None) -> StepSett
 def ends(value: float | tuple[float, float]) -> tuple[float, float]:
     """The ends of a range; a number is both ends of its range."""
     return value if isinstance(value, tuple) else (value, value)
-
-
-def count_rows(controller: Controller | None) -> int:
-    """The rows of `Simulation.world` before the task's memory: `Row`, the law's memory, its line of the reference."""
-    acting = controller or NO_CONTROLLER
-    return layout.ROWS + len(acting.memory) + acting.reference.shape[1]

@@ -13,12 +13,13 @@ import numpy as np
 from capsule_gym import _core, layout, native, resets, task
 from capsule_gym.checks import check_count, check_integer, check_number, check_timed, short_repr
 from capsule_gym.config import EnvConfig, find_task
-from capsule_gym.controller import CoreLaw, bind_law, find_controller
+from capsule_gym.controller import CoreLaw, find_controller
 from capsule_gym.layout import LANES, Row
 from capsule_gym.metrics import episode_metrics
 from capsule_gym.observation import observation_entries, parameter_bounds
 from capsule_gym.parameters import CONSTANTS, DISTURBANCES, NOMINAL, Capsule, Disturbances, Randomization
-from capsule_gym.settings import DEFAULTS, NO_CONTROLLER, check_step, count_rows, ends, make_settings
+from capsule_gym.settings import DEFAULTS, NO_CONTROLLER, check_step, ends, make_settings
+from capsule_gym.user_law import bind_user_law
 
 # Upper limit of the keys of an episode's noise; floats represent all whole numbers up to it exactly.
 LARGEST_KEY = 2.0**53
@@ -90,7 +91,8 @@ class Simulation:
             check_step(stiffest, corner.M, corner.mu, self.settings)
         self.lanes = 1 if self.num_envs == 1 else LANES
         blocks = -(-self.num_envs // self.lanes)
-        self._law_end = count_rows(self.controller)
+        acting = self.controller or NO_CONTROLLER
+        self._law_end = layout.ROWS + len(acting.memory) + acting.reference.shape[1]
         # A law that observes the sensors observes the memory with measured values, which then comes first.
         self.task_row = self._law_end + self.settings.law_reads * self.task.rows
         self.task_end = self.task_row + self.task.rows
@@ -157,11 +159,15 @@ class Simulation:
         # The first quantities of the environments that begin, and the other values that their episodes draw.
         self._rows, self._starts = np.zeros(count, np.int64), np.zeros((Row.torque, count))
         self._drawn = np.zeros((len(self.draw_table), count))
-        observed = Row.read_theta if self.settings.law_reads else Row.theta
         # Exceptions of a law that Python calls.
         self._raised: list[Exception] = []
+        if isinstance(acting.law, CoreLaw):
+            law = {"law": acting.law.number, "law_constants": np.array([*acting.law.constants, 0.0])}
+        else:
+            observed = Row.read_theta if self.settings.law_reads else Row.theta
+            law = {"law": len(_core.LAWS), **bind_user_law(acting, self.lanes, observed, self._raised)}
         self.fields: dict[str, Any] = {
-            **bind_law(acting, self.lanes, observed, self._raised),
+            **law,
             "world": self.world,
             "block_rows": self.world.shape[1],
             "num_envs": count,

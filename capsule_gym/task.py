@@ -10,8 +10,6 @@ from enum import IntEnum
 from functools import cached_property
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from capsule_gym import _core
 
 ENV_ID = "CapsuleStickSlip-v0"
@@ -48,41 +46,22 @@ class Termination(IntEnum):
     diverged = 3
 
 
-class Metrics(NamedTuple):
-    """The metrics of an episode, each of shape (environments,), float64.
-
-    Attributes:
-        mean_speed: displacement over the length of a whole episode, cm/s.
-        cost_of_transport: energy over weight and distance; infinite without forward progress.
-        peak_torque: largest |u|, N m.
-        rms_torque: root mean square of u, N m.
-        backward_ratio: backward over forward travel; infinite with backward travel only, 0 at rest.
-        stuck_fraction: share of the time in stick.
-        smallest_normal_ratio: smallest N / ((M + m) g).
-        largest_theta: largest |theta|, rad.
-        largest_theta_dot: largest |theta_dot|, rad/s.
-        distance: displacement, m.
-        energy: integral of |u theta_dot|, J.
-        duration: length of the episode, s.
-        failed: 1 if the episode terminated, else 0.
-    """
-
-    mean_speed: np.ndarray
-    cost_of_transport: np.ndarray
-    peak_torque: np.ndarray
-    rms_torque: np.ndarray
-    backward_ratio: np.ndarray
-    stuck_fraction: np.ndarray
-    smallest_normal_ratio: np.ndarray
-    largest_theta: np.ndarray
-    largest_theta_dot: np.ndarray
-    distance: np.ndarray
-    energy: np.ndarray
-    duration: np.ndarray
-    failed: np.ndarray
-
-
-METRICS = Metrics._fields
+METRICS = {
+    "mean_speed": "displacement over the length of a whole episode, cm/s",
+    "cost_of_transport": "energy over weight and distance; infinite without forward progress",
+    "peak_torque": "largest |u|, N m",
+    "rms_torque": "root mean square of u, N m",
+    "backward_ratio": "backward over forward travel; infinite with backward travel only, 0 at rest",
+    "stuck_fraction": "share of the time in stick",
+    "smallest_normal_ratio": "smallest N / ((M + m) g)",
+    "largest_theta": "largest |theta|, rad",
+    "largest_theta_dot": "largest |theta_dot|, rad/s",
+    "distance": "displacement, m",
+    "energy": "integral of |u theta_dot|, J",
+    "duration": "length of the episode, s",
+    "failed": "1 if the episode terminated, else 0",
+}
+"""The metrics of an episode, and what they are."""
 
 
 class Draw(NamedTuple):
@@ -116,7 +95,7 @@ class Task:
         entries: names of the additional entries, which end the observation, and the bounds to which they are clipped.
         shown: fields of the memory that `info` contains; `render` marks the position of a "goal" or a "target" (m).
         options: numbers that an episode draws, by the name of their reset option.
-        metrics: metrics(memory, whole) -> metrics by name, in addition to those of `Metrics`. The fields of `memory`
+        metrics: metrics(memory, whole) -> metrics by name, in addition to `METRICS`. The fields of `memory`
             are arrays with one entry per episode; `whole` is the length of a whole episode in s.
         defaults: arguments of the environment that differ from those of the speed task.
     """

@@ -1,8 +1,8 @@
-"""Functions of the core as lists of operations, which become code in other languages (`capsule_gym/core/trace.hpp`)."""
+"""Functions of the core as lists of operations, which become code in C (`capsule_gym/core/trace.hpp`)."""
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -23,12 +23,6 @@ C_FORMS = {
 OPERANDS = {"output": 1, **{operation: form.count("{}") for operation, form in C_FORMS.items()}}
 CONDITIONS = ("less", "less_equal", "equal", "both", "either", "inverse")
 LONGEST_FORM = 100  # characters
-# The operations in ONNX; those with several nodes are in `to_onnx`.
-ONNX_NODES = {
-    **{"add": "Add", "subtract": "Sub", "multiply": "Mul", "divide": "Div", "negate": "Neg", "absolute": "Abs"},
-    **{"square_root": "Sqrt", "less": "Less", "less_equal": "LessOrEqual", "equal": "Equal", "both": "And"},
-    **{"either": "Or", "inverse": "Not", "select": "Where", "sine": "Sin", "cosine": "Cos", "exp": "Exp"},
-}
 
 
 def record(function: str, constants: Iterable[float] = (), number: int = 0) -> list[Row]:
@@ -36,7 +30,7 @@ def record(function: str, constants: Iterable[float] = (), number: int = 0) -> l
 
     Args:
         function: its name in `core/trace.hpp`.
-        constants: of a law, the settings, or the header of a network.
+        constants: of a law, or the settings.
         number: of the law or task.
     """
     given = np.array([*constants, 0.0])
@@ -106,30 +100,3 @@ def to_c(rows: Sequence[Row], inputs: Iterable[str], outputs: Sequence[str | Non
                 expression = f"t{len(lines) - 1}"
         forms[place] = expression
     return "\n".join([*lines, *assignments])
-
-
-def to_onnx(rows: Sequence[Row], inputs: Iterable[str], add: Callable[..., str]) -> list[str]:
-    """Adds the nodes that compute a function to an ONNX graph, and returns the names of its outputs.
-
-    Args:
-        rows: the recorded function, without `power_of_two`.
-        inputs: the name of each input, in order, float64.
-        add: add(operation, *names of inputs) adds a node and returns the name of its output; it takes numbers as well.
-    """
-    given, names, outputs = iter(inputs), dict[int, Any](), list[str]()
-    for place, row in enumerate(rows):
-        operation, found = row[0], [names[operand] for operand in operands(row)]
-        if operation == "output":
-            outputs.append(found[0])
-        elif operation == "constant":
-            names[place] = row[1]
-        elif operation == "input":
-            names[place] = next(given)
-        elif operation == "fma":
-            names[place] = add("Add", add("Mul", *found[:2]), found[2])
-        elif operation == "copysign":
-            size = add("Abs", found[0])
-            names[place] = add("Where", add("Less", found[1], 0.0), add("Neg", size), size)
-        else:
-            names[place] = found[0] if operation == "sincos" else add(ONNX_NODES[operation], *found)
-    return outputs

@@ -18,6 +18,7 @@ import numpy as np
 
 from capsule_gym import _core
 from capsule_gym.checks import first_cause
+from capsule_gym.controller import Controller
 from capsule_gym.layout import ROWS
 
 # Loops over the environments of a block. The source is generated since numba's public interface cannot make a tuple of
@@ -54,12 +55,11 @@ _compiled: WeakKeyDictionary[Any, dict[tuple[int, int], Any]] = WeakKeyDictionar
 _lock = threading.Lock()
 
 
-def bind_user_law(controller: Any, row_size: int, lanes: int, state: int, raised: list[Exception]) -> dict[str, Any]:
+def bind_user_law(controller: Controller, lanes: int, state: int, raised: list[Exception]) -> dict[str, Any]:
     """Makes the law of a `Controller` callable for the core.
 
     Args:
         controller: the controller.
-        row_size: numbers that the law receives in `reference`: its row, and the task's memory if it reads it.
         lanes: environments in a block.
         state: the row of theta that the law observes; those of theta_dot, x and x_dot follow.
         raised: receives the exceptions of a law that Python calls.
@@ -73,13 +73,13 @@ def bind_user_law(controller: Any, row_size: int, lanes: int, state: int, raised
             if (lanes, state) not in known:
                 # Where the compilation has failed once, it has warned.
                 failed = None in known.values()
-                known[lanes, state] = None if failed else _compile(controller, row_size, lanes, state)
+                known[lanes, state] = None if failed else _compile(controller, lanes, state)
             if (compiled := known[lanes, state]) is not None:
                 return {"user_law": compiled.address, "compiled": compiled}
     cells = len(controller.memory)
     plain = _plain(controller.law, cells, raised)
     # The core's `PlainLaw`.
-    data = np.array([id(plain), cells, cells + row_size, lanes, state], np.int64)
+    data = np.array([id(plain), cells, cells + controller.row_size, lanes, state], np.int64)
     return {"user_law": _core.PLAIN_LAW, "user_data": data, "plain": plain}
 
 
@@ -99,7 +99,7 @@ def _plain(law: Callable[..., Any], cells: int, raised: list[Exception]) -> Call
     return call
 
 
-def _compile(controller: Any, row_size: int, lanes: int, state: int) -> Any:
+def _compile(controller: Controller, lanes: int, state: int) -> Any:
     """The law in a loop over a block, compiled; None with a warning where numba cannot compile it."""
     law: Any = controller.law
     given: tuple[Any, ...] = ()
@@ -107,9 +107,10 @@ def _compile(controller: Any, row_size: int, lanes: int, state: int) -> Any:
     if isinstance(law, partial):
         given, named, law = law.args, law.keywords, law.func
     cells = len(controller.memory)
-    names = [f"b[j + {(ROWS + n) * lanes}]" for n in range(cells + row_size)]
+    size = ROWS + cells + controller.row_size
+    names = [f"b[j + {n * lanes}]" for n in range(ROWS, size)]
     source = SOURCE.format(
-        size=(ROWS + cells + row_size) * lanes,
+        size=size * lanes,
         lanes=lanes,
         given="".join(f"given_{n}, " for n in range(len(given))),
         state=", ".join(f"b[j + {(state + n) * lanes}]" for n in range(4)),

@@ -12,21 +12,9 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from capsule_gym import env
 from capsule_gym.checks import check_integer, require, short_repr
 from capsule_gym.config import EnvConfig
-from capsule_gym.env import (
-    RESET_OPTIONS,
-    add_task,
-    as_actions,
-    check_options,
-    describe,
-    frames_per_second,
-    goal_reward,
-    make_simulation,
-    make_spaces,
-    name_drawn,
-    shown_state,
-)
 from capsule_gym.layout import Row
 from capsule_gym.rendering import Renderer
 from capsule_gym.settings import SPEED
@@ -68,7 +56,7 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         "render_fps": 50,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
-    compute_reward = property(goal_reward)
+    compute_reward = property(env.goal_reward)
 
     def __init__(
         self,
@@ -88,7 +76,7 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         fits = isinstance(autoreset_mode, (AutoresetMode, str)) and autoreset_mode in modes
         require(fits, "autoreset_mode", accepted, autoreset_mode)
         self.autoreset_mode = modes[autoreset_mode]
-        self.simulation = make_simulation(num_envs, config)
+        self.simulation = env.make_simulation(num_envs, config)
         steps = self.simulation.task.episode_steps if max_episode_steps is None else max_episode_steps
         accepted = "an integer >= 1, or -1 for no limit"
         count = check_integer("max_episode_steps", steps, accepted, -1, sys.maxsize)
@@ -96,9 +84,9 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         self.max_episode_steps = None if count == -1 else count
         self.num_envs = self.simulation.num_envs
         self.render_mode = render_mode
-        fps = frames_per_second(self.simulation)
+        fps = env.frames_per_second(self.simulation)
         self.metadata = {**type(self).metadata, "render_fps": fps, "autoreset_mode": self.autoreset_mode}
-        self.single_action_space, self.single_observation_space = make_spaces(self.simulation)
+        self.single_action_space, self.single_observation_space = env.make_spaces(self.simulation)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self._ended = np.zeros(self.num_envs, np.bool_)
@@ -149,7 +137,7 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
             Observations, float32 of shape (num_envs, entries), and the infos.
         """
         task_options = self.simulation.task.options
-        options = check_options(options, (*RESET_OPTIONS, *task_options, "reset_mask"))
+        options = env.check_options(options, (*env.RESET_OPTIONS, *task_options, "reset_mask"))
         given = options.get("reset_mask")
         mask = np.ones(self.num_envs, np.bool_) if given is None else given
         name, accepted = "options['reset_mask']", f"a bool array of shape ({self.num_envs},) with at least one True"
@@ -157,7 +145,7 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         require(mask.shape == (self.num_envs,) and bool(mask.any()), name, accepted, mask)
         rows = np.flatnonzero(mask)
         self._seed(seed, rows)
-        values = {name: options[name] for name in (*RESET_OPTIONS, *task_options) if options.get(name) is not None}
+        values = {name: options[name] for name in (*env.RESET_OPTIONS, *task_options) if options.get(name) is not None}
         self.simulation.reset(rows, **{name: self._per_row(name, value, rows) for name, value in values.items()})
         self._ended[rows] = False
         # The mask of the first reset need not name every environment; one that has not begun has no mass.
@@ -181,7 +169,7 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         """
         if not self._started:
             raise gym.error.ResetNeeded("call reset() before step(): some environment has no running episode")
-        array = as_actions(actions)
+        array = env.as_actions(actions)
         # `count_nonzero` takes a fifth of the time of `any` and `all`.
         if array is None or array.shape != (self.num_envs, 1) or np.count_nonzero(np.isfinite(array)) < self.num_envs:
             accepted = f"finite numbers, clipped to [-1, 1], of shape ({self.num_envs}, 1)"
@@ -209,7 +197,7 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         return simulation.observe(), rewards, terminated, truncated, info
 
     def episode_metrics(self) -> dict[str, np.ndarray]:
-        """The metrics of the running episodes, each of shape (num_envs,), defined by `task.Metrics` and the task.
+        """The metrics of the running episodes, each of shape (num_envs,), defined by `task.METRICS` and the task.
 
         A whole episode takes `max_episode_steps`, or without a limit the elapsed time.
         """
@@ -223,7 +211,7 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         if self._renderer is None:
             capsule, limit = self.simulation.capsule, self.simulation.settings.torque_limit
             self._renderer = Renderer(capsule, self.render_mode, self.metadata["render_fps"], limit)
-        frames = (self._renderer.draw(**shown_state(self.simulation, i)) for i in range(self.num_envs))
+        frames = (self._renderer.draw(**env.shown_state(self.simulation, i)) for i in range(self.num_envs))
         return tuple(frame for frame in frames if frame is not None)
 
     def close_extras(self, **kwargs: Any) -> None:
@@ -237,16 +225,16 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         """The infos of the environments that the mask selects, from the first rows of `Row`."""
         simulation = self.simulation
         terminations, costs = rows[Row.termination].astype(np.int64), simulation.row(Row.cost)
-        info = describe(rows, rows[Row.theta : Row.M].T, terminations, costs)
+        info = env.describe(rows, rows[Row.theta : Row.M].T, terminations, costs)
         if simulation.task is not SPEED:
-            add_task(info, simulation.task, simulation.rows(simulation.task_row, simulation.task_end))
+            env.add_task(info, simulation.task, simulation.rows(simulation.task_row, simulation.task_end))
         if simulation.settings.history:
             info["reading"] = simulation.rows(Row.read_theta, Row.late_theta).T
             # Until an episode begins these stay the same.
             if simulation.resets != self._drawn_at:
                 self._drawn_at, drawn = simulation.resets, simulation.rows(Row.drawn_m, Row.key)
                 drawn.flags.writeable = False
-                capsule, disturbances = (_masked(part, self._everyone) for part in name_drawn(list(drawn)))
+                capsule, disturbances = (_masked(part, self._everyone) for part in env.name_drawn(list(drawn)))
                 self._drawn = {"capsule": capsule, "disturbances": disturbances}
         if mask is self._everyone:
             self._masks = self._masks or {f"_{name}": mask for name in info}

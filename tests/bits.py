@@ -1,7 +1,7 @@
 """The bits of whole episodes: `python -m tests.bits` compares them with committed hashes, `--write` writes new ones.
 
 `bits.json` holds a sha256 for the plant under random torques, for every law of `baselines` under random residuals, for
-every scripted policy without a law, for every committed policy, and for a made one that identifies M and mu.
+every scripted policy without a law, for every committed policy, and for a made one that observes estimates.
 A hash covers all observations, rewards and states of a batch over a whole episode, and the metrics at its end. Some
 environments also run alone: the bits must be equal.
 """
@@ -70,14 +70,15 @@ def random_actions(scale: float) -> Callable[[Sequence[int]], Act]:
 
 
 def make_policy() -> Policy:
-    """A policy that identifies M and mu, and pumps energy into the pendulum with all of its inputs."""
+    """A policy that observes estimates of M and mu, and pumps energy into the pendulum with all of its inputs."""
     # Uniform numbers are exact; others come from a library's logarithms.
     first, last = np.random.default_rng(0).uniform(-0.1, 0.1, (8, 9)), np.full((1, 8), 0.25)
     first[:, :2] += -0.5, 0.035
     layers = tuple((weights.astype(np.float32), np.zeros(len(weights), np.float32)) for weights in (first, last))
-    kinds: dict[str, Any] = {"algorithm": "ppo", "activation": "tanh", "squashing": "clip", "identifies": True}
+    kinds: dict[str, Any] = {"algorithm": "ppo", "activation": "tanh", "squashing": "clip"}
     inputs: dict[str, Any] = {"mean": np.zeros(9), "variance": np.ones(9), "clip": 10.0, "epsilon": 1e-8}
-    origin: dict[str, Any] = {"env_kwargs": {"randomization": "wide"}, "training_seed": 0, "revision": "none"}
+    kwargs = {"randomization": "wide", "observe_estimates": True}
+    origin: dict[str, Any] = {"env_kwargs": kwargs, "training_seed": 0, "revision": "none"}
     return capsule_gym.Policy(name="made", layers=layers, **kinds, **inputs, **origin)
 
 
@@ -115,7 +116,7 @@ def subjects() -> Iterator[Subject]:
         trained = capsule_gym.load_policy(name)
         yield Subject(f"policy {name}", trained.env_kwargs, trained.start)
     made = make_policy()
-    yield Subject("policy that identifies", made.env_kwargs, made.start)
+    yield Subject("policy that observes estimates", made.env_kwargs, made.start)
 
 
 def batched(subject: Subject) -> tuple[list[np.ndarray], dict[str, np.ndarray]]:

@@ -410,20 +410,16 @@ export class Capsule {
   /** The whole state, for `restore`. */
   snapshot() {
     const [changes, due] = [this.#changes, this.#due];
-    const { cells, episodes } = this.#place.view;
-    const drawn = [episodes[0], ...this.#place.view.keys];
-    return { world: this.world, observation: this.observation, changes, due, cells: cells.slice(), drawn };
+    const { episodes, keys } = this.#place.view;
+    return { world: this.world, observation: this.observation, changes, due, drawn: [episodes[0], ...keys] };
   }
 
   /** Restores the state from a snapshot of this capsule. */
-  restore({ world, observation, changes, due, cells, drawn: [episodes, ...key] }) {
+  restore({ world, observation, changes, due, drawn: [episodes, ...key] }) {
     const { view } = this.#place;
-    if (world.length !== view.world.length || cells.length !== view.cells.length) {
-      throw new RangeError("snapshot must be one of a capsule of the same kind");
-    }
+    if (world.length !== view.world.length) throw new RangeError("snapshot must be one of a capsule of the same kind");
     view.world.set(world);
     view.observations.set(observation);
-    view.cells.set(cells);
     view.episodes[0] = episodes;
     view.keys.set(key);
     [this.#changes, this.#due] = [changes, due];
@@ -496,7 +492,7 @@ export class Episode extends Capsule {
     return this.#action;
   }
 
-  /** Begins an episode and clears the driver's memory. */
+  /** Begins an episode. */
   reset({ set, plant, seed, ...options } = {}) {
     const { name, recordings } = this.#driver;
     let start = options;
@@ -515,7 +511,6 @@ export class Episode extends Capsule {
     const { seed: own = 0, ...first } = start;
     const chosen = seed ?? own;
     if (seed !== undefined && !this.draws) throw new RangeError(`seed must be left out: ${name} draws nothing`);
-    this.#place.view.cells.fill(0);
     this.#recording = recordings ? recordingOf(recordings[set], plant) : null;
     this.#action = 0;
     return super.reset({ ...first, ...(this.draws && (seed !== undefined || set) ? { seed: chosen } : {}) });
@@ -527,26 +522,22 @@ export class Episode extends Capsule {
     return this.step(this.#action);
   }
 
-  /** The whole state, including the driver's memory. */
+  /** The whole state, including the driver's. */
   snapshot() {
     return { ...super.snapshot(), action: this.#action, recording: this.#recording };
   }
 
-  /** Restores the state, including the driver's memory. */
+  /** Restores the state, including the driver's. */
   restore(snapshot) {
     super.restore(snapshot);
     [this.#action, this.#recording] = [snapshot.action, snapshot.recording];
   }
 
   #choose() {
-    if (this.#driver.network) return this.#act();
+    const { address, call } = this.#place;
+    if (this.#driver.network) return call.act(address.network);
     if (this.#recording) return HEADER.torques[this.#recording[this.info.steps]];
     return 0;
-  }
-
-  #act() {
-    const { address, call } = this.#place;
-    return call.act(address.network, address.cells);
   }
 }
 
@@ -600,7 +591,6 @@ async function prepare(controller, task, settings, given, driver) {
     drawn: [Float64Array, kind.table.length],
     fields: [Float64Array, CORE.batch.length],
     network: [Float64Array, network.length],
-    cells: [Float64Array, CORE.cells],
   });
   placed.view.network.set(network);
   return [placed, kind];

@@ -53,7 +53,7 @@ class Student:
     def env_kwargs(self) -> dict[str, Any]:
         """The arguments of the student's environment."""
         own = {"capsule": self.grid.capsule} if self.grid.capsule != NOMINAL else {}
-        return {"randomization": self.randomization, "observe_parameters": False, **own}
+        return {"randomization": self.randomization, "observe_estimates": True, "observe_parameters": False, **own}
 
 
 # Keys are names of rows on the leaderboard.

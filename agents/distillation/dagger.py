@@ -114,7 +114,6 @@ class Network:
             env_kwargs=student.env_kwargs,
             training_seed=seed,
             revision=revision,
-            identifies=True,
         )
 
 

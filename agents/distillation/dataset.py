@@ -1,8 +1,8 @@
 """The data of distillation: states that expert and student visit, and the regret of every torque in these states.
 
 The expert is the optimum of the episode's plant, `baselines.dynamic_programming.policy.Oracle`. It observes M and mu.
-From a student, M and mu are hidden: it observes the online estimates of `capsule_gym.observation`, and learns the
-torque with the least mean regret over the plants that a state may belong to.
+From a student, M and mu are hidden: it observes online estimates, and learns the torque with the least mean regret over
+the plants that a state may belong to.
 """
 
 from typing import Any, NamedTuple
@@ -13,24 +13,19 @@ from gymnasium.vector import AutoresetMode
 from agents.distillation.config import Student
 from baselines.dynamic_programming.policy import TORQUES, Act, Oracle
 from capsule_gym import CapsuleVectorEnv
-from capsule_gym._core import CELLS, ESTIMATES
-from capsule_gym.config import EnvConfig
-from capsule_gym.network import make_header, write_inputs
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
 from capsule_gym.resets import draw_plant
 from capsule_gym.task import CONTROL_DT
 
 # Probabilities per step that the acting policy is drawn again, and that the action is random.
 SWITCH_PROBABILITY, EXPLORATION_PROBABILITY = 0.02, 0.01
-# Index of the standard deviation of the estimate of M, counted from the end of the inputs.
-M_DEVIATION = list(ESTIMATES).index("M_deviation") - len(ESTIMATES)
 
 
 class Dataset(NamedTuple):
     """The states of one round.
 
     Attributes:
-        inputs: inputs of the student's network, shape (states, inputs), float32.
+        inputs: the student's observations, shape (states, entries), float32.
         regrets: regret of each of `TORQUES`, cm, shape (states, NUM_TORQUES), float32; torques that leave less normal
             force than the margin cost more.
     """
@@ -47,18 +42,17 @@ def collect(student: Student, rng: np.random.Generator, expert_share: float, act
     count, none = student.num_envs, AutoresetMode.DISABLED
     env = CapsuleVectorEnv(num_envs=count, autoreset_mode=none, **{**student.env_kwargs, "observe_parameters": True})
     expert = Oracle(count, student.grid)
-    shape: dict[str, Any] = {"layers": 1, "relu": False, "tanh_squashing": True, "clip": 1.0, "identifies": True}
-    header = make_header(EnvConfig(**student.env_kwargs), **shape)
-    observed, memory = int(header["observed"]), np.zeros(count * CELLS)
-    given = np.zeros((count, int(header["inputs"])), np.float32)
+    # The expert observes M and mu, but no estimates; the student estimates, but neither M nor mu.
+    names = list(env.simulation.entries)
+    plant, deviation = names.index("M"), names.index("M_deviation")
     seeds = rng.integers(2**31, size=count).tolist()
     observations, _ = env.reset(seed=seeds, options=_plant_changes(student, rng))
     running, expert_acts = np.ones(count, bool), rng.random(count) < expert_share
     inputs, regrets = [], []
     for _ in range(student.steps):
-        write_inputs(header, observations, memory, given)
-        scores = expert.scores(observations)
-        margins = np.full((count, 1), student.margin) + student.deviations * NOMINAL.g * given[:, [M_DEVIATION]]
+        given = np.delete(observations, [plant, plant + 1], axis=1)
+        scores = expert.scores(observations[:, : plant + 2])
+        margins = np.full((count, 1), student.margin) + student.deviations * NOMINAL.g * observations[:, [deviation]]
         scores -= student.max_regret * np.clip(1.0 - expert.normal_force / margins, 0.0, 1.0)
         regret = np.minimum(scores.max(axis=1, keepdims=True) - scores, student.max_regret).astype(np.float32)
         inputs.append(given[running])
@@ -67,7 +61,7 @@ def collect(student: Student, rng: np.random.Generator, expert_share: float, act
         if act is not None:
             switch = rng.random(count) < SWITCH_PROBABILITY
             expert_acts = np.where(switch, rng.random(count) < expert_share, expert_acts)
-            actions = np.where(expert_acts, actions, act(observations[:, :observed])[:, 0])
+            actions = np.where(expert_acts, actions, act(given)[:, 0])
         explore = rng.random(count) < EXPLORATION_PROBABILITY
         actions = np.where(explore, rng.uniform(-1.0, 1.0, count), actions)
         observations, _, terminated, truncated, _ = env.step(actions[:, None].astype(np.float32))

@@ -141,7 +141,7 @@ class Candidate:
         senses = ["state", "stick" + (f" of {options.stack_size} steps" if options.stack_size > 1 else "")]
         senses += ["law"] if base else []
         told = base.told if base else "nothing"
-        if options.observe_estimates or policy.identifies:
+        if options.observe_estimates:
             # The estimates follow from a model of the pendulum.
             senses, told = [*senses, "estimates of M, mu"], "nominal pendulum"
         return ", ".join(senses), "M, mu" if options.observe_parameters else told

@@ -94,10 +94,9 @@ inline void platform_motion(const double* angle, const double* velocity, const d
 }
 
 // Steps the environments first..last-1 of `batch` with a trained policy, each until its episode ends, without Python
-// between the steps, and returns as `advance`. `memory` is that of every environment.
+// between the steps, and returns as `advance`.
 template <int N>
-long long run_episodes(const Batch& batch, long long first, long long last, long long steps, const double* network,
-                       Identification* memory) {
+long long run_episodes(const Batch& batch, long long first, long long last, long long steps, const double* network) {
   for (long long at = first; at < last; at += N) {
     auto& block = block_of<N>(batch, at);
     int n = last - at < N ? (int)(last - at) : N, going = n;
@@ -106,7 +105,7 @@ long long run_episodes(const Batch& batch, long long first, long long last, long
       going = 0;
       for (int j = 0; j < n; j++) going += (int)(block.active[j] = block.termination[j] == 0.0 ? 1.0 : 0.0);
       float actions[N];
-      act(network, batch.observations + at * batch.entries, batch.entries, n, memory + at, actions);
+      act(network, batch.observations + at * batch.entries, n, actions);
       for (int j = 0; j < n; j++) block.action[j] = actions[j];
       long long broken = advance(batch, at, at + n, false);
       if (broken >= 0) return broken;

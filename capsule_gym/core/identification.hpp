@@ -8,8 +8,7 @@
 // An iterated extended Kalman filter estimates M and log(mu) with their covariance from such pairs of observations. The
 // covariance grows a little with every pair and is reset where a pair contradicts the estimate, since M and mu can
 // change during an episode. For a capsule with another friction coefficient backwards, or with the paper's normal
-// force, the balance is approximate. The filter is part of a policy, of a law, or of an environment that shows the
-// estimates.
+// force, the balance is approximate. The filter is part of a law, or of an environment that shows the estimates.
 #pragma once
 #include "elementary.hpp"
 
@@ -77,11 +76,4 @@ template <class T, class C> inline void identify(Filter<T>& f, T theta, T theta_
 
 // The standard deviation of an estimate from its variance, which rounding may have made negative.
 template <class T> INLINE T deviation(T variance) { return sqrt(max(T(0.0), variance)); }
-
-// Writes M in kg, log(mu) and their standard deviations; returns the end of what is written.
-inline float* write_estimates(const Identification& f, float* next) {
-  *next++ = (float)f.M, *next++ = (float)f.log_mu;
-  *next++ = (float)deviation(f.P_MM), *next++ = (float)deviation(f.P_ff);
-  return next;
-}
 }  // namespace LEVEL

@@ -16,12 +16,11 @@ long long CALL_AT(LEVEL)(const char* function, const Argument* a) {
   if (is("draw_episodes")) return draw_episodes(batch, a[1]);
   if (is("begin_episodes")) return (batch.lanes == 1 ? begin_episodes<1> : begin_episodes<LANES>)(batch, a[1]), -1;
   if (is("run_episodes"))
-    return (batch.lanes == 1 ? run_episodes<1> : run_episodes<LANES>)(batch, a[1], a[2], a[3], a[4], a[5]);
+    return (batch.lanes == 1 ? run_episodes<1> : run_episodes<LANES>)(batch, a[1], a[2], a[3], a[4]);
   if (is("trajectory"))
     return ((const double*)a[1] ? trajectory<Dual> : trajectory<double>)(a[0], a[1], a[2], a[3], a[4], a[5], a[6]);
   if (is("law_torques")) return law_torques(a[0], a[1], a[2], a[3], a[4], a[5], a[6]), -1;
   if (is("platform_motion")) return platform_motion(a[0], a[1], a[2], a[3], a[4], *(const AnyPlant*)a[5], a[6]), -1;
-  if (is("write_inputs")) return write_inputs(*(const Header*)a[0], a[1], a[2], a[3], a[4], a[5]), -1;
-  if (is("act")) return act(a[0], a[1], a[2], a[3], a[4], a[5]), -1;
+  if (is("act")) return act(a[0], a[1], a[2], a[3]), -1;
   return evaluate(function, a[0], a[1], a[2], a[3]);
 }

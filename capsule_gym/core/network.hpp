@@ -3,22 +3,12 @@
 // Each unit adds its inputs in their order, bias first, by fused multiply-adds, so that an action depends only on its
 // own observation, not on the batch or the instruction set. A register holds several units of one environment.
 #pragma once
-#include "identification.hpp"
-#include "layout.hpp"
-
-// The header of a network, SI units; conditions are 0.0 or 1.0.
-#define CAPSULE_NETWORK(FIELD)                                                                                         \
-  /* Number of layers; whether max(0, .) follows the hidden layers, else tanh; whether tanh brings the last output to  \
-     [-1, 1], else it is clipped; largest size of a normalised input. */                                               \
-  FIELD(layers) FIELD(relu) FIELD(tanh_squashing) FIELD(clip)                                                          \
-  /* Number of inputs, and of those that are the environment's observation; whether the estimates of M and mu follow   \
-     the observation. */                                                                                               \
-  FIELD(inputs) FIELD(observed) FIELD(identifies)                                                                      \
-  /* Ball, pendulum and gravitational acceleration that the filter of M and mu assumes; time between two actions. */   \
-  FIELD(m) FIELD(l) FIELD(g) FIELD(dt)
+#include "elementary.hpp"
 
 namespace LEVEL {
-struct Header { CAPSULE_NETWORK(CAPSULE_DOUBLE) };
+// Number of layers; whether max(0, .) follows the hidden layers, else tanh; whether tanh brings the last output to
+// [-1, 1], else it is clipped (1.0 or 0.0); largest size of a normalised input.
+struct Header { double layers, relu, tanh_squashing, clip; };
 
 constexpr int PADDING = 8;   // units are padded to multiples of it: the numbers of the widest register
 constexpr int TOGETHER = 4;  // environments for which a weight is read once
@@ -55,42 +45,26 @@ template <class T> INLINE void activate(double* sums, int count, bool relu) {
   }
 }
 
-// Writes the network's inputs of n environments, shape (n, inputs): the observation, shape (n, entries), and what the
-// policy adds to it. `memory`, of n environments, is changed, and not read without identification.
-inline void write_inputs(const Header& header, const float* observations, long long entries, long long n,
-                         Identification* memory, float* inputs) {
-  for (long long i = 0; i < n; i++) {
-    const float* observed = observations + i * entries;
-    for (int k = 0; k < header.observed; k++) *inputs++ = observed[k];
-    if (header.identifies != 0.0) {
-      identify<double>(memory[i], observed[0], observed[1], observed[2], header);
-      inputs = write_estimates(memory[i], inputs);
-    }
-  }
-}
-
-// The actions in [-1, 1] of ROWS environments, for the arguments of `write_inputs`.
+// The actions in [-1, 1] of ROWS environments for their observations, shape (ROWS, inputs).
 //
 // `network` is aligned to 64 bytes. Its parts follow each other, each padded with zeros to a multiple of PADDING:
 // header, widths (inputs and the units of each layer), mean and scale of the inputs, and for each layer the biases and
 // the weights, one row of padded units for each input.
 template <class T, int ROWS>
-NOINLINE void act_together(const double* network, const float* observations, long long entries,
-                           Identification* memory, float* actions) {
+NOINLINE void act_together(const double* network, const float* observations, float* actions) {
   const Header& header = *(const Header*)network;
-  const int inputs = (int)header.inputs, layers = (int)header.layers;
-  const double *widths = network + padded(WIDTH<Header>), *mean = widths + padded(layers + 1);
+  const double* widths = network + padded(WIDTH<Header>);
+  const int inputs = (int)widths[0], layers = (int)header.layers;
+  const double* mean = widths + padded(layers + 1);
   const double *scale = mean + padded(inputs), *next = scale + padded(inputs);
   int width = 0;  // largest number of inputs or units, padded
   for (int i = 0; i <= layers; i++) width = padded((int)widths[i]) > width ? padded((int)widths[i]) : width;
-  float* given = (float*)__builtin_alloca(ROWS * inputs * sizeof(float));
-  write_inputs(header, observations, entries, ROWS, memory, given);
   // A wide load that crosses a cache line takes twice as long.
   double *values = (double*)__builtin_alloca_with_align(2 * ROWS * width * sizeof(double), 512),
          *sums = values + ROWS * width;
   for (int r = 0; r < ROWS; r++)
     for (int i = 0; i < inputs; i++)
-      values[r * width + i] = clip((given[r * inputs + i] - mean[i]) * scale[i], header.clip);
+      values[r * width + i] = clip((observations[r * inputs + i] - mean[i]) * scale[i], header.clip);
   // Registers of PADDING units, and as many as can be added to at once.
   constexpr int NARROW = PADDING / WIDTH<T>, WIDE = ROWS == 1 ? 8 : NARROW == 1 ? 4 : NARROW;
   for (int n = 0; n < layers; n++) {
@@ -113,12 +87,11 @@ NOINLINE void act_together(const double* network, const float* observations, lon
 }
 
 // The same for any number of environments.
-inline void act(const double* network, const float* observations, long long entries, long long n,
-                Identification* memory, float* actions) {
+inline void act(const double* network, const float* observations, long long n, float* actions) {
+  const long long inputs = (long long)network[padded(WIDTH<Header>)];
   for (long long i = 0; i < n;) {
     bool together = n - i >= TOGETHER;
-    (together ? act_together<Pack, TOGETHER> : act_together<Pack, 1>)(network, observations + i * entries, entries,
-                                                                      memory + i, actions + i);
+    (together ? act_together<Pack, TOGETHER> : act_together<Pack, 1>)(network, observations + i * inputs, actions + i);
     i += together ? TOGETHER : 1;
   }
 }

@@ -10,10 +10,15 @@ namespace LEVEL {
   FIELD(law_torque) FIELD(M) FIELD(mu)
 template <class T> struct Observed { OBSERVED(CAPSULE_NUMBER) };
 
-// Puts the entries in the order of `observation_names`; `put_estimates` puts those of M and mu.
-template <class Task, class T, class Put, class PutEstimates>
+// What the filter of M and mu assumes.
+struct Pendulum { double m, l, g, dt; };
+INLINE Pendulum assumed_pendulum(const Settings& q) { return {q.m, q.l, q.g, q.control_dt()}; }
+
+// Puts the entries in the order of `observation_entries`; `estimate` returns the filter of M and mu after this
+// observation.
+template <class Task, class T, class Put, class Estimate>
 INLINE void put_entries(const Settings& q, const Observed<T>& o, const typename Task::template Memory<T>& memory,
-                        Put put, PutEstimates put_estimates) {
+                        Put put, Estimate estimate) {
   put(clip(o.theta, T(THETA_LIMIT))), put(clip(o.theta_dot, T(THETA_DOT_BOUND))), put(clip(o.x_dot, T(X_DOT_BOUND)));
   double rest = q.agent_reads != 0.0 ? q.stick_threshold : 0.0;
   put(select(abs(o.x_dot) <= rest, T(1.0), T(0.0))), put(o.action);
@@ -23,7 +28,10 @@ INLINE void put_entries(const Settings& q, const Observed<T>& o, const typename 
     put(sin), put(cos), put(o.law_torque);
   }
   if (q.with_parameters != 0.0) put(o.M), put(o.mu);
-  if (q.with_estimates != 0.0) put_estimates();
+  if (q.with_estimates != 0.0) {
+    Filter<T> f = estimate();
+    put(f.M), put(f.log_mu), put(deviation(f.P_MM)), put(deviation(f.P_ff));
+  }
   if (q.with_task != 0.0) Task::observe(memory, put);
 }
 
@@ -49,10 +57,9 @@ NOINLINE void observe(const Batch& batch, const Block<N>& b, int n, const double
         [&](double entry) { *next++ = (float)entry; },
         [&]() __attribute__((noinline)) {
           auto f = load_record<Identification, double, N>(filters, j);
-          struct { double m, l, g, dt; } nominal = {q.m, q.l, q.g, q.control_dt()};
-          identify<double>(f, out[0], out[1], out[2], nominal);
+          identify<double>(f, out[0], out[1], out[2], assumed_pendulum(q));
           store_record<double, N>(filters, j, f);
-          next = write_estimates(f, next);
+          return f;
         });
     if (begin)
       for (int entry = entries; entry < all; entry++) out[entry] = out[entry - entries];

@@ -76,14 +76,12 @@ template <class S> void give(const S& outputs) {
   for (int i = 0; i < WIDTH<S>; i++) record("output", ((const Trace*)&outputs)[i].place);
 }
 
-// Records a function, of a law or task with its number, and of the constants, settings or the filter's pendulum. Returns
-// the rows, or nullptr with Python's exception.
+// Records a function, of a law or task with its number, and of the constants or settings. Returns the rows, or nullptr
+// with Python's exception.
 inline PyObject* trace(const char* function, long long number, const double* constants) {
   recording = {PyList_New(0), -1.0};
   auto is = [&](const char* name) { return !__builtin_strcmp(function, name); };
   const auto& settings = *(const Settings*)constants;
-  const struct Pendulum { double m, l, g, dt; }& nominal = *(const Pendulum*)constants;
-  struct Estimates { Trace values[4]; };
   if (is("sincos")) give(sincos<Trace>(given<Trace>()));
   if (is("exp")) give(exp<Trace>(given<Trace>()));
   if (is("tanh")) give(tanh<Trace>(given<Trace>()));
@@ -94,8 +92,8 @@ inline PyObject* trace(const char* function, long long number, const double* con
   if (is("identify")) {
     auto filter = given<Filter<Trace>>();
     Trace theta = given<Trace>(), theta_dot = given<Trace>(), x_dot = given<Trace>();
-    identify(filter, theta, theta_dot, x_dot, nominal);
-    give(filter), give(deviation(filter.P_MM)), give(deviation(filter.P_ff));
+    identify(filter, theta, theta_dot, x_dot, assumed_pendulum(settings));
+    give(filter);
   }
   auto trace_law = [&]<class Law>() {
     auto memory = given<typename Law::template Cells<Trace>>();
@@ -103,7 +101,7 @@ inline PyObject* trace(const char* function, long long number, const double* con
     auto row = given<typename Law::template Line<Trace>>();
     give(Law(constants).torque(state, memory, row)), give(memory);
   };
-  // A task: its memory, x, and for an observation the x of the previous one and what is observed.
+  // A task: its memory, x, and for an observation the x of the previous one, what is observed, and the filter.
   auto trace_task = [&]<class Task>() {
     auto memory = given<typename Task::template Memory<Trace>>();
     Trace x = given<Trace>();
@@ -114,7 +112,7 @@ inline PyObject* trace(const char* function, long long number, const double* con
       auto seen = given<Observed<Trace>>();
       double rest = settings.agent_reads != 0.0 ? settings.stick_threshold : 0.0;
       if (auto taken = when(begun)) Task::reward(x, seen.x_dot, x - before, settings.control_dt(), rest, memory);
-      put_entries<Task>(settings, seen, memory, give<Trace>, [] { give(given<Estimates>()); });
+      put_entries<Task>(settings, seen, memory, give<Trace>, given<Filter<Trace>>);
     }
     give(memory);
   };

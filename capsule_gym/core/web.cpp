@@ -39,10 +39,10 @@ EXPORT(begin_episode) void begin_episode() { web::begin_episodes<1>(batch, 1); }
 // One agent step, or with `begin` the first call of the law in an episode; false if the law's torque is not finite.
 EXPORT(advance) bool advance(bool begin) { return web::advance(batch, 0, 1, begin) < 0; }
 
-// The action of a trained policy for the observation; `memory` is that of its filter.
-EXPORT(act) double act(const double* network, double* memory) {
+// The action of a trained policy for the observation.
+EXPORT(act) double act(const double* network) {
   float action;
-  web::act_together<double, 1>(network, batch.observations, batch.entries, (web::Identification*)memory, &action);
+  web::act_together<double, 1>(network, batch.observations, &action);
   return action;
 }
 

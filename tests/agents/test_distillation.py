@@ -49,21 +49,18 @@ def test_the_loss_is_linear_between_the_torques_of_the_expert(dataset):
     assert interpolated_regret(torch.from_numpy(dataset.regrets), best).max() < 1e-6 < 0.1 < dataset.regrets.max()
 
 
-def test_a_student_is_given_the_estimates():
+def test_a_student_observes_the_estimates():
     assert STUDENTS[NAME].change_rate > 0.0
     data = collected(steps=150)
     first, last = data.inputs[:4], data.inputs[-4:]
     assert (first[:, 5:] == first[0, 5:]).all()
     assert (last[:, 7] < 0.2 * first[:, 7]).all()
     policy = Network(data, 0).policy(NAME, STUDENTS[NAME], 0, "none")
-    # The policy computes the same inputs from the observations alone.
-    act = policy.start(range(4))
-    for n in range(0, len(data.inputs), 4):
-        inputs = data.inputs[n : n + 4]
-        given = np.clip((inputs - policy.mean) / np.sqrt(policy.variance + policy.epsilon), -policy.clip, policy.clip)
-        for weights, bias in policy.layers:
-            given = np.tanh(given @ weights.T.astype(np.float64) + bias)
-        np.testing.assert_allclose(act(inputs[:, :5]), given, atol=1e-6)
+    given = (data.inputs - policy.mean) / np.sqrt(policy.variance + policy.epsilon)
+    given = np.clip(given, -policy.clip, policy.clip)
+    for weights, bias in policy.layers:
+        given = np.tanh(given @ weights.T.astype(np.float64) + bias)
+    np.testing.assert_allclose(policy(data.inputs), given, atol=1e-6)
 
 
 def test_a_torque_that_leaves_less_normal_force_than_the_margin_costs_more():
@@ -87,7 +84,7 @@ def test_the_acting_policy_decides_the_states(dataset):
         return np.zeros((len(observations), 1), np.float32)
 
     alone = collected(expert_share=0.0, act=zero)
-    assert set(shapes) == {(4, 5)}
+    assert set(shapes) == {(4, 9)}
     assert np.abs(alone.inputs[:, 4]).mean() < 0.1 < np.abs(dataset.inputs[:, 4]).mean()
 
 
@@ -98,9 +95,7 @@ def test_a_fit_lowers_the_loss_and_the_file_acts_as_the_network(dataset, tmp_pat
     assert np.mean(losses[-20:]) < 0.5 * np.mean(losses[:5])
     policy = network.policy("student", STUDENTS[NAME], 0, "none")
     policy.save(tmp_path / "policy.safetensors")
-    # One row for each of four episodes in every step.
-    acts, observed = [each.start(range(4)) for each in (load_policy(tmp_path), policy)], dataset.inputs[:, :5]
-    actions, again = (np.concatenate([act(rows) for rows in observed.reshape(-1, 4, 5)]) for act in acts)
+    actions, again = (each(dataset.inputs) for each in (load_policy(tmp_path), policy))
     assert actions.tobytes() == again.tobytes()
     regrets = interpolated_regret(torch.from_numpy(dataset.regrets), torch.from_numpy(actions[:, 0]))
     assert regrets.mean().item() / CONTROL_DT == pytest.approx(np.mean(losses[-20:]), rel=0.3)
@@ -145,8 +140,7 @@ def test_ctrl_c_keeps_the_best_policy_and_the_run_is_not_overwritten(tmp_path, m
     assert len(evaluated) == 2
     folder = tmp_path / NAME / "seed-0"
     assert [path.name for path in folder.iterdir()] == ["policy.safetensors"]
-    observations = np.zeros((1, 5), np.float32)
-    kept, first = (policy.start([0])(observations) for policy in (load_policy(folder), evaluated[0]))
+    kept, first = (policy(np.zeros((1, 9), np.float32)) for policy in (load_policy(folder), evaluated[0]))
     assert kept.tobytes() == first.tobytes()
     assert "kept" in capsys.readouterr().out
     with pytest.raises(SystemExit) as stop:

@@ -19,8 +19,7 @@ from capsule_gym.config import find_task
 from capsule_gym.export import Exported, main
 
 POLICIES = ("direct-ppo", "goal", "residual-real", "direct-real", "velocity", "dp-distilled-wide")
-# The largest errors of C99 in float; the filter of M and mu amplifies its rounding errors.
-FLOAT_ERRORS = {"dp-distilled-wide": 1e-2}
+ARGUMENTS = ("direct-ppo", "dp-distilled-wide", "goal --float", "residual-real --law --float", "baselines:gait")
 C99 = ("-std=c99", "-Wall", "-Wextra", "-Werror")
 M4 = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "--specs=rdimon.specs")
 START, VECTORS = Path(__file__).with_name("mps2.c"), "-Wl,--section-start=.vectors=0"
@@ -31,10 +30,9 @@ HARNESS = """
 int size(void);
 int size(void) { return (int)sizeof(NAME_memory); }
 #ifdef POLICY
-void act(int, NAME_memory *, const float *, float *);
-void act(int n, NAME_memory *memory, const float *o, float *a) {
-  for (int i = 0; i < n; i++, o += NAME_ENTRIES) a[i] = NAME_act(POLICY o);
-  (void)memory;
+void act(int, const float *, float *);
+void act(int n, const float *o, float *a) {
+  for (int i = 0; i < n; i++, o += NAME_ENTRIES) a[i] = NAME_act(o);
 }
 #else
 void law(int, int, NAME_memory *, const double *, double *);
@@ -96,10 +94,9 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Any]:
     def compile_library(name: str, single: bool) -> Any:
         exported, folder = Exported(name), tmp_path_factory.mktemp("library")
         (folder / f"{exported.name}.h").write_text(exported.c(single=single))
-        memory = "&memory[i]," if exported.policy and exported.policy.identifies else ""
         task = {"goal": "r.goal = s[4];", "velocity": "r.command = s[4];"}.get(exported.task.name, "")
         source = HARNESS.replace("NAME", exported.name).replace("TASK", task)
-        (folder / "harness.c").write_text((f"#define POLICY {memory}\n" if exported.policy else "") + source)
+        (folder / "harness.c").write_text(("#define POLICY\n" if exported.policy else "") + source)
         # With the processor's fused instruction; `test_program` has none.
         words = ("-O2", "-march=native", "-fPIC", "-shared", folder / "harness.c", "-o", folder / "library.so", "-lm")
         run("gcc", *C99, *words)
@@ -108,13 +105,12 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Any]:
     return compile_library
 
 
-def c_policy(library: Any, count: int) -> Callable[[np.ndarray], np.ndarray]:
-    """Like `Policy.start`, by the C functions."""
-    memory = ctypes.create_string_buffer(library.size() * count)
+def c_policy(library: Any) -> Callable[[np.ndarray], np.ndarray]:
+    """Like a `Policy`, by the C functions."""
 
     def act(observations: np.ndarray) -> np.ndarray:
-        given, actions = np.ascontiguousarray(observations), np.empty((count, 1), np.float32)
-        library.act(count, memory, given.ctypes.data_as(ctypes.c_void_p), actions.ctypes.data_as(ctypes.c_void_p))
+        given, actions = np.ascontiguousarray(observations), np.empty((len(observations), 1), np.float32)
+        library.act(len(given), *(each.ctypes.data_as(ctypes.c_void_p) for each in (given, actions)))
         return actions
 
     return act
@@ -139,10 +135,10 @@ def observed(request: pytest.FixtureRequest) -> Any:
     policy, rng = load_policy(request.param), np.random.default_rng(20)
     env = CapsuleVectorEnv(100, **policy.env_kwargs)
     observation, _ = env.reset(seed=7_000)
-    act, observations, actions = policy.start(range(100)), [], []
+    observations, actions = [], []
     for _ in range(100):
         observations.append(observation.copy())
-        actions.append(act(observation))
+        actions.append(policy(observation))
         noise = rng.uniform(-1.0, 1.0, (100, 1)).astype(np.float32)
         observation, *_ = env.step(np.where(rng.random((100, 1)) < 0.1, noise, actions[-1]))
     return SimpleNamespace(policy=policy, observations=observations, actions=np.array(actions))
@@ -150,10 +146,10 @@ def observed(request: pytest.FixtureRequest) -> Any:
 
 @pytest.mark.parametrize("single", [False, True])
 def test_c_network(observed: Any, library: Any, single: bool):
-    act = c_policy(library(observed.policy.name, single), 100)
+    act = c_policy(library(observed.policy.name, single))
     errors = np.abs(np.array([act(each) for each in observed.observations]) - observed.actions)
     print(f"{observed.policy.name}, C99 in {'float' if single else 'double'}: {errors.max():.2g}")
-    assert errors.max() <= (FLOAT_ERRORS.get(observed.policy.name, 1e-5) if single else 0.0)
+    assert errors.max() <= (1e-5 if single else 0.0)
 
 
 @pytest.mark.parametrize("single", [False, True])
@@ -161,11 +157,8 @@ def test_onnx(observed: Any, single: bool):
     pytest.importorskip("onnx")
     runtime = pytest.importorskip("onnxruntime")
     session = runtime.InferenceSession(Exported(observed.policy.name).onnx(single=single))
-    memory, worst = np.zeros((100, 9)), 0.0
-    for observation, action in zip(observed.observations, observed.actions, strict=True):
-        given = {"observation": observation, **({"memory": memory} if observed.policy.identifies else {})}
-        found, *rest = session.run(None, given)
-        memory, worst = rest[0] if rest else memory, max(worst, np.abs(found - action).max())
+    found = [session.run(None, {"observation": each})[0] for each in observed.observations]
+    worst = np.abs(np.array(found) - observed.actions).max()
     print(f"{observed.policy.name}, ONNX in {'float' if single else 'double'}: {worst:.2g}")
     assert worst <= (2e-6 if single else 1e-9)
 
@@ -173,7 +166,7 @@ def test_onnx(observed: Any, single: bool):
 @pytest.mark.parametrize("name", ["direct-ppo", "residual-real"])
 def test_float_does_not_change_the_speed(library: Any, name: str):
     policy, speeds = load_policy(name), []
-    for act in (policy.start(range(100)), c_policy(library(name, True), 100)):
+    for act in (policy, c_policy(library(name, True))):
         env = CapsuleVectorEnv(100, **{**policy.env_kwargs, "max_episode_steps": 400})
         observation, _ = env.reset(seed=8_000)
         for _ in range(399):
@@ -205,7 +198,7 @@ def test_c_law(library: Any, name: str):
 
 
 @pytest.mark.parametrize("target", ["-O0", "-O2", "-O3", "cortex-m4"])
-@pytest.mark.parametrize("arguments", ["direct-ppo", "goal --float", "residual-real --law --float", "baselines:gait"])
+@pytest.mark.parametrize("arguments", ARGUMENTS)
 def test_program(tmp_path: Path, target: str, arguments: str):
     """The test vectors of the command, compiled for this machine, and for a Cortex-M4 in QEMU."""
     emulator = "qemu-system-arm" if target == "cortex-m4" else "gcc"

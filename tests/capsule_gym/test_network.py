@@ -5,7 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from capsule_gym.network import Header, Layer, act, pack
+from capsule_gym import native
+from capsule_gym.network import Layer, pack
 
 # Environments in a batch; the core computes four at once, and those left over one by one.
 BATCH = 64
@@ -19,18 +20,10 @@ def make_layers(widths: tuple[int, ...], seed: int = 0) -> list[Layer]:
     ]
 
 
-def make_header(layers: list[Layer], clip: float = 10.0, **changes: float) -> Header:
-    """The header of a network that takes the observation unchanged."""
-    inputs = layers[0][0].shape[1]
-    counts = {"layers": len(layers), "clip": clip, "inputs": inputs, "observed": inputs}
-    kinds = dict.fromkeys(("relu", "tanh_squashing", "identifies"), 0.0)
-    return {**counts, **kinds, "m": 0.138, "l": 0.3, "g": 9.81, "dt": 0.02, **changes}
-
-
-def make_network(layers: list[Layer], mean=None, scale=None, clip: float = 10.0, **changes: float) -> np.ndarray:
-    inputs = layers[0][0].shape[1]
-    mean, scale = np.zeros(inputs) if mean is None else mean, np.ones(inputs) if scale is None else scale
-    return pack(layers, mean, scale, make_header(layers, clip, **changes))
+def act(packed: np.ndarray, observations: np.ndarray) -> np.ndarray:
+    actions = np.empty((len(observations), 1), np.float32)
+    native.call("act", packed, observations, len(observations), actions)
+    return actions
 
 
 def expected(layers, observations, mean, scale, clip, relu, tanh_squashing) -> np.ndarray:
@@ -43,19 +36,15 @@ def expected(layers, observations, mean, scale, clip, relu, tanh_squashing) -> n
     return np.tanh(values) if tanh_squashing else np.clip(values, -1.0, 1.0)
 
 
-def run(packed: np.ndarray, observations: np.ndarray) -> np.ndarray:
-    return act(packed, observations, np.zeros(0))
-
-
 @pytest.mark.parametrize("relu", [False, True], ids=["tanh", "relu"])
 @pytest.mark.parametrize("tanh_squashing", [False, True], ids=["clipped", "squashed"])
 @pytest.mark.parametrize("widths", [(10, 64, 64, 1), (12, 1), (3, 7, 1), (5, 1, 130, 3, 1)], ids=str)
 def test_it_computes_what_numpy_does(widths, relu, tanh_squashing):
     rng = np.random.default_rng(1)
     layers, mean, scale = make_layers(widths), rng.normal(size=widths[0]), rng.uniform(0.2, 3.0, widths[0])
-    packed = make_network(layers, mean, scale, 2.5, relu=relu, tanh_squashing=tanh_squashing)
+    packed = pack(layers, mean, scale, clip=2.5, relu=relu, tanh_squashing=tanh_squashing)
     observations = rng.normal(0.0, 2.0, (2 * BATCH + 5, widths[0])).astype(np.float32)
-    actions = run(packed, observations)
+    actions = act(packed, observations)
     exact = expected(layers, observations, mean, scale, 2.5, relu, tanh_squashing)
     # The errors are one rounding to float32 and those of float64.
     np.testing.assert_allclose(actions, exact, rtol=6.1e-8, atol=1e-13)
@@ -66,14 +55,14 @@ def test_it_computes_what_numpy_does(widths, relu, tanh_squashing):
 @pytest.mark.parametrize("relu", [False, True], ids=["tanh", "relu"])
 def test_a_row_is_the_same_alone_and_in_any_batch(relu):
     layers = make_layers((10, 64, 64, 1))
-    packed = make_network(layers, relu=relu, tanh_squashing=relu)
+    packed = pack(layers, np.zeros(10), np.ones(10), clip=10.0, relu=relu, tanh_squashing=relu)
     observations = np.random.default_rng(2).normal(size=(3 * BATCH, 10)).astype(np.float32)
-    whole = run(packed, observations)
+    whole = act(packed, observations)
     assert np.unique(whole).size > 2 * BATCH
     for n in (1, 2, 3, 4, 5, 8, 33, BATCH - 1, BATCH, BATCH + 1, 2 * BATCH + 5):
         for first in (0, 1, 37):
-            assert run(packed, observations[first : first + n]).tobytes() == whole[first : first + n].tobytes()
+            assert act(packed, observations[first : first + n]).tobytes() == whole[first : first + n].tobytes()
     # One environment that is no number leaves the others alone.
     observations[7, 2] = np.nan
-    broken = run(packed, observations)
+    broken = act(packed, observations)
     assert np.isnan(broken[7]) and np.delete(broken, 7).tobytes() == np.delete(whole, 7).tobytes()

@@ -6,11 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from baselines.laws.gait import gait_constants
 from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv
-from capsule_gym._core import CELLS
-from capsule_gym.network import write_inputs
+from capsule_gym.controller import CoreLaw
 from capsule_gym.task import CONTROL_DT
-from tests.capsule_gym.test_network import make_header, make_layers
 
 CAPSULE = Capsule()
 # Prior of M (kg) and log(mu) with their standard deviations, and the range of the estimates.
@@ -36,16 +35,26 @@ def states(M: float, mu: float, seconds: float = 4.0, changes: Any = (), capsule
     return np.array(rows)[:, [0, 1, 3]]
 
 
+def update(observations: np.ndarray, memories: np.ndarray, dt: float = CONTROL_DT) -> tuple[np.ndarray, np.ndarray]:
+    """The estimates after an observation that begins with theta, theta', x', shape (n, 4), and the memories, (n, 9).
+
+    The memory of the law `gait` is that of its filter of M and mu.
+    """
+    law = CoreLaw("gait", **gait_constants(), m=CAPSULE.m, l=CAPSULE.l, g=CAPSULE.g, lightest=0.3, dt=dt)
+    states, n = np.insert(observations[:, :3].astype(np.float64), 2, 0.0, axis=1), len(observations)
+    _, memories = law.evaluate(states, memories, np.zeros((n, 2)))
+    estimates = np.hstack([memories[:, 1:3], np.sqrt(np.maximum(0.0, memories[:, [3, 5]]))])
+    return estimates.astype(np.float32), memories
+
+
 def filtered(rows: np.ndarray, memory: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """The estimates after each observation of theta, theta', x', shape (rows, 4), and the memories, (rows, CELLS)."""
-    header = make_header(make_layers((7, 1)), observed=3, identifies=1.0)
-    memory = np.zeros(CELLS) if memory is None else memory.copy()
-    inputs, found, memories = np.empty((1, 7), np.float32), [], []
-    for row in np.ascontiguousarray(rows, np.float32):
-        write_inputs(header, row[None], memory, inputs)
-        found.append(inputs[0, 3:].astype(np.float64))
-        memories.append(memory.copy())
-    return np.array(found), np.array(memories)
+    """The estimates after each observation of theta, theta', x', shape (rows, 4), and the memories, (rows, 9)."""
+    found, memories = [], [np.zeros(9) if memory is None else memory]
+    for row in np.float32(rows):
+        estimates, (renewed,) = update(row[None], memories[-1][None])
+        found.append(estimates[0].astype(np.float64))
+        memories.append(renewed)
+    return np.array(found), np.array(memories[1:])
 
 
 @pytest.mark.parametrize(("M", "mu"), PLANTS)
@@ -118,20 +127,18 @@ def test_an_environment_shows_the_estimates_of_a_filter_of_its_observations(coun
     env = CapsuleVectorEnv(count, max_episode_steps=40, autoreset_mode="SAME_STEP", observe_estimates=True, **options)
     names = list(env.simulation.entries)
     first = names.index("M_estimate")
-    header = make_header(make_layers((7, 1)), observed=3, identifies=1.0, dt=env.simulation.options.control_dt)
-    rng = np.random.default_rng(count)
-    memory, inputs = np.zeros((count, CELLS)), np.empty((count, 7), np.float32)
+    dt, rng, memory = env.simulation.options.control_dt, np.random.default_rng(count), np.zeros((count, 9))
     observations, _ = env.reset(seed=2)
     ends = 0
     for _ in range(steps):
-        write_inputs(header, np.ascontiguousarray(observations), memory.reshape(-1), inputs)
-        np.testing.assert_array_equal(observations[:, first : first + 4], inputs[:, 3:])
+        estimates, memory = update(observations, memory, dt)
+        np.testing.assert_array_equal(observations[:, first : first + 4], estimates)
         assert env.observation_space.contains(observations)
         actions = rng.uniform(-1.0, 1.0, (count, 1)).astype(np.float32)
         observations, _, terminated, truncated, _ = env.step(actions)
         memory[terminated | truncated] = 0.0
         ends += (terminated | truncated).sum()
-    assert ends >= 3 * count and (count == 1 or np.ptp(inputs[:, 3]) > 0.0)
+    assert ends >= 3 * count and (count == 1 or np.ptp(estimates[:, 0]) > 0.0)
 
 
 @pytest.mark.parametrize("options", [{"controller": "baselines:gait"}, {"task": "goal", "observe_parameters": True}])

@@ -14,7 +14,7 @@ from capsule_gym.network import rollout
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import METRICS
 from tests.capsule_gym.fakes import EPISODE_ROWS
-from tests.capsule_gym.test_policy import make_policy, make_remembering
+from tests.capsule_gym.test_policy import make_policy
 
 
 def begun(policy: Policy, n: int, changes: list[list[dict[str, float]]] | None = None, **kwargs: Any):
@@ -49,19 +49,19 @@ def jumps(n: int) -> list[list[dict[str, float]]]:
 
 
 def on_a_law() -> Policy:
-    """A policy that identifies M and mu on a law."""
-    policy = make_remembering()
-    (weights, bias), *_ = policy.layers
-    env_kwargs = {**policy.env_kwargs, "controller": "baselines:adaptive", "residual_limit": 3.0}
-    wider, zeros, ones = np.insert(weights, [5] * 5, 0.0, axis=1), np.zeros(14), np.ones(14)
-    return replace(policy, layers=((wider, bias),), mean=zeros, variance=ones, env_kwargs=env_kwargs)
+    """A policy that observes estimates of M and mu on a law, and pumps with all of them."""
+    weights = np.array([[-1.0, 0.07, 0.02, 0.0, 0.01, *[0.0] * 5, 0.4, 0.05, 0.3, -0.02]], np.float32)
+    env_kwargs = {"observe_estimates": True, "controller": "baselines:adaptive", "residual_limit": 3.0}
+    layers = ((weights, np.full(1, 0.1, np.float32)),)
+    return make_policy(layers=layers, mean=np.zeros(14), variance=np.ones(14), env_kwargs=env_kwargs)
 
 
-PRETRAINED = [partial(load_policy, name) for name in ("direct-ppo", "direct-sac", "residual-ppo")]
+NAMES = "direct-ppo", "direct-sac", "residual-ppo", "dp-distilled-wide"
+PRETRAINED = [partial(load_policy, name) for name in NAMES]
 
 
 @pytest.mark.parametrize("n", [1, 2 * LANES + 3])
-@pytest.mark.parametrize("make", [*PRETRAINED, make_remembering, on_a_law])
+@pytest.mark.parametrize("make", [*PRETRAINED, on_a_law])
 def test_a_rollout_gives_the_bits_of_a_loop_in_python_and_of_environments_alone(make, n):
     policy, steps = make(), 130
     policy = replace(policy, env_kwargs={**policy.env_kwargs, "randomization": "wide"})
@@ -72,7 +72,7 @@ def test_a_rollout_gives_the_bits_of_a_loop_in_python_and_of_environments_alone(
     assert set(metrics) == set(METRICS)
     # The action of an environment whose episode has ended has no effect.
     assert_same(looped.simulation, rolled.simulation, EPISODE_ROWS)
-    # The platform moves, so that the policy can identify M and mu, which have changed.
+    # The platform moves, so that the filter can estimate M and mu, which have changed.
     assert np.median(metrics["distance"] + metrics["backward_ratio"]) > 0.01
     assert n == 1 or len(set(rolled.simulation.row(Row.mu)[1:5])) == len(set(rolled.simulation.row(Row.M)[1:5])) > 1
     for i in {0, n // 2, n - 1}:

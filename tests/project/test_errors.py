@@ -41,7 +41,7 @@ from capsule_gym.simulation import Simulation
 from capsule_gym.task import Task
 from tests.agents.fakes import Sine
 from tests.capsule_gym.test_evaluation_sets import plant
-from tests.capsule_gym.test_policy import make_policy, make_remembering
+from tests.capsule_gym.test_policy import make_policy
 from tests.capsule_gym.test_trajectory import START
 from train import main as train
 
@@ -98,7 +98,6 @@ CALLS = [
     (lambda: make_policy(env_kwargs={"task": find_task("goal")}), TypeError, r"env_kwargs\['task'\] must be the name"),
     (lambda: make_policy(variance=-np.ones(5)), ValueError, "variance must be >= 0"),
     (lambda: make_policy(variance=np.zeros(5), epsilon=0.0), ValueError, "and with epsilon > 0"),
-    (lambda: make_remembering()(np.zeros(5)), TypeError, "'made' identifies M and mu from one observation to the next"),
     (lambda: parse_set({**plant(), "task": "fast"}), ValueError, "set.task must be one of"),
     (lambda: parse_set({**plant(), "name": " "}), ValueError, "set.name must be a string that is not empty"),
     (lambda: parse_set({**plant(), "plants": []}), ValueError, "set.plants must be a list of at least one plant"),
