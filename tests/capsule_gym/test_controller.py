@@ -30,7 +30,6 @@ REFUSED = [
     (lambda theta: 0.0, TypeError),
     (lambda *state: (0.0, (1.0, 2.0)), ValueError),
     (lambda *state: (math.nan, state[4]), ValueError),
-    ("law", TypeError),
 ]
 TABLES = [np.zeros(3), np.zeros((0, 2)), np.zeros((4, 1)), np.full((2, 2), np.nan), np.zeros((2, 257)), HUGE]
 TABLES += [[[0.0, 10**400]], [["a", "b"]], [[1.0], [1.0, 2.0]], None]
@@ -40,6 +39,7 @@ MEMORIES = [((), ValueError), ((10**400,), ValueError), (0.0, TypeError), (("a",
 @pytest.mark.parametrize(
     ("changes", "error", "said"),
     [
+        ({"law": "law"}, TypeError, r"^Controller\.law must be a function"),
         *(({"law": law}, error, "law") for law, error in REFUSED),
         *(({"reference": table}, ValueError, TABLE) for table in TABLES),
         *(({"memory": memory}, error, MEMORY) for memory, error in MEMORIES),

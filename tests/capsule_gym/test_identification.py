@@ -235,6 +235,16 @@ def test_invalid_logs_name_the_column(log, change, text):
         identify(change(log))
 
 
+def test_an_excitation_is_a_multisine_of_its_size_under_a_weak_pd_law():
+    excitation, seen = Excitation(seed=3, amplitude=0.2, torque_limit=2.0), np.zeros((3, 4000, 5), np.float32)
+    seen[1, :, 0], seen[2, :, 1] = 0.1, 1.0
+    (rest, leant, swung) = (2.0 * np.array([*map(excitation.start(), each)]).ravel() for each in seen)
+    power, frequencies = np.abs(np.fft.rfft(rest * np.hanning(4000))) ** 2, np.fft.rfftfreq(4000, 0.01)
+    assert np.sqrt(np.mean(rest**2)) == pytest.approx(0.2, rel=0.1)
+    assert power[(frequencies > 0.25) & (frequencies < 8.05)].sum() > 0.999 * power.sum()
+    assert leant - rest == pytest.approx(-0.06, abs=1e-6) and swung - rest == pytest.approx(-0.04, abs=1e-6)
+
+
 def test_record_writes_what_happens(tmp_path):
     env = CapsuleEnv(**OPTIONS, torque_limit=1.0)
     actions = []

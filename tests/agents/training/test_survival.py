@@ -17,10 +17,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.logger import Logger
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import train as command_line
 from agents.training import callbacks, checkpoint, loop
+from agents.training.algorithms import make_env
 from agents.training.checkpoint import locked
 from agents.training.config import Config, RunError, read_config
 from agents.training.loop import begin, train
@@ -82,6 +85,16 @@ def test_a_run_that_was_killed_and_stopped_ends_with_the_same_policy(tmp_path, m
     assert differences(run, whole[algo]) == []
     assert scalars(run) == scalars(whole[algo])
     assert len(list(run.glob("checkpoint-*"))) == 2 and all(map(checkpoint.is_whole, run.glob("checkpoint-*")))
+
+
+def test_all_random_streams_go_on(whole):
+    found, drawn = sorted(whole["ppo"].glob("checkpoint-*"))[-1], []
+    model, _, restore_streams = checkpoint.restore(found, PPO, make_env(small("ppo"), 0))
+    model.set_logger(Logger(None, []))
+    for _ in range(2):
+        restore_streams()
+        drawn.append((random.random(), np.random.random(), torch.rand(1).item(), model.action_space.sample()[0]))
+    assert drawn[0] == drawn[1]
 
 
 def test_evaluations_leave_the_training_alone(tmp_path, whole):
