@@ -106,6 +106,7 @@ def test_policies_of_this_project_stay_as_they_are():
 def test_a_control_law_acts_alone(law, name):
     plants = replace(TINY, task=law().task or "speed")
     assert capsule_gym.evaluate(law(), plants, horizon=0.5) == evaluate(name, plants, horizon=0.5)
+    assert wrap_policy(law()).name == law().name and wrap_policy(law(), name="mine").name == "mine"
 
 
 def test_an_object_with_start_alone_is_a_policy():
