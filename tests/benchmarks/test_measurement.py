@@ -1,9 +1,11 @@
 """Rates, ratios, tables, files and error messages of the benchmarks. These tests measure no time."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from benchmarks import accuracy, measurement, mujoco, throughput
+from benchmarks import accuracy, measurement, mujoco, sensitivity, throughput, training
 from capsule_gym.layout import Row
 from capsule_gym.parameters import Capsule
 
@@ -59,3 +61,38 @@ def test_mujoco_has_the_same_plant_and_about_the_same_friction(friction: str | N
     difference = np.abs(state - accuracy.run(torques, capsule, 1e-3)).max()
     assert difference < (0.03 if friction else 1e-8)
     assert not friction or np.abs(state - accuracy.run(torques, Capsule(mu=0.0), 1e-3)).max() > 5.0 * difference
+
+
+def test_derivatives_agree_with_differences():
+    found, events = sensitivity.errors(3, seed=2)
+    assert found.shape == (3, len(sensitivity.NAMES)) and found.max() < 1e-6 and events > 3.0
+
+
+def test_evaluations_do_not_count_and_the_clock_stops_at_the_speed_or_the_time(monkeypatch):
+    now, speeds = [0.0], iter((3.0, 15.0, 3.0))
+
+    def evaluate(*_):
+        now[0] += 50.0
+        return [{"mean_speed": next(speeds)}]
+
+    monkeypatch.setattr(training, "evaluate", evaluate)
+    monkeypatch.setattr(training.time, "process_time", lambda: now[0])
+    clock = training.Clock(None, _began=0.0)
+    assert clock.check(training.EVERY - 1, list) and clock.seconds == 0.0
+    for n, (seconds, going) in enumerate(((4.0, True), (10.0, False), (training.MOST_SECONDS, False)), start=1):
+        now[0] += seconds - clock.seconds
+        assert clock.check(n * training.EVERY, list) is going
+        assert (clock.seconds, clock.steps) == (seconds, n * training.EVERY)
+
+
+def test_an_agent_is_evaluated_while_it_learns():
+    seen = []
+
+    def check(steps, policy):
+        seen.append((steps, policy().env_kwargs))
+        return len(seen) < 3
+
+    for library, num_envs in (("", training.CONFIG.num_envs), ("stable_baselines3", training.NUM_ENVS)):
+        training.train_model(library, 0, SimpleNamespace(check=check))
+        assert seen == [(n * num_envs, training.ENV_KWARGS) for n in (1, 2, 3)]
+        seen.clear()

@@ -47,25 +47,6 @@ CLEANRL = {
 }
 
 
-# A script for gymnasium 0.29, in which two environments end together.
-OLD = """
-import sys
-import gymnasium as gym
-import numpy as np
-
-def make():
-    env = gym.wrappers.RecordEpisodeStatistics(gym.make("short:Short-v0"))
-    return gym.wrappers.TransformObservation(env, lambda observation: 2.0 * observation)
-
-envs = gym.vector.SyncVectorEnv([make] * 2)
-envs.reset(seed=0)
-for _ in range(10):
-    seen, _, _, _, infos = envs.step(np.zeros((2, 1), np.float32))
-last = np.stack(infos["final_observation"])
-print(sys.argv[1:], [each["episode"]["l"].item() for each in infos["final_info"]], np.abs(last - seen).max() > 0.1)
-"""
-
-
 def run(command: str, folder: Path) -> str:
     """Runs a command as a user with the installed package does, and returns its output."""
     variables = {"MINARI_DATASETS_PATH": str(folder), "OMP_NUM_THREADS": "1", "SDL_VIDEODRIVER": "dummy"}
@@ -107,12 +88,6 @@ def test_cleanrl_runs_as_it_is(script: str, tmp_path: Path) -> None:
         pytest.skip("CLEANRL names no checkout of CleanRL")
     (tmp_path / "short.py").write_text(SHORT, encoding="utf-8")
     assert "episodic_return=" in run(f"{EXAMPLES}/cleanrl_scripts.py {path} {CLEANRL[script]}", tmp_path)
-
-
-def test_a_script_for_gymnasium_0_29_sees_the_ends_of_episodes(tmp_path: Path) -> None:
-    (tmp_path / "short.py").write_text(SHORT, encoding="utf-8")
-    (tmp_path / "old.py").write_text(OLD, encoding="utf-8")
-    assert "['--seed', '1'] [10, 10] True" in run(f"{EXAMPLES}/cleanrl_scripts.py old.py --seed 1", tmp_path)
 
 
 @pytest.mark.filterwarnings("default")
