@@ -16,7 +16,6 @@ from capsule_gym.controller import Controller, CoreLaw
 from capsule_gym.elementary import sincos
 from capsule_gym.task import TORQUE_LIMIT
 
-HARMONICS = 4
 # The columns of the law `tracking` of the core.
 THETA_D, THETA_D_DOT, FEEDFORWARD, K_THETA, K_THETA_DOT = range(_core.LAWS["tracking"][2])
 

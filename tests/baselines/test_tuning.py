@@ -1,5 +1,6 @@
 import json
 
+import numpy as np
 import pytest
 
 from baselines import lqr, tuning
@@ -71,7 +72,7 @@ def test_a_search_is_seeded_and_keeps_its_best_when_interrupted(small, monkeypat
 def test_the_score_of_the_start_of_a_search(name, expected):
     own = json.loads(gains.TUNED.read_text(encoding="utf-8"))[name]
     assert len(own["start"]) == len(own["units"]) == len(own["parameters"]) and min(own["units"]) > 0.0
-    assert tuning.score_law(name, tuning.np.array(own["start"]), 0, 8, 10.0)[0] == pytest.approx(expected, abs=1e-3)
+    assert tuning.score_law(name, np.array(own["start"]), 0, 8, 10.0)[0] == pytest.approx(expected, abs=1e-3)
 
 
 def test_the_regulator_with_the_best_score_is_written(monkeypatch, tmp_path):
