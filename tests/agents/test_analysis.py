@@ -22,18 +22,14 @@ def test_the_last_of_two_evaluations_at_the_same_step_counts(tmp_path):
     assert (steps.tolist(), speeds.tolist()) == ([100, 200], [1.0, 5.0])
 
 
-def test_sensitivity_shows_speed_and_failures_under_disturbances_of_each_size(monkeypatch):
+def test_sensitivity_shows_speed_and_failures_under_each_disturbance(monkeypatch):
     monkeypatch.setattr(sensitivity, "EPISODES", 2)
     conditions = sensitivity.conditions()
-    assert conditions['all of "real"', 1.0] == REAL
-    doubled = conditions['all of "real"', 2.0]
-    assert (doubled.latency, doubled.lag, doubled.drift_time) == ((0.01, 0.03), 0.01, REAL.drift_time)
-    assert conditions["latency", 0.5] == Disturbances(latency=0.005)
+    assert conditions['all of "real"'] == REAL and conditions["latency"] == Disturbances(latency=0.01)
     results = sensitivity.run([Candidate("wild", (Sine(1.5, period=10.0, name="wild"),), "")], horizon=1.0)
     head, _, wild, still = cells(sensitivity.table({**results, "still": dict.fromkeys(conditions, (0.0, 0))}))
     assert head == ["policy", "none", *sensitivity.DISTURBED, "no x_dot"]
     assert wild[1].endswith(" (2)") and still[1:] == ["0.00"] * (len(head) - 1)
-    assert len(sensitivity.draw(results).axes) == len(head)
 
 
 def test_a_limit_cycle_is_the_steady_one_from_its_smallest_angle_on():
