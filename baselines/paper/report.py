@@ -17,7 +17,7 @@ from baselines.paper.adaptive import ERRORS, LONG_CYCLES, LONG_PLANTS, run_cycle
 from baselines.paper.optimal_profiles import Solution, load
 from baselines.paper.published import Number
 from baselines.paper.tracking import speed_ratio
-from baselines.tables import printed_below, text_table
+from baselines.tables import fields_table, printed_below
 from capsule_gym.parameters import NOMINAL, NormalForce
 from capsule_gym.task import TORQUE_LIMIT
 
@@ -148,15 +148,6 @@ def judge_claims(results: Results) -> dict[str, tuple[str, bool]]:
     }
 
 
-def _cell(value: Any) -> str:
-    """A value as text, numbers with four digits."""
-    if isinstance(value, (list, tuple)):
-        return ", ".join(map(_cell, value))
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
 def text(results: Results) -> str:
     """All tables, for a terminal; quantities without a unit are in rad, rad/s, N m, J and cm a cycle, and cm/s."""
     laws, ratio = results["laws"], speed_ratio(*results["maps"])
@@ -217,8 +208,7 @@ def _section(parts: Sequence[Any]) -> str:
     """Mappings with the same keys as a table, or sentences."""
     if isinstance(parts[0], str):
         return "\n".join(textwrap.fill(f"- {part}", WIDTH) for part in parts)
-    head = [name.replace("_", " ") for name in parts[0]]
-    return text_table([head, *([_cell(value) for value in row.values()] for row in parts)])
+    return fields_table(parts)
 
 
 def _optimum(found: Solution) -> Row:
