@@ -53,7 +53,6 @@ def compute() -> Results:
         "numbers": compare_numbers(results),
         "claims": judge_claims(results),
         "torques": principles.check_torques(),
-        "profile_as_printed": selection.printed_profile(),
         "table_1": selection.evaluate_selection(),
         "demands": principles.evaluate_demands(),
         "lemmas": principles.check_lemmas(),
@@ -151,7 +150,6 @@ def judge_claims(results: Results) -> dict[str, tuple[str, bool]]:
 def text(results: Results) -> str:
     """All tables, for a terminal; quantities without a unit are in rad, rad/s, N m, J and cm a cycle, and cm/s."""
     laws, ratio = results["laws"], speed_ratio(*results["maps"])
-    turned = math.degrees(sum(phase["printed"][2] for phase in results["profile_as_printed"]))
     sections: dict[str, Sequence[Any]] = {
         "Section 5 of the paper: published and found": results["numbers"],
         "What the paper claims": [
@@ -176,7 +174,6 @@ def text(results: Results) -> str:
                 "most": float(np.nanmax(ratio)),
             }
         ],
-        f"The profile (9) as printed, {turned:.0f} degrees a cycle, and as built": results["profile_as_printed"],
         "What Table 1 follows from (Sect. 3.2)": results["table_1"],
         "Principles 3 and 4 and Lemma 2: largest load over limit": results["demands"],
         "Random states that meet a lemma": results["lemmas"],
