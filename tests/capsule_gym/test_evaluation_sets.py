@@ -70,4 +70,4 @@ def test_malformed_sets_name_the_field_and_what_is_accepted(tmp_path, content, m
 @pytest.mark.parametrize("name", SET_NAMES + TASK_SET_NAMES)
 def test_a_sets_file_gives_back_the_set(name):
     found = load_set(name)
-    assert parse_set(json.loads(found.to_json())) == found
+    assert parse_set(json.loads(json.dumps(found.to_dict()))) == found
