@@ -32,7 +32,7 @@ COMMAND = "python -m benchmarks.training"
 CONFIG = PRESETS["direct", "ppo"]
 ID, ENV_KWARGS = f"capsule_gym:{ENV_ID}", CONFIG.env_kwargs()
 # Mean speed on validation plants that ends a training, cm/s, and the processor time after which it is given up, s.
-SPEED, MOST_SECONDS = 15.0, 900.0
+SPEED, MOST_SECONDS = 15.0, 300.0
 # Agent steps between evaluations; environments of Stable-Baselines3 and SBX, whose documentation advises several.
 EVERY, NUM_ENVS = 32_768, 8
 
