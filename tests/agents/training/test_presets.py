@@ -44,8 +44,7 @@ def test_a_committed_policy_acts_as_its_rows_settings_say(name):
         assert [bias.size for _, bias in policy.layers] == [settings.hidden, settings.hidden, 1]
 
 
-# direct-real is of an earlier revision.
-@pytest.mark.parametrize("name", sorted(set(ROWS) - {"direct-real"}))
+@pytest.mark.parametrize("name", sorted(ROWS))
 def test_committed_evaluations_are_those_of_the_rows_settings(name):
     config = ROWS[name]
     steps, _ = read_evaluations(CHECKPOINTS / name / "seed-0" / EVALUATIONS, config.env_task)
