@@ -1,6 +1,7 @@
 """The hyperparameters of training: options shared with the environment have its descriptions and defaults."""
 
 import dataclasses
+import json
 import math
 import re
 
@@ -9,9 +10,12 @@ import pytest
 import train
 from agents.analysis.statistics import read_evaluations
 from agents.distillation.config import STUDENTS
-from agents.training.config import EVALUATIONS, RANGES
+from agents.distillation.dagger import HIDDEN
+from agents.training.config import CONFIG, EVALUATIONS, RANGES, read_config
 from agents.training.presets import PRESETS, ROWS
 from baselines.evaluation.policies import CHECKPOINTS, checkpoint_names, find_candidate
+from capsule_gym.files import to_json
+from capsule_gym.policy import IMITATION
 
 
 @pytest.mark.parametrize("name", RANGES)
@@ -27,31 +31,25 @@ def test_a_range_ends_where_its_words_say(name):
             changed.check()
 
 
-@pytest.mark.parametrize("name", ROWS)
-def test_a_committed_policy_acts_as_its_rows_settings_say(name):
-    settings = ROWS[name]
-    settings.check()
-    assert settings.seed == 0
+# direct-real is of an earlier revision, whose options were others.
+@pytest.mark.parametrize("name", sorted({*ROWS, *STUDENTS} - {"direct-real"}))
+def test_a_rows_settings_are_those_that_its_policies_were_trained_with(name):
+    settings, record = (ROWS | STUDENTS)[name], json.loads((CHECKPOINTS / name / CONFIG).read_text(encoding="utf-8"))
+    if trained := name in ROWS:
+        assert dataclasses.replace(read_config(CHECKPOINTS / name), seed=0) == settings
+        rollout = settings.num_envs * (settings.n_steps if settings.algo == "ppo" else 1)
+        ends = [math.ceil(each / rollout) * rollout for each in (settings.evaluate_every, settings.total_steps)]
+    else:
+        assert record["hyperparameters"] == json.loads(to_json(dataclasses.asdict(settings)))
     for policy in find_candidate(name).policies:
-        # The plants, the observation and the law of a row stay; these settings may change with its training.
-        changing = {"initial_range", "termination_penalty", "control_dt", "total_torque"}
-        found, expected = (
-            {name: value for name, value in kwargs.items() if name not in changing}
-            for kwargs in (policy.env_kwargs, settings.env_kwargs())
-        )
-        assert found == expected
-        assert policy.algorithm == settings.algo
-        assert [bias.size for _, bias in policy.layers] == [settings.hidden, settings.hidden, 1]
-
-
-# direct-real is of an earlier revision.
-@pytest.mark.parametrize("name", sorted(set(ROWS) - {"direct-real"}))
-def test_committed_evaluations_are_those_of_the_rows_settings(name):
-    config = ROWS[name]
-    steps, _ = read_evaluations(CHECKPOINTS / name / "seed-0" / EVALUATIONS, config.env_task)
-    rollout = config.num_envs * (config.n_steps if config.algo == "ppo" else 1)
-    expected = [math.ceil(each / rollout) * rollout for each in (config.evaluate_every, config.total_steps)]
-    assert steps[[0, -1]].tolist() == expected
+        assert policy.revision == record["revision"]
+        assert policy.env_kwargs == (settings.env_kwargs() if trained else settings.env_kwargs)
+        assert policy.algorithm == (settings.algo if trained else IMITATION)
+        width = settings.hidden if trained else HIDDEN
+        assert [bias.size for _, bias in policy.layers] == [width, width, 1]
+        if trained:
+            run = CHECKPOINTS / name / f"seed-{policy.training_seed}"
+            assert read_evaluations(run / EVALUATIONS, settings.env_task)[0][[0, -1]].tolist() == ends
 
 
 def test_the_table_of_commands_names_every_row_and_its_seeds():
