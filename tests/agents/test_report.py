@@ -1,5 +1,6 @@
 import dataclasses
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from agents import report
 from agents.leaderboard.rows import load_row
 from agents.training.presets import ROWS
+from baselines.drawing import BLUE, MUTED
 from baselines.evaluation.episodes import evaluate
 from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec, load_set
 from tests.agents.fakes import Sine, write_run
@@ -75,3 +77,31 @@ def test_a_recording_is_the_episode(amplitude):
     # The stronger torque ends the episode early.
     assert found["t"][-1] == pytest.approx(episode["duration"], abs=0.011)
     assert found["x"][-1] == pytest.approx(episode["distance"], abs=1e-12)
+
+
+@pytest.mark.parametrize("goal", [None, 0.1])
+def test_a_comparison_shows_both_recordings_and_the_end_of_the_longer_one(tmp_path, saved_figures, goal):
+    recordings = {}
+    for name, seconds in (("adaptive", 9.0), ("agent", 12.0)):
+        t = np.arange(0.0, seconds + 1e-9, 0.02)
+        recordings[name] = {"t": t, "x": 0.1 + 0.02 * t, "theta": np.sin(t), "torque": np.cos(t)}
+    report.draw_comparison(recordings, tmp_path / "comparison.png", replace(PLANT, goal=goal))
+    (figure,) = saved_figures
+    assert figure.axes[0].get_title("left") == "Plant (M = 0.6 kg, μ = 0.05)"
+    for axes, label, scale, name in zip(
+        figure.axes,
+        ("x (cm)", "θ (deg)", "u (N m)"),
+        (100.0, 180.0 / np.pi, 1.0),
+        ("x", "theta", "torque"),
+        strict=True,
+    ):
+        assert axes.get_ylabel().endswith(label)
+        assert axes.get_xlim() == pytest.approx((0.0 if name == "x" else 12.0 - 6.6, 12.0))
+        for line, each, colour in zip(axes.lines, recordings.values(), (MUTED, BLUE), strict=False):
+            assert line.get_color() == colour and line.get_drawstyle() == (
+                "steps-pre" if name == "torque" else "default"
+            )
+            np.testing.assert_allclose(line.get_xydata(), np.transpose([each["t"], scale * each[name]]), rtol=1e-12)
+    shown = [text.get_text() for text in figure.axes[0].get_legend().texts]
+    assert shown == ["adaptive: 2.00 cm/s", "agent: 2.00 cm/s"] + ["goal"] * (goal is not None)
+    assert goal is None or figure.axes[0].lines[-1].get_ydata() == [10.0, 10.0]

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks import accuracy, measurement, mujoco, sensitivity, throughput, training
+from benchmarks import accuracy, measurement, mujoco, throughput, training
 from capsule_gym.layout import Row
 from capsule_gym.parameters import Capsule
 
@@ -61,11 +61,6 @@ def test_mujoco_has_the_same_plant_and_about_the_same_friction(friction: str | N
     difference = np.abs(state - accuracy.run(torques, capsule, 1e-3)).max()
     assert difference < (0.03 if friction else 1e-8)
     assert not friction or np.abs(state - accuracy.run(torques, Capsule(mu=0.0), 1e-3)).max() > 5.0 * difference
-
-
-def test_derivatives_agree_with_differences():
-    found, events = sensitivity.errors(3, seed=2)
-    assert found.shape == (3, len(sensitivity.NAMES)) and found.max() < 1e-6 and events > 3.0
 
 
 def test_evaluations_do_not_count_and_the_clock_stops_at_the_speed_or_the_time(monkeypatch):

@@ -1,0 +1,173 @@
+"""Tables of benchmarks at small sizes: what they compare, errors against references, agents, trainers and times."""
+
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+
+from baselines.drawing import BLUE, MUTED
+from benchmarks import accuracy, identification, rig, sensitivity, throughput, training
+from capsule_gym import dynamics, load_policy
+from capsule_gym.parameters import Capsule
+from tests.agents.fakes import Sine
+
+
+def test_errors_of_the_step_grow_with_it(monkeypatch, tmp_path):
+    changes = {"FRICTION": (0.1,), "AMPLITUDES": (0.5,), "TRAJECTORIES": 2, "PLANTS": 2, "SECONDS": 1.0}
+    for name, value in {**changes, "find_spec": lambda _: None}.items():
+        monkeypatch.setattr(accuracy, name, value)
+    assert accuracy.main(["--markdown", str(tmp_path / "page.md")]) == 0
+    head, _, *rows = [line.strip("|").split("|") for line in (tmp_path / "page.md").read_text().splitlines()[2:6]]
+    assert head[2:] == ["0.25 ms", "0.5 ms", "1 ms", "2 ms", "5 ms", "10 ms", "length"]
+    assert [row[:2] + row[-1:] for row in rows] == [["μ = 0.1", "±0.5", "1.0 s"], ["2 random", "±0.7", "1.0 s"]]
+    for row in rows:
+        largest, median = np.array([re.findall(r"\d\S*e-\d+", cell) for cell in row[2:-1]], float).T
+        assert sorted(largest) == largest.tolist() and (median <= largest).all()
+        assert largest[0] < 1e-8 < largest[-1]
+
+
+def test_the_reference_counts_what_a_platform_does():
+    torques = np.random.default_rng(3).uniform(-0.5, 0.5, 100)
+    plant = Capsule(mu=0.05).plant()
+    found = accuracy.solve(torques, plant)
+    moved = np.diff(found.states[:, 2])
+    forwards, backwards, stick, angle = np.diff(found.sums, axis=0).T
+    np.testing.assert_allclose(forwards - backwards, moved, atol=1e-15)
+    assert (stick[moved == 0.0] == pytest.approx(0.02)) and ((0.0 <= stick) & (stick <= 0.02 + 1e-12)).all()
+    assert (angle >= np.abs(np.diff(found.states[:, 0])) - 1e-15).all() and found.valid == 100 and found.events > 10
+    # The equations of the reference, typed anew, are those of the plant at every phase.
+    for theta, omega, v, slip in ((0.4, 2.0, 0.3, 1.0), (-0.7, -0.6, -0.2, -1.0), (0.2, 0.1, 0.0, 0.0)):
+        expected = dynamics.accelerations(theta, omega, v, slip, 0.3, plant)
+        assert accuracy.rates(theta, omega, v, slip, 0.3, plant) == pytest.approx(expected)
+
+
+def test_errors_and_coverage_of_identified_plants(monkeypatch, capsys):
+    truth = {"M": 0.5, "mu": 0.1, "latency": 0.01, "lag": 0.0}
+    # Estimates that are off by a tenth, of which the interval of M alone contains the truth.
+    found = {name: 1.1 * value for name, value in truth.items()}
+    intervals = {name: (0.0 if name == "M" else value, 9.0) for name, value in found.items()}
+    fit = SimpleNamespace(estimates=found, intervals={0.95: intervals}.get, chi2=1.5)
+    monkeypatch.setattr(identification, "make_logs", lambda count, *_: [(truth, truth)] * count)
+    monkeypatch.setattr(identification, "identify", lambda _: fit)
+    identification.main(["--plants", "3"])
+    _, *words, last = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert words[0] == ["M", "0.05", "10.0%", "100.0%"] and words[1] == ["mu", "0.01", "10.0%", "0.0%"]
+    assert words[2] == ["latency", "0.001", "0.0%"] and words[-1] == ["latency", "+", "lag", "0.001"]
+    assert last[:8] == ["chi2:", "1.50,", "90", "%", "within", "1.50", "to", "1.50;"]
+
+
+def test_logs_are_of_plants_that_the_prior_contains():
+    (log, truth), (_, other) = identification.make_logs(2, 5, identification.SENSORS["white"], 0.4)
+    low, high = identification.FREE["static_ratio"]
+    assert low <= truth["static_ratio"] <= high and truth["static_ratio"] != other["static_ratio"]
+    assert len(log["t"]) > 1990 and truth["x_dot_bias"] == 0.0
+    assert abs(truth["latency"] / identification.PHYSICS_DT % 1.0 - 0.5) > 0.5 - 1e-9
+
+
+def test_the_agent_of_the_identified_plant_is_compared_with_the_others(monkeypatch, capsys):
+    trained = []
+
+    def train(seed, total_steps, **env_kwargs):
+        trained.append((seed, total_steps, env_kwargs))
+        # The agent of the paper's ranges fails, and that of wide ranges stands still.
+        return load_policy("residual-real-wide") if "found" in env_kwargs else Sine(0.0 if env_kwargs else 1.5)
+
+    monkeypatch.setattr(rig, "train", train)
+    monkeypatch.setattr(rig, "identify", lambda log: SimpleNamespace(env_kwargs=lambda level: {"found": len(log["t"])}))
+    rig.main(["--plants", "2", "--total-steps", "64"])
+    assert [seed for seed, *_ in trained] == [0, 0, rig.SEED, rig.SEED + 1] and {n for _, n, _ in trained} == {64}
+    assert trained[2][2] == {"found": 2000}
+    lines = [line for line in capsys.readouterr().out.splitlines() if line[0] != "7"]
+    found = {line.split()[0]: [float(number) for number in re.findall(r"-?\d+\.\d+", line)] for line in lines[::2]}
+    assert found["identified"][0] > 5.0 and found["identified"][0] >= found["identified"][1]
+    assert abs(found["real-wide"][0]) < 0.5 and "2 of 2 fail" in lines[2]
+    assert [line.split()[-1] for line in lines[1::2]] == ["0", "2", "2"]
+
+
+def test_an_agent_is_trained_on_the_plants_that_it_is_given(monkeypatch):
+    monkeypatch.setattr(rig, "CONFIG", replace(rig.CONFIG, num_envs=8, n_steps=32, batch_size=64, n_epochs=1))
+    agent = rig.train(0, 64, randomization="wide")
+    assert agent.start([0])(np.zeros((1, 20), np.float32)).shape == (1, 1)
+
+
+def test_the_derivatives_of_one_trajectory(capsys):
+    sensitivity.main(["--trajectories", "1"])
+    head, error, cost = capsys.readouterr().out.splitlines()
+    assert head.startswith("1 trajectories with") and float(error.split()[-1]) < 1e-6
+    assert float(re.search(r"take (\S+) times", cost)[1]) > 1.0
+
+
+def test_rates_are_bars_of_their_colours(tmp_path, saved_figures):
+    measured = {"capsule": 2e5, "CartPole-v1": 1e5, "capsule, plain C, 1024": 9e6, "capsule, 1024": 8e6}
+    throughput.draw(measured, tmp_path / "speed")
+    axes = saved_figures[0].axes[0]
+    # From top to bottom.
+    assert [tick.get_text() for tick in axes.get_yticklabels()] == [*measured][::-1]
+    assert [bar.get_width() for bar in axes.patches] == [*measured.values()][::-1]
+    assert [to_hex(bar.get_facecolor()) for bar in axes.patches] == [
+        each.lower() for each in (BLUE, MUTED, MUTED, BLUE)
+    ]
+    assert [text.get_text() for text in axes.texts] == ["8,000,000", "9,000,000", "100,000", "200,000"]
+    assert axes.get_xscale() == "log" and axes.get_xlim()[0] < 1e5 < 9e6 < axes.get_xlim()[1]
+    assert {path.name for path in tmp_path.iterdir()} == {"speed.svg", "speed.png"}
+
+
+def test_every_contender_steps_or_resets(monkeypatch):
+    monkeypatch.setattr(throughput, "TURN_SECONDS", 1e-3)
+    found = throughput.contenders()
+    assert {each for pair in throughput.FLOORS for each in pair} <= {*found, "capsule, plain C, 1024"}
+    assert all(throughput.seconds_per_step(make(), 1) > 0.0 for make in found.values())
+
+
+def test_a_contender_begins_anew_after_the_end_of_an_episode(monkeypatch):
+    made, envs = gym.make, []
+    monkeypatch.setattr(throughput.gym, "make", lambda *args, **kwargs: envs.append(made(*args, **kwargs)) or envs[-1])
+    for reset in (False, True):
+        step = throughput.environment("Pendulum-v1", reset=reset)
+        for _ in range(450):
+            step()
+    # An episode has 200 steps.
+    assert [env.get_wrapper_attr("_elapsed_steps") for env in envs] == [50, 0]
+
+
+def test_a_training_that_does_not_arrive_is_marked_in_the_table(monkeypatch, tmp_path):
+    def trainer(speed):
+        return lambda seed, clock: vars(clock).update(seconds=12.0 + seed, steps=65_536, speed=speed)
+
+    monkeypatch.setattr(training, "CONTENDERS", {"fast": trainer(training.SPEED), "slow": trainer(3.25)})
+    assert training.main(["--seeds", "2", "--markdown", str(tmp_path / "page.md")]) == 0
+    page = (tmp_path / "page.md").read_text(encoding="utf-8")
+    assert "|trainer|seed 0, s|seed 1, s|thousands of steps|" in page
+    assert "|fast|12|13|66, 66|" in page and "|slow|> 12 (3.2 cm/s)|> 13 (3.2 cm/s)|66, 66|" in page
+
+
+class Hoard(gym.Env):
+    """The last of five steps costs the sum of all actions."""
+
+    observation_space, action_space = gym.spaces.Box(-9.0, 9.0, (2,)), gym.spaces.Box(-1.0, 1.0, (1,))
+
+    def reset(self, *, seed=None, options=None):
+        self.seen = np.zeros(2, np.float32)
+        return self.seen, {}
+
+    def step(self, action):
+        self.seen = self.seen + np.float32([1.0, action[0]])
+        done = bool(self.seen[0] == 5.0)
+        return self.seen, -float(self.seen[1]) * done, done, False, {}
+
+
+def test_the_loop_learns_what_pays_in_the_end(monkeypatch):
+    monkeypatch.setattr(training.gym, "make", lambda *_, **__: Hoard())
+    seen = []
+
+    def check(steps, policy):
+        seen.append((steps, policy().start([0])(np.float32([[0.0, 0.0]]))))
+        return len(seen) < 4
+
+    training.train_loop(0, SimpleNamespace(check=check))
+    assert [steps for steps, _ in seen] == [0, 2048, 4096, 6144]
+    assert abs(seen[0][1]) < 0.05 and seen[-1][1] < -0.3
