@@ -189,23 +189,6 @@ def test_a_substep_of_a_batch_has_the_bits_of_the_plants_step(options, h, level,
     assert np.count_nonzero(motion.normal_force == 0.0) > 20
 
 
-def test_fourth_order_through_dozens_of_events():
-    hold = 0.024
-    orders = []
-    for mu, amplitude, others in ((0.01, 0.3, {}), (0.03, 0.8, {}), (0.1, 0.6, {}), (0.3, 1.0, {}), (0.1, 0.8, ALL)):
-        capsule = Capsule(mu=mu, **others)
-        torques = random_torque(amplitude, 30, hold=hold, seconds=9.6)
-        expected = solve(torques, capsule.plant(), hold)
-        assert expected.events >= 24
-        errors = []
-        for steps in (3, 24):  # 8 ms and 1 ms
-            result = run(torques, capsule.plant(), hold, steps)
-            assert result.events[-1] >= 24
-            errors.append(np.abs(result.states - expected.states).max())
-        orders.append(math.log2(errors[0] / errors[1]) / 3)
-    assert min(orders) >= 3.5, orders
-
-
 def test_a_load_at_the_limit_to_the_last_bit_neither_hangs_nor_chatters():
     rng, n = np.random.default_rng(43), 20_000
     nearly = 1.0 + np.array([0.0, 0.0, 2.3e-16, -1.2e-16, 1e-15, -1e-15, 1e-12, -1e-12, 1e-6])

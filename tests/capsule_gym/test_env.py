@@ -13,12 +13,10 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_sb3
 
-import baselines
 from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Disturbances, Randomization
-from capsule_gym.config import EnvConfig, find_task
+from capsule_gym.config import find_task
 from capsule_gym.layout import Row
 from capsule_gym.parameters import NOMINAL
-from capsule_gym.simulation import Simulation
 from capsule_gym.task import ENV_ID, METRICS, TASKS, Termination
 from tests.capsule_gym.fakes import flatten, layout
 
@@ -192,24 +190,6 @@ def test_an_episode_is_truncated_after_33_seconds_and_its_metrics_follow_their_d
     backward = np.clip(-np.diff(x), 0.0, None).sum() / np.clip(np.diff(x), 0.0, None).sum()
     assert metrics["backward_ratio"] == pytest.approx(backward, abs=0.01)
     assert 0.5 < metrics["stuck_fraction"] < 1.0
-
-
-@pytest.mark.parametrize("attribute", ["adaptive", "feedback_linearising"])
-def test_zero_residual_is_the_scripted_baseline_bit_for_bit(attribute):
-    # With a residual limit of zero, the law acts alone.
-    alone = Simulation(1, EnvConfig(controller=f"baselines:{attribute}", residual_limit=0.0))
-    residual = CapsuleEnv(controller=getattr(baselines, attribute), residual_limit=3.0)
-    residual.reset(seed=5)
-    alone.seed(0, 5)
-    alone.reset(np.arange(1))
-    for action in np.random.default_rng(0).uniform(-1, 1, 400):
-        alone.step_one(action)
-        _, _, terminated, _, info = residual.step(np.zeros(1, np.float32))
-        assert info["state"].tobytes() == alone.world[0, : Row.M, 0].tobytes()
-        assert info["law_torque"] == alone.world[0, Row.law_torque, 0]
-        if terminated:
-            assert alone.world[0, Row.termination, 0] != 0.0
-            break
 
 
 def test_the_torque_is_the_law_plus_the_action_or_the_action_within_the_residual_limit():

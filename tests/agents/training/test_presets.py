@@ -64,4 +64,6 @@ def test_the_table_of_commands_names_every_row_and_its_seeds():
             continue
         program, *words = command.replace(" N", " 7").split()
         assert program == "train.py"
-        assert train.read_args(words).hyperparameters == dataclasses.replace(ROWS[name], seed=7)
+        options = train.read_args([*words, "--gamma", "0.9"])
+        expected = dataclasses.replace(ROWS[name], seed=7, gamma=0.9)
+        assert (options.hyperparameters, options.task, options.algo) == (expected, expected.task, expected.algo)
