@@ -14,6 +14,7 @@ from baselines.evaluation.episodes import evaluate
 from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec, load_set
 from tests.agents.fakes import Sine, write_run
 from tests.agents.training.small import small
+from tests.figures import assert_lines, texts
 
 ROOT = Path(__file__).resolve().parents[2]
 PLANT = PlantSpec(0.6, 0.05, seed=3)
@@ -87,21 +88,16 @@ def test_a_comparison_shows_both_recordings_and_the_end_of_the_longer_one(tmp_pa
         recordings[name] = {"t": t, "x": 0.1 + 0.02 * t, "theta": np.sin(t), "torque": np.cos(t)}
     report.draw_comparison(recordings, tmp_path / "comparison.png", replace(PLANT, goal=goal))
     (figure,) = saved_figures
-    assert figure.axes[0].get_title("left") == "Plant (M = 0.6 kg, μ = 0.05)"
-    for axes, label, scale, name in zip(
-        figure.axes,
-        ("x (cm)", "θ (deg)", "u (N m)"),
-        (100.0, 180.0 / np.pi, 1.0),
-        ("x", "theta", "torque"),
-        strict=True,
-    ):
-        assert axes.get_ylabel().endswith(label)
-        assert axes.get_xlim() == pytest.approx((0.0 if name == "x" else 12.0 - 6.6, 12.0))
-        for line, each, colour in zip(axes.lines, recordings.values(), (MUTED, BLUE), strict=False):
-            assert line.get_color() == colour and line.get_drawstyle() == (
-                "steps-pre" if name == "torque" else "default"
-            )
-            np.testing.assert_allclose(line.get_xydata(), np.transpose([each["t"], scale * each[name]]), rtol=1e-12)
-    shown = [text.get_text() for text in figure.axes[0].get_legend().texts]
-    assert shown == ["adaptive: 2.00 cm/s", "agent: 2.00 cm/s"] + ["goal"] * (goal is not None)
-    assert goal is None or figure.axes[0].lines[-1].get_ydata() == [10.0, 10.0]
+    displacement, angle, torque = figure.axes
+    assert displacement.get_title("left") == "Plant (M = 0.6 kg, μ = 0.05)"
+    assert (
+        texts(displacement.get_legend().texts) == ["adaptive: 2.00 cm/s", "agent: 2.00 cm/s", "goal"][: 2 + bool(goal)]
+    )
+    both = list(zip(recordings.values(), (MUTED, BLUE), strict=True))
+    line = [([0.0, 1.0], [100.0 * goal] * 2, MUTED)] if goal else []
+    assert_lines(displacement, *((each["t"], 100.0 * each["x"], colour) for each, colour in both), *line)
+    assert_lines(angle, *((each["t"], np.degrees(each["theta"]), colour) for each, colour in both))
+    assert_lines(torque, *((each["t"], each["torque"], colour) for each, colour in both))
+    assert {each.get_drawstyle() for each in torque.lines} == {"steps-pre"}
+    for axes, label, start in ((displacement, "x (cm)", 0.0), (angle, "θ (deg)", 5.4), (torque, "u (N m)", 5.4)):
+        assert axes.get_ylabel().endswith(label) and axes.get_xlim() == pytest.approx((start, 12.0))

@@ -3,13 +3,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_hex
 
 from agents.leaderboard import page
 from agents.leaderboard.chart import contents, draw
 from agents.leaderboard.page import _section, grouped, message
 from baselines.drawing import BLUE, VERMILION
 from tests.agents.leaderboard.world import checked, edit_row, read, table
+from tests.figures import assert_bars, texts
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -102,25 +102,19 @@ def test_the_chart_has_a_bar_for_every_mean_and_marks_failures(written, saved_fi
     board = read(written)
     draw(board)
     (axes,) = saved_figures[0].axes
-    ticks, sets = axes.get_yticklabels(), {"paper": BLUE, "real": VERMILION}
-    bars, marks = [], []
-    for on, colour in sets.items():
+    ticks, bars, marks = axes.get_yticklabels(), [], []
+    for on, colour, side in (("paper", BLUE, -0.19), ("real", VERMILION, 0.19)):
         for y, tick in enumerate(ticks):
             if tick.get_fontweight() == "normal":
                 found = row_of(board, tick.get_text().replace("\n", ""))["results"][on]
                 # From top to bottom, with the bar of `paper` above that of `real`.
-                place = y + (-0.19 if on == "paper" else 0.19)
-                bars.append((place, found["mean_speed"]["mean"], 0.38, to_hex(colour)))
+                bars.append((y + side, found["mean_speed"]["mean"], colour))
                 if share := found["failures"] / found["episodes"]:
-                    marks.append((f"\u00d7 {100.0 * share:.0f} %", max(bars[-1][1], 0.0) + 0.15, place))
-    drawn = [
-        (bar.get_y() + 0.19, bar.get_width(), bar.get_height(), to_hex(bar.get_facecolor())) for bar in axes.patches
-    ]
-    assert [bar[3] for bar in drawn] == [bar[3] for bar in bars]
-    np.testing.assert_allclose([bar[:3] for bar in drawn], [bar[:3] for bar in bars], atol=1e-12)
+                    marks.append((f"\u00d7 {100.0 * share:.0f} %", max(bars[-1][1], 0.0) + 0.15, y + side))
+    assert_bars(axes, *bars)
+    assert {round(bar.get_height(), 9) for bar in axes.patches} == {0.38}
     assert [(text.get_text(), *text.xy) for text in axes.texts] == marks and len(marks) > 1
-    titles = [tick.get_text() for tick in ticks if tick.get_fontweight() == "bold"]
-    assert titles == list(grouped(board)) and [tick for tick in axes.get_yticks()] == list(range(len(ticks)))
+    assert texts(tick for tick in ticks if tick.get_fontweight() == "bold") == list(grouped(board))
     low, high = axes.get_ylim()
     assert low > len(ticks) - 1.0 + 0.38 and high < -0.38 and axes.get_xlim()[0] == 0.0
-    assert [text.get_text().partition(":")[0] for text in saved_figures[0].legends[0].texts] == list(sets)
+    assert [name.partition(":")[0] for name in texts(saved_figures[0].legends[0].texts)] == ["paper", "real"]

@@ -124,17 +124,3 @@ def test_the_command_solves_what_is_missing_and_keeps_it(tmp_path, monkeypatch, 
     rows = [line.replace(" ", "") for line in capsys.readouterr().out.splitlines() if line.startswith("|")]
     numbers = [row for row in rows if row[1].isdigit() or row[1] == "`"]
     assert len(numbers) > 27 and written.issuperset(numbers)
-
-
-@pytest.mark.parametrize(
-    ("name", "plants"),
-    [
-        ("dp-oracle", [(0.35, 0.3, 30.0), (0.5, 0.01, 14.5), (0.42, 0.07, 20.0), (0.62, 0.015, 12.0)]),
-        ("dp-nominal", [(0.5, 0.01, 13.5), (0.45, 0.009, 13.5), (0.55, 0.011, 13.5)]),
-    ],
-)
-def test_a_policy_is_fast_and_does_not_fail(name, plants):
-    specs = tuple(PlantSpec(M=M, mu=mu, seed=0) for M, mu, _ in plants)
-    episodes = evaluate(SCRIPTED[name], EvaluationSet("some", specs), horizon=8.0)
-    for episode, (_, _, slowest) in zip(episodes, plants, strict=True):
-        assert not episode["failed"] and episode["mean_speed"] > slowest
