@@ -56,7 +56,7 @@ def numbers(seed: int, low: float, high: float, count: int) -> list[float]:
 
 TINY = (10.0 ** np.arange(-300, 0, 3.7)).tolist()
 NEAR_ONE = [sign * (1.0 - 10.0**power) for sign in (-1.0, 1.0) for power in numbers(11, -17.0, 0.0, 250)]
-# The last angles have the largest errors of ten million: of sin near 0, of cos far away. The other bounds are of these angles.
+# The last angles have the largest errors of ten million, of sin near 0 and of cos far away.
 NEAR = [*angles(0, HALF_TURN, 1500), HALF_TURN, -HALF_TURN, 1.5515752168417596]
 FAR = [*angles(1, 10.0, 2000), *angles(2, 1e4, 1500), *quarters(20), -1e4, 1e4, 3.111995651295123]
 # Function, exact function, what its errors are relative to, largest error of ten million random numbers, and numbers,
