@@ -171,6 +171,7 @@ def test_an_invalid_argument_is_named(call, error, message):
 COMMANDS = [
     (distil, ["nobody"], "NAME must be one of .*, got 'nobody'"),
     (study, [], "NAME must be one or several of"),
+    (study, ["direct-ppo", "--jobs", "0"], "--jobs must be an integer >= 1, got 0"),
     (study, ["direct-ppo", "--jobs", "2", "--backend", "ray"], "--jobs needs --backend loky"),
     (study, ["direct-ppo", "--backend", "ray"], "--backend ray needs Ray: pip install 'capsule-gym"),
     (export, ["direct-ppo"], "at least one of --c and --onnx must be given"),

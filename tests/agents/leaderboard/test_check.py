@@ -28,12 +28,6 @@ def test_the_first_episodes_of_policies_are_those_of_the_published_results():
     assert list(leaderboard.check_episodes(leaderboard.ROOT, rows)) == []
 
 
-def test_check_names_changed_sets(written):
-    other = [make_set("paper", (0.5, 0.02)), make_set("new", (0.5, 0.01))]
-    with pytest.raises(ValueError, match="adaptive: the hash of the set paper is"):
-        checked(written, other)
-
-
 def test_check_names_changed_rows(written):
     edit_row(written, "learnt", lambda row: row.header.update(revision="feed"))
     write_run(written / "checkpoints" / "learnt" / "seed-1", 1, clip=9.0)
