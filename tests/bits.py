@@ -10,7 +10,7 @@ import json
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,7 +21,7 @@ import capsule_gym
 from baselines.laws import LAWS
 from baselines.policies import SCRIPTED
 from capsule_gym import Capsule, CapsuleVectorEnv, Disturbances, policy_names
-from capsule_gym.command_line import parse
+from capsule_gym.command_line import command
 from capsule_gym.files import write_atomically
 from capsule_gym.task import CONTROL_DT, HORIZON
 
@@ -128,32 +128,26 @@ def compute(subject: Subject) -> str:
     return digest.hexdigest()
 
 
-@dataclass(frozen=True)
-class Args:
+@command("python -m tests.bits")
+def main(write: bool = False, first_seeds: bool = False) -> int:
     """Computes the bits of whole episodes; the exit status is 1 if they differ from the committed ones.
 
     Examples:
       python -m tests.bits
       CAPSULE_GYM_LEVEL=portable python -m tests.bits
+
+    Args:
+        write: Write them to tests/bits.json.
+        first_seeds: Compare one training seed of each trained policy: `agents.leaderboard --check` evaluates all of
+            them.
     """
-
-    write: bool = False
-    """Write them to tests/bits.json."""
-
-    first_seeds: bool = False
-    """Compare one training seed of each trained policy: `agents.leaderboard --check` evaluates all of them."""
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns the exit status."""
-    args = parse(Args, "python -m tests.bits", arguments)
-    if args.write:
+    if write:
         hashes = {subject.name: compute(subject) for subject in subjects()}
         write_atomically(FILE, json.dumps(hashes, indent=1) + "\n")
     committed: dict[str, str] = json.loads(FILE.read_text(encoding="utf-8"))
     wanted = {subject.name: subject for subject in subjects()}
     wrong = [f"{name}: unknown subject" for name in committed if name not in wanted]
-    if args.first_seeds:
+    if first_seeds:
         wanted = {name: subject for name, subject in wanted.items() if not re.search(r"/seed-[1-9]", name)}
     for name, subject in wanted.items():
         if (found := compute(subject)) != committed.get(name):

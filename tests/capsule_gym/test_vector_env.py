@@ -1,12 +1,14 @@
 """The native batch: the same episodes as single environments bit for bit, autoreset, infos, threads."""
 
 import copy
+import gc
 import hashlib
 import itertools
 import multiprocessing
 import os
 import pickle
 import threading
+import tracemalloc
 from functools import partial
 
 import gymnasium as gym
@@ -16,7 +18,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import baselines
-from capsule_gym import CapsuleVectorEnv
+from capsule_gym import CapsuleEnv, CapsuleVectorEnv
 from capsule_gym.layout import LANES
 from capsule_gym.task import ENV_ID, METRICS, TASKS, Termination
 from tests.capsule_gym.fakes import picky_controller
@@ -298,3 +300,20 @@ def test_a_forked_process_steps_on():
     assert child.exitcode == 0 and ours.recv() == digest(env)
     env.close()
     assert threading.active_count() == threads
+
+
+@pytest.mark.parametrize("num_envs", [None, 130])
+def test_stepping_does_not_grow_memory(num_envs):
+    env = CapsuleVectorEnv(130, max_episode_steps=10**9, threads=2) if num_envs else CapsuleEnv()
+    env.reset(seed=0)
+    actions = np.zeros((130, 1) if num_envs else 1, np.float32)
+    tracemalloc.start()
+    held = []
+    for steps in (50, 500):
+        for _ in range(steps):
+            env.step(actions)
+        gc.collect()
+        held.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+    # One reference kept per step would take 4 kB.
+    assert held[1] - held[0] < 4_000

@@ -34,22 +34,21 @@ def test_a_range_ends_where_its_words_say(name):
 # direct-real is of an earlier revision, whose options were others.
 @pytest.mark.parametrize("name", sorted({*ROWS, *STUDENTS} - {"direct-real"}))
 def test_a_rows_settings_are_those_that_its_policies_were_trained_with(name):
-    settings, record = (ROWS | STUDENTS)[name], json.loads((CHECKPOINTS / name / CONFIG).read_text(encoding="utf-8"))
-    if trained := name in ROWS:
+    record, policies = json.loads((CHECKPOINTS / name / CONFIG).read_text("utf-8")), find_candidate(name).policies
+    if name in STUDENTS:
+        assert record["hyperparameters"] == json.loads(to_json(dataclasses.asdict(STUDENTS[name])))
+        expected = STUDENTS[name].env_kwargs, IMITATION, HIDDEN
+    else:
+        settings = ROWS[name]
         assert dataclasses.replace(read_config(CHECKPOINTS / name), seed=0) == settings
+        expected = settings.env_kwargs(), settings.algo, settings.hidden
         rollout = settings.num_envs * (settings.n_steps if settings.algo == "ppo" else 1)
         ends = [math.ceil(each / rollout) * rollout for each in (settings.evaluate_every, settings.total_steps)]
-    else:
-        assert record["hyperparameters"] == json.loads(to_json(dataclasses.asdict(settings)))
-    for policy in find_candidate(name).policies:
-        assert policy.revision == record["revision"]
-        assert policy.env_kwargs == (settings.env_kwargs() if trained else settings.env_kwargs)
-        assert policy.algorithm == (settings.algo if trained else IMITATION)
-        width = settings.hidden if trained else HIDDEN
-        assert [bias.size for _, bias in policy.layers] == [width, width, 1]
-        if trained:
-            run = CHECKPOINTS / name / f"seed-{policy.training_seed}"
-            assert read_evaluations(run / EVALUATIONS, settings.env_task)[0][[0, -1]].tolist() == ends
+        for path in (CHECKPOINTS / name).glob(f"*/{EVALUATIONS}"):
+            assert read_evaluations(path, settings.env_task)[0][[0, -1]].tolist() == ends
+    for policy in policies:
+        assert (policy.env_kwargs, policy.algorithm) == expected[:2] and policy.revision == record["revision"]
+        assert [bias.size for _, bias in policy.layers] == [expected[2], expected[2], 1]
 
 
 def test_the_table_of_commands_names_every_row_and_its_seeds():
