@@ -1,7 +1,8 @@
 """Tables of numbers, for the terminal and for Markdown; the first row is the header, cells are finished strings."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from decimal import ROUND_FLOOR, Decimal
+from typing import Any
 
 try:
     from tabulate import tabulate
@@ -24,6 +25,26 @@ def text_table(rows: Rows, *, left: int | None = None) -> str:
     aligned = ["left" if left is None or n < left or n == last else "right" for n in range(last + 1)]
     table = tabulate(rows, headers="firstrow", tablefmt="simple", disable_numparse=True, colalign=aligned)
     return "\n".join(line.rstrip() for line in table.splitlines())
+
+
+def fields_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """A table for the terminal of mappings with the same keys, numbers with four digits.
+
+    >>> print(fields_table([{"mean_speed": 1.384, "failed": False}]))
+    mean speed    failed
+    ------------  --------
+    1.384         no
+    """
+
+    def cell(value: Any) -> str:
+        if isinstance(value, (list, tuple)):
+            return ", ".join(map(cell, value))
+        if isinstance(value, bool):
+            return "yes" if value else "no"
+        return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+    head = [name.replace("_", " ") for name in rows[0]]
+    return text_table([head, *([cell(value) for value in row.values()] for row in rows)])
 
 
 def markdown_table(rows: Rows) -> str:

@@ -1,7 +1,7 @@
 """Error of the plant's step against an independent reference of eighth order: `python -m benchmarks.accuracy`.
 
 Each trajectory starts at theta = -pi/3 at rest, under a random torque. The error is that of theta (rad), theta'
-(rad/s), x (m) or x' (m/s). Where MuJoCo is installed, a second table contains the same capsule in MuJoCo.
+(rad/s), x (m) or x' (m/s).
 
 The reference does not use the equations of `capsule_gym`. Its equations are typed again from the paper, corrected, and
 solved differently: the first row of Eq. (1) gives theta'' in terms of x'', the normal force is linear in x'', and the
@@ -12,14 +12,12 @@ after another.
 import math
 import sys
 from collections.abc import Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from tqdm import tqdm
 
-from benchmarks import mujoco
 from benchmarks.measurement import machine, report
 from capsule_gym import sensitivity, task
 from capsule_gym.command_line import check_output, command
@@ -37,9 +35,6 @@ RANGES = {
     **{"static_ratio": (1.0, 1.5), "backward_ratio": (0.5, 2.0), "viscous": (0.0, 0.5), "stribeck_speed": (0.05, 0.5)},
     **{"slope": (-0.05, 0.05), "motor_friction": (0.0, 0.1)},
 }
-# Friction coefficients and amplitudes that are compared with MuJoCo, its steps (s), and the share of the friction limit
-# that loads the platform at rest.
-MUJOCO_CASES, MUJOCO_STEPS, LOAD = ((0.01, 0.5), (0.1, 1.0)), (0.002, 0.0005), 0.5
 # Tolerances of the reference, and its longest step, s, in which the boundary of a phase is crossed only once.
 RTOL, ATOL, LONGEST = 2e-13, 1e-15, 0.002
 
@@ -177,42 +172,6 @@ def expected_trajectories(
     return solved
 
 
-def run(torques: np.ndarray, capsule: Capsule, step: float, friction: str = "") -> np.ndarray:
-    """The state of the plant's step, or of MuJoCo with a friction, after control intervals with torques in N m."""
-    if not friction:
-        options: dict[str, Any] = {"control_dt": task.CONTROL_DT, "physics_dt": step}
-        return sensitivity(START, torques, (), capsule=capsule, **options).states[-1]
-    model, data = mujoco.build(friction, step, capsule)
-    return [mujoco.hold(model, data, torque) for torque in torques][-1]
-
-
-def cell(values: Sequence[float]) -> str:
-    """The largest and the median value."""
-    return f"{max(values):.1e} ({np.median(values):.1e})"
-
-
-def compare_mujoco() -> list[list[str]]:
-    """The table of the comparison with MuJoCo."""
-    table, cases = [["", f"hold at {LOAD:.0%}, m/s"]], []
-    for mu, amplitude in MUJOCO_CASES:
-        solved = expected_trajectories([Capsule(mu=mu)] * TRAJECTORIES, amplitude)
-        for step in MUJOCO_STEPS:
-            cases.append((solved, step))
-            table[0].append(f"error of x, mm: μ = {mu:g}, ±{amplitude:g} N m, {1e3 * step:g} ms")
-    capsule, step = Capsule(mu=MUJOCO_CASES[-1][0]), MUJOCO_STEPS[0]
-    load = LOAD * capsule.mu * (capsule.M + capsule.m) * capsule.g
-    # A floor that slopes by the same load.
-    sloped = Capsule(mu=capsule.mu, slope=-math.atan(LOAD * capsule.mu))
-    for friction in tqdm(("", *mujoco.FRICTIONS), desc="MuJoCo"):
-        built = mujoco.build(friction, step, capsule) if friction else None
-        speed = mujoco.creep(*built, load) if built else abs(run(np.zeros(500), sloped, step)[3])
-        row = [f"MuJoCo, {friction}" if friction else "capsule_gym", f"{speed:.0e}" if speed else "0"]
-        for solved, h in cases:
-            row.append(cell([1e3 * abs(run(u, plant, h, friction)[2] - y[2]) for plant, u, y in solved]))
-        table.append(row)
-    return table
-
-
 @command(COMMAND, ValueError)
 def main(markdown: Path | None = None) -> None:
     """The integration error of the plant's step at several step sizes, against an independent reference.
@@ -221,7 +180,7 @@ def main(markdown: Path | None = None) -> None:
       python -m benchmarks.accuracy --markdown docs/error_table.md
 
     Args:
-        markdown: Write the tables to this file.
+        markdown: Write the table to this file.
     """
     check_output("--markdown", markdown, overwrite=True)
     table = [["plant", "torque, N m", *(f"{1e3 * step:g} ms" for step in STEPS), "length"]]
@@ -230,10 +189,13 @@ def main(markdown: Path | None = None) -> None:
     for kind, capsules, amplitude in tqdm(kinds, desc="errors"):
         solved = expected_trajectories(capsules, amplitude)
         length = task.CONTROL_DT * np.median([len(u) for _, u, _ in solved])
-        cells = [cell([np.abs(run(u, plant, step) - y).max() for plant, u, y in solved]) for step in STEPS]
-        table.append([kind, f"±{amplitude:g}", *cells, f"{length:.1f} s"])
-    further = [compare_mujoco()] if find_spec("mujoco") else []
-    report(COMMAND, markdown, table, *further, f"{machine()}.")
+        line = [kind, f"±{amplitude:g}"]
+        for step in STEPS:
+            ends = [sensitivity(START, u, (), capsule=plant, physics_dt=step).states[-1] for plant, u, _ in solved]
+            errors = [np.abs(end - y).max() for end, (_, _, y) in zip(ends, solved, strict=True)]
+            line.append(f"{max(errors):.1e} ({np.median(errors):.1e})")
+        table.append([*line, f"{length:.1f} s"])
+    report(COMMAND, markdown, table, f"{machine()}.")
 
 
 if __name__ == "__main__":

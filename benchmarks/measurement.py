@@ -17,7 +17,7 @@ from baselines.tables import Rows, markdown_table, text_table
 from capsule_gym import native
 from capsule_gym.files import write_atomically
 
-PACKAGES = ("capsule-gym", "numpy", "gymnasium", "mujoco")
+PACKAGES = ("capsule-gym", "numpy", "gymnasium")
 # Vectors that the core uses, by its levels of instructions.
 VECTORS = {"v4": " with AVX-512", "v3": " with AVX2"}
 

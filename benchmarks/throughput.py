@@ -17,7 +17,6 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
-from importlib.util import find_spec
 from itertools import cycle
 from pathlib import Path
 from typing import Any
@@ -26,14 +25,12 @@ import gymnasium as gym
 import numpy as np
 
 from baselines.drawing import BLUE, MUTED, new_figure, save, style
-from benchmarks import mujoco
 from benchmarks.measurement import machine, rates, report
 from capsule_gym import ENV_ID, native, task
 from capsule_gym.checks import check_count
 from capsule_gym.command_line import Count, check_output, command
-from capsule_gym.config import DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, EnvConfig
+from capsule_gym.config import LAW_PHYSICS_DT, EnvConfig
 from capsule_gym.layout import LANES, Row
-from capsule_gym.parameters import Capsule
 from capsule_gym.simulation import Simulation
 
 COMMAND = "python -m benchmarks.throughput"
@@ -79,18 +76,6 @@ def environment(env_id: str, num_envs: int = 0, *, reset: bool = False, **kwargs
     return env.reset if reset else (lambda: env.step(next(actions))) if num_envs else step
 
 
-def mujoco_physics() -> Step:
-    """The physics of one capsule in MuJoCo under random torques, which restarts where its ball meets the platform."""
-    (model, data), limit = mujoco.build("frictionloss", DIRECT_PHYSICS_DT, Capsule()), ACTION_SCALE * task.TORQUE_LIMIT
-    torques = cycle(np.random.default_rng(0).uniform(-limit, limit, DRAWS).tolist())
-
-    def step() -> None:
-        if abs(mujoco.hold(model, data, next(torques))[0]) >= task.THETA_LIMIT:
-            data.qpos[:], data.qvel[:] = (0.0, task.START_THETA), 0.0
-
-    return step
-
-
 def plain_c(compiler: str, simulation: Simulation) -> tuple[Callable[[np.ndarray], object], np.ndarray]:
     """Copies environments of the speed task with direct torque, a multiple of the core's lanes, into plain C.
 
@@ -107,9 +92,7 @@ def plain_c(compiler: str, simulation: Simulation) -> tuple[Callable[[np.ndarray
         library = ctypes.CDLL(path)
     blocks, rows = len(simulation.world), ctypes.c_int.in_dll(library, "ROWS").value
     world, observations = native.aligned_zeros((blocks, rows, LANES)), np.zeros((simulation.num_envs, 5), np.float32)
-    settings = native.ordered(
-        C_SETTINGS.split(), {**simulation.capsule.plant()._asdict(), **simulation.settings._asdict()}
-    )
+    settings = native.ordered(C_SETTINGS.split(), {**simulation.capsule.plant()._asdict(), **vars(simulation.settings)})
     first = world[:, : Row.clock]
     first[...] = simulation.world[:, : Row.clock]
 
@@ -161,8 +144,6 @@ def contenders() -> dict[str, Callable[[], Step]]:
     }
     if COMPILER:
         found[f"capsule, plain C, {BATCH}"] = lambda: from_the_start(COMPILER)[0]
-    if find_spec("mujoco"):
-        found["capsule, MuJoCo"] = mujoco_physics
     return found
 
 
@@ -183,7 +164,7 @@ def draw(measured: Mapping[str, float], stem: Path) -> None:
         figure = new_figure(0.24 * len(measured) + 0.6)
         axes = figure.add_subplot()
         names = [*measured][::-1]
-        others = "CartPole", "Pendulum", "plain C", "MuJoCo"
+        others = "CartPole", "Pendulum", "plain C"
         colours = [MUTED if any(other in name for other in others) else BLUE for name in names]
         bars = axes.barh(names, [measured[name] for name in names], color=colours, height=0.7)
         axes.bar_label(bars, [f"{measured[name]:,.0f}" for name in names], padding=3.0, fontsize=7.5)
@@ -196,7 +177,7 @@ def draw(measured: Mapping[str, float], stem: Path) -> None:
 def main(markdown: Path | None = None, figure: Path | None = None, turns: Count = 30) -> int:
     """Environment steps per second, and ratios to other environments and to plain C; fails if a ratio is too small.
 
-    Plain C needs a compiler, MuJoCo the extra `bench`; what is not installed is left out.
+    Plain C is left out without a compiler.
 
     Examples:
       python -m benchmarks.throughput --markdown docs/speed_tables.md --figure docs/figures/speed

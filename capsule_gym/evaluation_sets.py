@@ -116,13 +116,6 @@ class EvaluationSet:
             options["disturbances"] = asdict(self.disturbances)
         return {"name": self.name, **options, "plants": [plant.to_dict() for plant in self.plants]}
 
-    def to_json(self) -> str:
-        """The text of the set's file, one plant per line."""
-        content = self.to_dict()
-        plants = ",\n".join("  " + json.dumps(plant) for plant in content.pop("plants"))
-        head = "".join(f' "{key}": {json.dumps(value)},\n' for key, value in content.items())
-        return f'{{\n{head} "plants": [\n{plants}\n ]\n}}\n'
-
 
 def _changed(instance: Any, names: Iterable[str]) -> dict[str, Any]:
     """The fields of a dataclass, out of these, that differ from their defaults."""

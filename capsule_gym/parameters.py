@@ -22,9 +22,10 @@ class Plant(NamedTuple):
     """The constants of one plant as the core reads them: SI units, float64, no validation.
 
     The first three differ between the environments of a batch. mass_ratio, m / (M + m), saves divisions. g is the
-    component of gravity perpendicular to the floor. The constants from `downhill` on are read only where `extended` is
-    1.0: g sin(slope), the floor's viscous coefficient, static_ratio - 1 and the inverse speed of the Stribeck curve
-    (0.0 without one), the motor's friction, and a force that pushes the platform forwards, N.
+    component of gravity perpendicular to the floor. Only where `extended` is 1.0 does the core read the option for the
+    paper's normal force, and the constants from `downhill` on: g sin(slope), the floor's viscous coefficient,
+    static_ratio - 1 and the inverse speed of the Stribeck curve (0.0 without one), the motor's friction, and a force
+    that pushes the platform forwards, N.
     """
 
     M: float
@@ -188,8 +189,8 @@ class Capsule:
         capsule = replace(self, M=self.M if M is None else M, mu=self.mu if mu is None else mu)
         derived = {
             "mass_ratio": capsule.m / (capsule.M + capsule.m),
-            "pivot_torque_on_contact": float(self.normal_force == "paper"),
-            "extended": float(any((self.viscous, self.stribeck_speed, self.slope, self.motor_friction))),
+            "pivot_torque_on_contact": (paper := float(self.normal_force == "paper")),
+            "extended": float(any((paper, self.viscous, self.stribeck_speed, self.slope, self.motor_friction))),
             "g": self.g * math.cos(self.slope),
             "downhill": self.g * math.sin(self.slope),
             "stribeck_excess": self.static_ratio - 1.0 if self.stribeck_speed else 0.0,

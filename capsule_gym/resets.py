@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from enum import IntEnum
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,6 @@ from capsule_gym.parameters import (
     Randomization,
     check_divisor,
 )
-from capsule_gym.settings import StepSettings
 from capsule_gym.task import LARGEST_STATE, THETA_LIMIT, Draw, Task
 
 
@@ -75,7 +75,7 @@ def draw_table(first: int, stream: Stream, draws: Sequence[Draw]) -> np.ndarray:
     return np.array(lines, np.float64).reshape(-1, 6)
 
 
-def write_options(drawn: np.ndarray, options: dict[str, Sequence[Any]], task: Task, settings: StepSettings) -> None:
+def write_options(drawn: np.ndarray, options: dict[str, Sequence[Any]], task: Task, settings: SimpleNamespace) -> None:
     """Writes the reset options that replace draws, one value per episode.
 
     Args:

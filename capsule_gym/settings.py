@@ -1,7 +1,10 @@
-"""The settings of the core's step that follow from the options of an environment."""
+"""The settings of the core's step that follow from the options of an environment.
+
+They are namespaces with the names of `CAPSULE_SETTINGS` in `core/layout.hpp`, but for the constants of the plant.
+"""
 
 import math
-from typing import NamedTuple
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -20,35 +23,6 @@ NO_CONTROLLER = Controller("none", CoreLaw("none"), np.zeros((1, 2)))
 STABLE = 2.6
 
 
-class StepSettings(NamedTuple):
-    """The settings of the step; SI units. The core reads them by their names, with the constants of the plant."""
-
-    torque_limit: float
-    residual_limit: float
-    total_torque: bool
-    physics_dt: float
-    physics_steps: int
-    law_steps: int
-    energy_weight: float
-    termination_penalty: float
-    with_reference: bool
-    with_parameters: bool
-    with_estimates: bool
-    with_task: bool
-    stack_size: int
-    # Disturbances: number of states in the history, whether law and agent observe the sensors, the sensors that exist,
-    # the noise of that of x, and the measured speed up to which the platform counts as at rest.
-    history: int
-    law_reads: bool
-    agent_reads: bool
-    with_theta: bool
-    with_theta_dot: bool
-    with_x_dot: bool
-    with_x: bool
-    x_noise: float
-    stick_threshold: float
-
-
 def divide(name: str, whole: float, part_name: str, part: float) -> int:
     """The whole number of times that `part` fits into `whole`, both in seconds; a ValueError if it does not."""
     count = round(min(whole / part, 2.0 * MOST_SUBSTEPS))
@@ -57,7 +31,7 @@ def divide(name: str, whole: float, part_name: str, part: float) -> int:
     return count
 
 
-def check_step(capsule: Capsule, M: float, mu: float, settings: StepSettings) -> None:
+def check_step(capsule: Capsule, M: float, mu: float, settings: SimpleNamespace) -> None:
     """Raises a ValueError for a plant, with its M in kg and mu, that is too stiff for the integrator's step."""
     h, rate = settings.physics_dt, capsule.fastest_rate(M, mu)
     if rate * h <= STABLE:
@@ -72,7 +46,7 @@ def check_step(capsule: Capsule, M: float, mu: float, settings: StepSettings) ->
     )
 
 
-def make_settings(options: EnvConfig, controller: Controller | None) -> StepSettings:
+def make_settings(options: EnvConfig, controller: Controller | None) -> SimpleNamespace:
     """The settings of the step, with the values that follow from other options.
 
     Raises:
@@ -90,7 +64,7 @@ def make_settings(options: EnvConfig, controller: Controller | None) -> StepSett
     accepted = f"at most {MOST_SUBSTEPS} times physics_dt={physics_dt!r} s"
     require(options.control_dt / physics_dt <= MOST_SUBSTEPS, "control_dt", accepted, options.control_dt)
     law_name, step_name = ("the law's step", "the controller's dt") if controller else ("control_dt", "physics_dt")
-    return StepSettings(
+    return SimpleNamespace(
         torque_limit=torque_limit,
         residual_limit=torque_limit if options.residual_limit is None else options.residual_limit,
         total_torque=options.total_torque,

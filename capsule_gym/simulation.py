@@ -155,7 +155,7 @@ class Simulation:
         acting = self.controller or NO_CONTROLLER
         self.reference, self.memory = acting.reference, acting.memory
         plant, count = self.capsule.plant(), self.num_envs
-        given = {**self.settings._asdict(), **plant._asdict(), "varied": bool(self.settings.history)}
+        given = {**vars(self.settings), **plant._asdict(), "varied": bool(self.settings.history)}
         # The first quantities of the environments that begin, and the other values that their episodes draw.
         self._rows, self._starts = np.zeros(count, np.int64), np.zeros((Row.torque, count))
         self._drawn = np.zeros((len(self.draw_table), count))

@@ -8,6 +8,8 @@ import numpy as np
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
+from baselines.evaluation.episodes import evaluate, validation_set
+
 ID = "capsule_gym:CapsuleStickSlip-v0"
 # The law counteracts a residual torque; the total torque is easier to learn.
 TASKS: dict[str, dict[str, Any]] = {
@@ -21,20 +23,14 @@ class LearningCurve(BaseCallback):
 
     def __init__(self, task: str, every: int) -> None:
         super().__init__()
-        self.every = every
-        self.envs: Any = gym.make_vec(ID, num_envs=16, autoreset_mode="DISABLED", **TASKS[task])
+        self.task, self.every = task, every
+        # These seeds are far from those of training.
+        self.plants = validation_set("paper", "validation", first_seed=1_000_000, count=16)
 
     def _on_step(self) -> bool:
         if self.num_timesteps % self.every == 0:
-            # These seeds are far from those of training.
-            observations, _ = self.envs.reset(seed=1_000_000)
-            ended = np.zeros(16, bool)
-            while not ended.all():
-                actions, _ = self.model.predict(observations, deterministic=True)
-                observations, _, terminated, truncated, _ = self.envs.step(actions)
-                ended = terminated | truncated
-            metrics = self.envs.episode_metrics()
-            speed, failed = metrics["mean_speed"].mean(), metrics["failed"].mean()
+            episodes = evaluate(self.model, self.plants, env_kwargs=TASKS[self.task])
+            speed, failed = (np.mean([episode[name] for episode in episodes]) for name in ("mean_speed", "failed"))
             print(f"{self.num_timesteps:,} steps: {speed:.2f} cm/s, {failed:.0%} failed", flush=True)
         return True
 

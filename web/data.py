@@ -128,7 +128,7 @@ def describe_settings(options: EnvConfig) -> dict[str, Any]:
     # The stiffest plants that the page accepts; motors have the friction of the capsule and of disturbances.
     stiffest = Disturbances(motor_friction=LARGEST_MOTOR_FRICTION)
     capsule = Simulation(1, replace(options, randomization=RANGES, disturbances=stiffest)).capsule
-    if capsule.plant().extended or capsule.normal_force != "newton":
+    if capsule.plant().extended:
         raise ValueError(f"options must be of a level floor with Coulomb's friction and Newton's force, got {options}")
     ideal, disturbed = (
         Simulation(1, replace(options, randomization="none", disturbances=given)) for given in ("none", Disturbances())

@@ -21,8 +21,6 @@ from baselines.tables import markdown_table
 ROOT = Path(__file__).resolve().parents[2]
 SPEED = TABLE_METRICS["mean_speed"]
 FAINT = "#c5ccd6"
-# Distance between labels next to a scatter plot, relative to its height.
-LABEL_SPACING = 0.048
 # Evaluations on validation plants during training, by training seed: steps and mean speeds (cm/s).
 Learning = dict[int, tuple[np.ndarray, np.ndarray]]
 
@@ -103,6 +101,7 @@ def draw_learning(learning: Mapping[str, Learning]) -> Any:
 
 def draw_transport(rows: Sequence[Row]) -> Any:
     """Draws speed against cost of transport on the nominal plant, with the front of dynamic programming."""
+    from matplotlib.patches import ConnectionPatch
     from matplotlib.ticker import LogLocator
 
     figure = new_figure(max(4.4, 1.4 + 0.145 * len(rows)))
@@ -130,7 +129,14 @@ def draw_transport(rows: Sequence[Row]) -> Any:
     axes.xaxis.set_major_formatter("{x:g}")
     axes.xaxis.set_minor_formatter("")
     axes.set(xlabel="cost of transport", ylabel="mean speed (cm/s)", xlim=(0.1, None), ylim=(-0.5, None))
-    _label_marks(axes, marks)
+    # Names next to the axes, the highest mark's first, with a line to each mark.
+    for n, (x, y, name, colour) in enumerate(sorted(marks, key=lambda mark: -mark[1])):
+        place = 1.0 - (n + 0.5) / len(marks)
+        text = {"xytext": (4.0, 0.0), "textcoords": "offset points", "va": "center", "fontsize": 7.5, "color": colour}
+        axes.annotate(name, (1.0, place), xycoords="axes fraction", parse_math=False, **text)
+        line = ConnectionPatch((x, y), (1.0, place), "data", "axes fraction", axesA=axes, color=FAINT, linewidth=0.6)
+        line.set_in_layout(False)
+        axes.add_artist(line)
     # Outside: every corner inside the axes contains a front, a policy or a label's line.
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=4)
     axes.set_title("Speed against cost of transport, the paper's plant from 100 starts")
@@ -141,23 +147,3 @@ def draw_transport(rows: Sequence[Row]) -> Any:
         f"one start at rest.{no_progress}",
     )
     return figure
-
-
-def _label_marks(axes: Any, marks: Sequence[tuple[float, float, str, str]]) -> None:
-    """Writes names next to axes with final limits, by height and without overlap, with a line to each mark.
-
-    A mark is x and y in data coordinates, name and colour.
-    """
-    from matplotlib.patches import ConnectionPatch
-
-    low, high = axes.get_ylim()
-    spacing = min(LABEL_SPACING, 1.0 / max(1, len(marks)))
-    place = 1.0 + spacing
-    # From top to bottom, with room for the following names.
-    for n, (x, y, name, colour) in enumerate(sorted(marks, key=lambda mark: -mark[1]), start=1):
-        place = min(max((y - low) / (high - low), (len(marks) - n) * spacing), place - spacing)
-        text = {"xytext": (4.0, 0.0), "textcoords": "offset points", "va": "center", "fontsize": 7.5, "color": colour}
-        axes.annotate(name, (1.0, place), xycoords="axes fraction", parse_math=False, **text)
-        line = ConnectionPatch((x, y), (1.0, place), "data", "axes fraction", axesA=axes, color=FAINT, linewidth=0.6)
-        line.set_in_layout(False)
-        axes.add_artist(line)

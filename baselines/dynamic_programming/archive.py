@@ -1,4 +1,4 @@
-"""The archive of the results: trajectories with their speeds, values of the coarse grids, and tables.
+"""The archive of the results: trajectories with their speeds, and values of the coarse grids.
 
 Each archived speed is that of a trajectory, whose torques, repeated from rest, give it on every machine.
 """
@@ -10,7 +10,6 @@ import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
-from itertools import islice
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -20,10 +19,8 @@ import numpy as np
 from baselines.dynamic_programming import solver
 from baselines.dynamic_programming.grid import Grid
 from baselines.dynamic_programming.problem import (
-    CONTROL_INTERVALS,
     ENERGY_WEIGHTS,
     GRID,
-    STICKY_GRID,
     PlantGrid,
     Problem,
     Trajectory,
@@ -189,7 +186,7 @@ def optimal_speed(M: float, mu: float, grid: PlantGrid = GRID) -> float:
     """The mean speed of dynamic programming from rest over 33 s, torque within 1.5 N m every 20 ms, in cm/s; M in kg.
 
     It is the speed of a computed trajectory, not an upper bound. The plants of the grid and of `SETS` were solved
-    themselves; for others the speed is interpolated between the plants of the grid, with errors of up to 2 %.
+    themselves; for others the speed is interpolated between the plants of the grid, with errors of up to 3.3 %.
 
     Raises:
         ValueError: if the plant lies outside the grid, which must have its ratio of static to kinetic friction.
@@ -202,9 +199,9 @@ def optimal_speed(M: float, mu: float, grid: PlantGrid = GRID) -> float:
     return archive.interpolated_speed(M, mu, grid) if solved is None else solved
 
 
-def set_plants(*names: str) -> list[tuple[float, float]]:
-    """M in kg and mu of all plants of sets, by default `SETS`, without repetitions."""
-    return list(dict.fromkeys((plant.M, plant.mu) for name in names or SETS for plant in load_set(name).plants))
+def set_plants() -> list[tuple[float, float]]:
+    """M in kg and mu of all plants of `SETS`, without repetitions."""
+    return list(dict.fromkeys((plant.M, plant.mu) for name in SETS for plant in load_set(name).plants))
 
 
 def solve_plant(problem: Problem, archive: Archive, shape: tuple[int, int, int] = GRIDS[0]) -> Trajectory:
@@ -246,49 +243,3 @@ def extrapolated(result: Result) -> str:
     ratio = (result.grids[-1][0] - 1) / (result.grids[-2][0] - 1)
     before, last = result.gains[-2:]
     return " to ".join(f"{last + (last - before) / (ratio**order - 1.0):.2f}" for order in (2, 1))
-
-
-def tables(archive: Archive) -> str:
-    """All tables of the page about dynamic programming, with headings."""
-    # Needs an extra of the package.
-    from baselines.tables import markdown_table
-
-    results = archive.results
-    nominal = results[Problem().key]
-    grids = [["grid", "nodes", "gain (cm/s)", "steady speed of its trajectory (cm/s)"]]
-    for shape, gain, steady in zip(nominal.grids, nominal.gains, nominal.steady, strict=True):
-        nodes = shape[0] * shape[1] * shape[2]
-        grids.append([" x ".join(map(str, shape)), f"{nodes:,}", f"{gain:.2f}", f"{steady:.2f}"])
-    grids.append(["extrapolated", "", extrapolated(nominal), ""])
-
-    speed = "speed over 33 s (cm/s)"
-    intervals = [["interval (ms)", speed, "steady speed (cm/s)", "gain (cm/s)", "extrapolated (cm/s)"]]
-    for each in (nominal, *(results[Problem(control_dt=control_dt).key] for control_dt in CONTROL_INTERVALS)):
-        numbers = [f"{value:.2f}" for value in (each.mean_speed, max(each.steady), each.gains[-1])]
-        intervals.append([f"{1e3 * each.control_dt:g}", *numbers, extrapolated(each)])
-
-    weights = [["energy weight (cm/J)", speed, "cost of transport"]]
-    for each in (nominal, *(results[Problem(energy_weight=weight).key] for weight in ENERGY_WEIGHTS)):
-        weights.append([f"{each.energy_weight:g}", f"{each.mean_speed:.2f}", f"{each.cost_of_transport:.2f}"])
-
-    sets = [["set", "plants", "slowest (cm/s)", "fastest (cm/s)", "interpolated over solved, mean", "from", "to"]]
-    for name in SETS:
-        own = set_plants(name)
-        solved = np.array([archive.plant_speeds[plant] for plant in own])
-        ratios = 100.0 * np.array([archive.interpolated_speed(*plant) for plant in own]) / solved - 100.0
-        numbers = [f"{speed:.2f}" for speed in (solved.min(), solved.max())]
-        shares = [f"{share:+.1f} %" for share in (ratios.mean(), ratios.min(), ratios.max())]
-        sets.append([f"`{name}`", str(len(own)), *numbers, *shares])
-
-    parts = {
-        "Finer grids": grids,
-        "Control intervals": intervals,
-        "Energy weights": weights,
-        "Plants of the sets": sets,
-    }
-    for grid in (GRID, STICKY_GRID):
-        table = [["M (kg) \\ mu", *(f"{mu:g}" for mu in grid.mu)]]
-        speeds = iter(f"{results[problem.key].mean_speed:.2f}" for problem in plant_problems(grid))
-        table += [[f"{M:g}", *islice(speeds, len(grid.mu))] for M in grid.M]
-        parts[f"Plants with a static ratio of {grid.static_ratio:g} (cm/s)"] = table
-    return "\n\n".join(f"{heading}\n\n{markdown_table(rows)}" for heading, rows in parts.items())

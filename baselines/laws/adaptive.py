@@ -17,7 +17,7 @@ from baselines.laws.gains import (
     plant_constants,
 )
 from baselines.laws.profiles import COLUMNS, PROPOSED, Profile, optimal, reference_table
-from capsule_gym.checks import check_count, check_number
+from capsule_gym.checks import check_count, check_number, require
 from capsule_gym.config import LAW_DT
 from capsule_gym.controller import Controller, CoreLaw
 from capsule_gym.parameters import NOMINAL, Capsule, Plant
@@ -82,17 +82,8 @@ def sliding_variables(
 def adaptive(
     profile: Profile = PROPOSED,
     *,
-    Lambda_theta: float = PUBLISHED.Lambda_theta,
-    Lambda_x: float = PUBLISHED.Lambda_x,
-    K1: float = PUBLISHED.K1,
-    K2: float = PUBLISHED.K2,
-    K3: float = PUBLISHED.K3,
-    Gamma_1: float = PUBLISHED.Gamma_1,
-    Gamma_2: float = PUBLISHED.Gamma_2,
-    regularised: bool = True,
-    beta: float | None = None,
-    n: int | None = None,
-    eta_0: float | None = None,
+    gains: Gains = PUBLISHED,
+    choices: Choices = REGULARISED,
     dt: float = LAW_DT,
     nominal: Capsule = NOMINAL,
     name: str = "adaptive",
@@ -104,17 +95,8 @@ def adaptive(
 
     Args:
         profile: reference of the pendulum.
-        Lambda_theta: bandwidth of the filter of the pendulum's error, 1/s.
-        Lambda_x: bandwidth of the filter of the platform's error, 1/s.
-        K1: gain of delta_theta, N m s/rad.
-        K2: gain of the switching term, N s.
-        K3: gain of the non-collocated terms, N s/m.
-        Gamma_1: rate of adaptation of alpha_theta.
-        Gamma_2: rate of adaptation of alpha_x.
-        regularised: False for the corrected law without regularisation.
-        beta: beta of (39c) and (39d), rad^2/s^2, > 0; None for the form's `Choices.beta`.
-        n: n of the exponent in (39d), at least 1; None for the form's value.
-        eta_0: initial auxiliary variable, > 0 and at most `Choices.eta_bound`; None for the form's value.
+        gains: the gains; `PUBLISHED._replace(K1=2.0)` changes one.
+        choices: what the paper leaves open; `REGULARISED`, `UNREGULARISED`, or one of them with changes.
         dt: period of the law and of its Euler steps, s. It divides the period of the profile, and the environment's
             `physics_dt` divides it.
         nominal: the nominal plant, from which the estimates start.
@@ -124,19 +106,16 @@ def adaptive(
         TypeError: if an argument is of the wrong type.
         ValueError: if an argument is out of range.
     """
-    given = Gains(Lambda_theta, Lambda_x, K1, K2, K3, Gamma_1, Gamma_2)
-    gains = Gains(**check_gains(**given._asdict()))
-    if not isinstance(regularised, bool):
-        raise TypeError(f"regularised must be True or False, got {regularised!r}")
-    choices = REGULARISED if regularised else UNREGULARISED
-    if beta is not None:
-        accepted = "a finite number > 0 (rad^2/s^2)"
-        choices = choices._replace(beta=check_number("beta", beta, accepted, 0.0, open_low=True))
-    if n is not None:
-        choices = choices._replace(n=check_count("n", n))
-    if eta_0 is not None:
-        accepted, bound = f"a number > 0 and <= {choices.eta_bound:g}", choices.eta_bound
-        choices = choices._replace(eta_0=check_number("eta_0", eta_0, accepted, 0.0, bound, open_low=True))
+    require(isinstance(gains, Gains), "gains", "a Gains", gains, TypeError)
+    require(isinstance(choices, Choices), "choices", "a Choices", choices, TypeError)
+    gains = Gains(**check_gains(**gains._asdict()))
+    check_gains(saturation_width=choices.saturation_width, eta_bound=choices.eta_bound)
+    accepted, bound = f"a number > 0 and <= {choices.eta_bound:g}", choices.eta_bound
+    choices = choices._replace(
+        beta=check_number("beta", choices.beta, "a finite number > 0 (rad^2/s^2)", 0.0, open_low=True),
+        n=check_count("n", choices.n),
+        eta_0=check_number("eta_0", choices.eta_0, accepted, 0.0, bound, open_low=True),
+    )
     plant = nominal.plant()
     table = reference_table(profile, plant, dt)
     constants = constants_of(gains, choices, plant, table, float(dt))
@@ -159,7 +138,7 @@ def adaptive_as_published() -> Controller:
     estimates start at the nominal values and are not limited; x_d is the motion of the nominal platform along theta_d
     from the start of the episode.
     """
-    return adaptive(regularised=False, name="adaptive-as-published")
+    return adaptive(choices=UNREGULARISED, name="adaptive-as-published")
 
 
 def adaptive_optimal_profile() -> Controller:

@@ -13,7 +13,17 @@ from capsule_gym.parameters import Plant
 
 
 class Gains(NamedTuple):
-    """The gains of the adaptive law (37) to (39), which `baselines.laws.adaptive.adaptive` describes."""
+    """The gains of the adaptive law (37) to (39).
+
+    Attributes:
+        Lambda_theta: bandwidth of the filter of the pendulum's error, 1/s.
+        Lambda_x: bandwidth of the filter of the platform's error, 1/s.
+        K1: gain of delta_theta, N m s/rad.
+        K2: gain of the switching term, N s.
+        K3: gain of the non-collocated terms, N s/m.
+        Gamma_1: rate of adaptation of alpha_theta.
+        Gamma_2: rate of adaptation of alpha_x.
+    """
 
     Lambda_theta: float
     Lambda_x: float
@@ -32,9 +42,9 @@ class Choices(NamedTuple):
     """Constants of (39) that the paper leaves open, and bounds of the law's variables.
 
     Attributes:
-        beta: the 'selected small constant' in the denominators of (39c) and (39d), rad^2/s^2.
-        n: n of the exponent (2n + 2) / (2n + 1) in (39d).
-        eta_0: initial auxiliary variable eta.
+        beta: the 'selected small constant' in the denominators of (39c) and (39d), rad^2/s^2, > 0.
+        n: n of the exponent (2n + 2) / (2n + 1) in (39d), at least 1.
+        eta_0: initial auxiliary variable eta, > 0 and at most eta_bound.
         saturation_width: width of the saturation that replaces sgn(delta_theta), rad/s; 0.0 for sgn itself.
         eta_bound: largest eta, since (39d) can grow without bound in finite time.
         estimate_range: largest deviation of an estimate from its nominal value, as a fraction of it; can be infinite.

@@ -105,11 +105,6 @@ class Profile:
         reached = np.cumsum([self.start, *turned])[phase]
         return reached + segment.turned(s), segment.velocity(s), segment.acceleration(s)
 
-    @property
-    def restoring_speed(self) -> float:
-        """P3, the speed of the slow return, rad/s."""
-        return -min(segment.offset for segment in self.segments)
-
 
 def _durations(times: Sequence[float], count: int, V1: float, P2: float) -> list[float]:
     """The durations of the phases between the given times, which must increase from 0; also checks the velocities."""

@@ -85,7 +85,8 @@ def plant_grid() -> list[tuple[float, float]]:
 
 def study_law(regularised: bool, torque_limit: float = UNLIMITED) -> LawStudy:
     """Runs one form of the adaptive law over the grid."""
-    controller, plants, runs = adaptive(regularised=regularised), plant_grid(), []
+    controller = adaptive(choices=REGULARISED if regularised else UNREGULARISED)
+    plants, runs = plant_grid(), list[dict[str, Any]]()
     for (M, mu), run in zip(plants, simulate(controller, plants, torque_limit=torque_limit), strict=True):
         change = np.diff(lyapunov(run, controller.memory, NOMINAL.plant(M, mu)))
         rises = change[change > 1e-12]  # below is rounding
@@ -146,7 +147,7 @@ def study_variants() -> list[tuple[float, float, int, int, int]]:
     settings += [corner for corner in corners if corner[3] == RATES[0] or corner[2] == own[2]]
     variants = []
     for beta, eta_0, n, rate in dict.fromkeys(settings):
-        controller = adaptive(regularised=False, beta=beta, eta_0=eta_0, n=n, dt=1.0 / rate)
+        controller = adaptive(choices=UNREGULARISED._replace(beta=beta, eta_0=eta_0, n=n), dt=1.0 / rate)
         failed, _ = run_cycles(controller, plant_grid())
         variants.append((beta, eta_0, n, rate, int(failed.sum())))
     return variants

@@ -17,7 +17,7 @@ from baselines.paper.adaptive import ERRORS, LONG_CYCLES, LONG_PLANTS, run_cycle
 from baselines.paper.optimal_profiles import Solution, load
 from baselines.paper.published import Number
 from baselines.paper.tracking import speed_ratio
-from baselines.tables import printed_below, text_table
+from baselines.tables import fields_table, printed_below
 from capsule_gym.parameters import NOMINAL, NormalForce
 from capsule_gym.task import TORQUE_LIMIT
 
@@ -53,7 +53,6 @@ def compute() -> Results:
         "numbers": compare_numbers(results),
         "claims": judge_claims(results),
         "torques": principles.check_torques(),
-        "profile_as_printed": selection.printed_profile(),
         "table_1": selection.evaluate_selection(),
         "demands": principles.evaluate_demands(),
         "lemmas": principles.check_lemmas(),
@@ -148,19 +147,9 @@ def judge_claims(results: Results) -> dict[str, tuple[str, bool]]:
     }
 
 
-def _cell(value: Any) -> str:
-    """A value as text, numbers with four digits."""
-    if isinstance(value, (list, tuple)):
-        return ", ".join(map(_cell, value))
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
 def text(results: Results) -> str:
     """All tables, for a terminal; quantities without a unit are in rad, rad/s, N m, J and cm a cycle, and cm/s."""
     laws, ratio = results["laws"], speed_ratio(*results["maps"])
-    turned = math.degrees(sum(phase["printed"][2] for phase in results["profile_as_printed"]))
     sections: dict[str, Sequence[Any]] = {
         "Section 5 of the paper: published and found": results["numbers"],
         "What the paper claims": [
@@ -185,7 +174,6 @@ def text(results: Results) -> str:
                 "most": float(np.nanmax(ratio)),
             }
         ],
-        f"The profile (9) as printed, {turned:.0f} degrees a cycle, and as built": results["profile_as_printed"],
         "What Table 1 follows from (Sect. 3.2)": results["table_1"],
         "Principles 3 and 4 and Lemma 2: largest load over limit": results["demands"],
         "Random states that meet a lemma": results["lemmas"],
@@ -217,8 +205,7 @@ def _section(parts: Sequence[Any]) -> str:
     """Mappings with the same keys as a table, or sentences."""
     if isinstance(parts[0], str):
         return "\n".join(textwrap.fill(f"- {part}", WIDTH) for part in parts)
-    head = [name.replace("_", " ") for name in parts[0]]
-    return text_table([head, *([_cell(value) for value in row.values()] for row in parts)])
+    return fields_table(parts)
 
 
 def _optimum(found: Solution) -> Row:

@@ -1,6 +1,6 @@
-"""Sect. 3 of the paper: the profile (9) as printed, and the selection of its parameters, Eqs. (20) to (31).
+"""Sect. 3.2 of the paper: the selection of the parameters of the profile (9), Eqs. (20) to (31).
 
-Sect. 3.2 presents the times of Table 1 as the outcome of these equations. They are kept as printed, errors included:
+It presents the times of Table 1 as the outcome of these equations. They are kept as printed, errors included:
 several add an angle to a velocity times a time, or a radian to a second. V1 = P1 omega; theta_0 = pi/3; N = 1.
 """
 
@@ -11,34 +11,13 @@ from typing import Any
 import numpy as np
 from scipy.integrate import trapezoid
 
-from baselines.laws.profiles import P2, PROPOSED, TABLE_1, V1, seven_phases
+from baselines.laws.profiles import P2, TABLE_1, V1, seven_phases
 from baselines.paper.principles import THETA_0, friction_bound
 from baselines.paper.published import NATURAL_FREQUENCY
 from capsule_gym.parameters import NOMINAL
 
 # Half a unit of the last digit of each time in Table 1, s.
 ROUNDING = (0.0005, 0.0005, 0.005, 0.05, 0.05, 0.05, 0.05)
-ROMAN = ("I", "II", "III", "IV", "V", "VI", "VII")
-
-
-def printed_profile() -> list[dict[str, Any]]:
-    """Every phase of (9) as printed, with the times of Table 1: velocity at its start and end (rad/s), angle (rad)."""
-    t1, t2, t3, t4, t5, t6, _ = TABLE_1
-    omega, P3 = math.pi / (2.0 * t1), PROPOSED.restoring_speed
-    t = np.linspace((0.0, *TABLE_1[:-1]), TABLE_1, 10_001, axis=1)
-    formulas = {
-        "P1 omega sin(omega t)": V1 * np.sin(omega * t[0]),
-        "P1 omega": np.full_like(t[1], V1),
-        "P1 omega sin(omega t - t2)": V1 * np.sin(omega * t[2] - t2),
-        "(t3 - t) / (t3 - t2) P2": (t3 - t[3]) / (t3 - t2) * P2,
-        "(t3 - t) / (t4 - t3) P3": (t3 - t[4]) / (t4 - t3) * P3,
-        "-P3": np.full_like(t[5], -P3),  # printed for "[0, t5, t6)"
-        "(t6 - t) / (t5 - t6) P3": (t6 - t[6]) / (t5 - t6) * P3,
-    }
-    return [
-        {"name": name, "formula": formula, "printed": (float(v[0]), float(v[-1]), float(trapezoid(v, times)))}
-        for name, (formula, v), times in zip(ROMAN, formulas.items(), t, strict=True)
-    ]
 
 
 def _equations(t: tuple[float, ...]) -> list[tuple[str, str, str, float, float, str]]:

@@ -29,8 +29,7 @@
 namespace LEVEL {
 // The constants of a plant that an `extended` one adds are zero in the others, which do not read them.
 enum class Kind {
-  coulomb,   // a level floor with Coulomb friction alone
-  paper,     // the same with the paper's normal force (7)
+  coulomb,   // a level floor with Coulomb friction alone, and Newton's normal force
   extended,  // everything
   varied,    // everything, and the constants from m on differ between environments
 };
@@ -101,9 +100,7 @@ template <class T, Kind kind_> struct Plant {
 #undef FIELD
 
   // Whether the paper's normal force is chosen.
-  INLINE bool pivot_on_contact() const {
-    return kind != Kind::coulomb && (kind == Kind::paper || pivot_torque_on_contact != 0.0);
-  }
+  INLINE bool pivot_on_contact() const { return extended && pivot_torque_on_contact != 0.0; }
 
   // Friction coefficient while sliding fast in the direction of `slip` (+1.0 or -1.0).
   INLINE T kinetic_friction(T slip) const { return select(slip < 0.0, mu * backward_ratio, mu); }

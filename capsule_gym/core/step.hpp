@@ -97,8 +97,7 @@ template <class T, int N> struct Step {
 
   void hold_torque() {
     if (q.varied != 0.0) return hold_on<Kind::varied>();
-    if (q.extended != 0.0) return hold_on<Kind::extended>();
-    return q.pivot_torque_on_contact != 0.0 ? hold_on<Kind::paper>() : hold_on<Kind::coulomb>();
+    return q.extended != 0.0 ? hold_on<Kind::extended>() : hold_on<Kind::coulomb>();
   }
 
   // The torque is constant until the law is called again.

@@ -57,9 +57,8 @@ log-uniform in [0.05, 0.5], `energy_weight=0` and `termination_penalty=3`. `caps
 gives the paper's floor, where a torque of 1.3 % of the limit moves the platform, so that it is difficult to rest.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
@@ -68,14 +67,11 @@ from capsule_gym.checks import check_number, require
 from capsule_gym.task import LARGEST_STATE, TASKS, Draw, Option, Task
 from capsule_gym.tasks import DEFAULTS
 
-if TYPE_CHECKING:
-    from capsule_gym.settings import StepSettings
-
 # Range of the drawn displacements, m.
 NEAREST, FARTHEST = 0.05, 0.5
 
 
-def compute_reward(settings: StepSettings, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
+def compute_reward(settings: SimpleNamespace, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
     """The rewards of steps that end with these goals, for environments with `goal_env=True`.
 
     With the info of a step, the result is its reward, bit for bit, unless the achieved goal is a measured one.

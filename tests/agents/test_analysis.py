@@ -28,18 +28,14 @@ def test_the_last_of_two_evaluations_at_the_same_step_counts(tmp_path):
     assert (steps.tolist(), speeds.tolist()) == ([100, 200], [1.0, 5.0])
 
 
-def test_sensitivity_shows_speed_and_failures_under_disturbances_of_each_size(monkeypatch):
+def test_sensitivity_shows_speed_and_failures_under_each_disturbance(monkeypatch):
     monkeypatch.setattr(sensitivity, "EPISODES", 2)
     conditions = sensitivity.conditions()
-    assert conditions['all of "real"', 1.0] == REAL
-    doubled = conditions['all of "real"', 2.0]
-    assert (doubled.latency, doubled.lag, doubled.drift_time) == ((0.01, 0.03), 0.01, REAL.drift_time)
-    assert conditions["latency", 0.5] == Disturbances(latency=0.005)
+    assert conditions['all of "real"'] == REAL and conditions["latency"] == Disturbances(latency=0.01)
     results = sensitivity.run([Candidate("wild", (Sine(1.5, period=10.0, name="wild"),), "")], horizon=1.0)
     head, _, wild, still = cells(sensitivity.table({**results, "still": dict.fromkeys(conditions, (0.0, 0))}))
     assert head == ["policy", "none", *sensitivity.DISTURBED, "no x_dot"]
     assert wild[1].endswith(" (2)") and still[1:] == ["0.00"] * (len(head) - 1)
-    assert len(sensitivity.draw(results).axes) == len(head)
 
 
 def test_a_limit_cycle_is_the_steady_one_from_its_smallest_angle_on():
@@ -121,7 +117,7 @@ def test_policies_are_named_at_their_cost_and_speed_without_overlap():
     np.testing.assert_allclose(marks, [(2.0, row.speed) for row in rows] + [(2.0, 3.0)], rtol=1e-12)
     heights = [text.xy[1] for text in axes.texts]
     assert texts(axes.texts) == [row.name for row in rows] + ["law"]
-    assert np.diff(heights).max() <= -statistics.LABEL_SPACING + 1e-12 and max(heights) <= 1.0 and min(heights) >= 0.0
+    np.testing.assert_allclose(heights, np.arange(13, 0, -2) / 14)
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("cost of transport", "mean speed (cm/s)")
     assert "without a cost: rest." in " ".join(figure.get_supxlabel().split())
     labels, handles = texts(figure.legends[0].texts), figure.legends[0].legend_handles

@@ -14,7 +14,6 @@ from benchmarks import (
     fresh_draws,
     identification,
     measurement,
-    mujoco,
     rig,
     sensitivity,
     throughput,
@@ -22,7 +21,6 @@ from benchmarks import (
 )
 from capsule_gym import load_policy
 from capsule_gym.layout import Row
-from capsule_gym.parameters import Capsule
 from tests.agents.fakes import Sine
 from tests.figures import assert_bars, texts
 
@@ -204,20 +202,6 @@ def test_plain_c_does_the_work_of_the_core(scale, monkeypatch) -> None:
         assert np.abs(world[whole] - rows[whole]).max() < 1e-6
     assert (world[:, Row.stuck] > 0.0).any() and (world[:, Row.backward] > 0.0).any()
     assert (world[:, Row.termination] != 0.0).any() == (scale == 1.0)
-
-
-@pytest.mark.parametrize("friction", [None, *mujoco.FRICTIONS])
-def test_mujoco_has_the_same_plant_and_about_the_same_friction(friction: str | None) -> None:
-    module = pytest.importorskip("mujoco")
-    torques = np.random.default_rng(0).uniform(-0.5, 0.5, 100)
-
-    capsule = Capsule(mu=0.1 if friction else 0.0)
-    model, data = mujoco.build(friction or mujoco.FRICTIONS[0], 1e-3, capsule)
-    model.opt.integrator = module.mjtIntegrator.mjINT_RK4
-    state = [mujoco.hold(model, data, torque) for torque in torques][-1]
-    difference = np.abs(state - accuracy.run(torques, capsule, 1e-3)).max()
-    assert difference < (0.03 if friction else 1e-8)
-    assert not friction or np.abs(state - accuracy.run(torques, Capsule(mu=0.0), 1e-3)).max() > 5.0 * difference
 
 
 def test_evaluations_do_not_count_and_the_clock_stops_at_the_speed_or_the_time(monkeypatch):

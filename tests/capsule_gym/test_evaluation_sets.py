@@ -89,5 +89,5 @@ HASHES = {
 def test_committed_sets_are_frozen_and_their_files_give_them_back(name):
     frozen = load_set(FOLDERS[-1] / f"{name}.json")
     assert (frozen.name, frozen.hash[:12]) == (name, HASHES[name])
-    assert parse_set(json.loads(frozen.to_json())) == frozen
+    assert parse_set(json.loads(json.dumps(frozen.to_dict()))) == frozen
     assert frozen.task == (name.partition("-")[0] if name in TASK_SET_NAMES else "speed")

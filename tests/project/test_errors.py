@@ -16,7 +16,7 @@ from baselines.evaluation.episodes import evaluate
 from baselines.evaluation.statistics import estimate, paired_difference
 from baselines.laws.adaptive import adaptive
 from baselines.laws.feedback_linearisation import feedback_linearising
-from baselines.laws.gains import known_parameters
+from baselines.laws.gains import PUBLISHED, REGULARISED, known_parameters
 from baselines.laws.gait import gait
 from baselines.laws.profiles import TABLE_1, seven_phases, six_phases
 from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Randomization, identify, native, sensitivity
@@ -103,10 +103,10 @@ CALLS = [
     (lambda: parse_set({**plant(), "plants": []}), ValueError, "set.plants must be a list of at least one plant"),
     (lambda: parse_set(plant(capsule={"m": -1.0})), ValueError, r"plants\[0\].capsule: Capsule.m must be"),
     (lambda: evaluate("direct-ppo", env_kwargs={}), TypeError, "env_kwargs must not be given with a policy's name"),
-    (lambda: adaptive(K1=-1.0), ValueError, "K1 must be"),
-    (lambda: adaptive(eta_0=10.1), ValueError, "eta_0 must be a number > 0 and <= 10, got 10.1"),
+    (lambda: adaptive(gains=PUBLISHED._replace(K1=-1.0)), ValueError, "K1 must be"),
+    (lambda: adaptive(choices=REGULARISED._replace(eta_0=10.1)), ValueError, "eta_0 must be .* <= 10, got 10.1"),
     (lambda: adaptive(dt=7e-4), ValueError, "multiple of dt"),
-    (lambda: adaptive(regularised=1), TypeError, "regularised must be True or False, got 1"),
+    (lambda: adaptive(choices=1), TypeError, "choices must be a Choices, got 1"),
     (lambda: gait([1.0]), ValueError, r"parameters must be 23 numbers, phi_000, .*, got \[1.0\]"),
     (lambda: gait((*GAIT[:-1], np.nan)), ValueError, "parameters, guard_from, must be a finite number, got nan"),
     (lambda: gait(("1", *GAIT[1:])), TypeError, "parameters, phi_000, must be a finite number, got '1'"),

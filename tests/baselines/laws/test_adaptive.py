@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from baselines.laws.adaptive import MEMORY, adaptive, constants_of, eta_of, nominal_estimates
-from baselines.laws.gains import PUBLISHED, REGULARISED, UNREGULARISED, Gains
+from baselines.laws.gains import REGULARISED, UNREGULARISED, Gains
 from baselines.laws.profiles import COLUMNS, PROPOSED, reference_table
 from capsule_gym import Capsule
 from capsule_gym.controller import CoreLaw
@@ -137,12 +137,11 @@ def test_plant_without_friction_or_spring_has_bounds_too():
     assert after[2] != memory[2] and after[7] != memory[7]
 
 
-@pytest.mark.parametrize("regularised", [True, False])
-def test_choices_reach_the_law(regularised):
-    default = FORMS["regularised" if regularised else "unregularised"]
-    for given in ({}, {"beta": 3.0, "n": 2, "eta_0": 0.3, "dt": 2e-4}):
-        controller = adaptive(regularised=regularised, **given)
-        choices = default._replace(**{name: value for name, value in given.items() if name != "dt"})
+@pytest.mark.parametrize("form", FORMS)
+def test_gains_and_choices_reach_the_law(form):
+    for changes, dt in (({}, 1e-3), ({"beta": 3.0, "n": 2, "eta_0": 0.3}, 2e-4)):
+        choices = FORMS[form]._replace(**changes)
+        controller = adaptive(gains=GAINS, choices=choices, dt=dt)
         assert eta_of(np.array(controller.memory), choices.n) == pytest.approx(choices.eta_0)
-        constants = constants_of(PUBLISHED, choices, NOMINAL.plant(), controller.reference, controller.dt)
-        assert controller.law == CoreLaw("adaptive", **constants)
+        constants = constants_of(GAINS, choices, NOMINAL.plant(), controller.reference, controller.dt)
+        assert controller.law == CoreLaw("adaptive", **constants) and controller.dt == dt

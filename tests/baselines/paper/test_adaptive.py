@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from baselines.laws.adaptive import adaptive
-from baselines.laws.gains import UNREGULARISED
+from baselines.laws.gains import REGULARISED, UNREGULARISED
 from baselines.paper import adaptive as study
 from baselines.paper.adaptive import lyapunov, run_cycles, sliding
 from baselines.paper.tracking import simulate
@@ -35,9 +35,9 @@ def test_lyapunov_function_by_hand():
     assert (lyapunov(replace(exact, **noisy), controller.memory, PLANT) > 1.5).all()
 
 
-@pytest.mark.parametrize("regularised", [True, False])
-def test_errors_by_cycle_are_those_of_the_run(regularised):
-    controller, plants = adaptive(regularised=regularised), [(0.5, 0.01), LIGHT, HEAVY]
+@pytest.mark.parametrize("choices", [REGULARISED, UNREGULARISED])
+def test_errors_by_cycle_are_those_of_the_run(choices):
+    controller, plants = adaptive(choices=choices), [(0.5, 0.01), LIGHT, HEAVY]
     failed, errors = run_cycles(controller, plants, cycles=2, shown=(1, 2))
     for i, run in enumerate(simulate(controller, plants, cycles=2)):
         assert failed[i] == (not run.completed)
@@ -47,7 +47,7 @@ def test_errors_by_cycle_are_those_of_the_run(regularised):
         for k, values in enumerate((run.error, run.rate_error, sliding(run)[0])):
             first, second = (np.abs(part).max() for part in (values[: cycle + 1], values[cycle + 1 :]))
             assert errors[:, k, i] == pytest.approx([first, second], rel=1e-9)
-    assert failed.any() == (not regularised)
+    assert failed.any() == (choices == UNREGULARISED)
 
 
 def test_regularised_law_over_the_ranges(laws):
@@ -74,14 +74,14 @@ def test_unregularised_law_fails_on_most_of_the_ranges(laws):
 def test_no_choice_saves_the_plants_of_another_mass():
     off = np.array([M != 0.5 for M, _ in study.plant_grid()])
     for choices in ({"beta": 10.0, "eta_0": 0.1}, {"beta": 1e-4, "n": 3}):
-        failed, _ = run_cycles(adaptive(regularised=False, **choices), study.plant_grid())
+        failed, _ = run_cycles(adaptive(choices=UNREGULARISED._replace(**choices)), study.plant_grid())
         assert failed[off].all() and off.sum() == 20
 
 
 def test_variants_change_one_choice_at_a_time_or_are_corners(monkeypatch):
     def run(controller, plants):
         assert plants == study.plant_grid()
-        plain = adaptive(regularised=False)
+        plain = adaptive(choices=UNREGULARISED)
         own = (controller.law, controller.memory) == (plain.law, plain.memory)
         return np.array([controller.dt == 1e-4, own, False]), None
 
