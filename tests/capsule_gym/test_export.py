@@ -19,7 +19,7 @@ from capsule_gym.config import find_task
 from capsule_gym.export import Exported, main
 
 POLICIES = ("direct-ppo", "goal", "residual-real", "direct-real", "velocity", "dp-distilled-wide")
-ARGUMENTS = ("direct-ppo", "dp-distilled-wide", "goal --float", "residual-real --law --float", "baselines:gait")
+ARGUMENTS = ("residual-ppo", "dp-distilled-wide", "goal --float", "residual-real --law --float", "baselines:gait")
 C99 = ("-std=c99", "-Wall", "-Wextra", "-Werror")
 M4 = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "--specs=rdimon.specs")
 START, VECTORS = Path(__file__).with_name("mps2.c"), "-Wl,--section-start=.vectors=0"

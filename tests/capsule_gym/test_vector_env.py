@@ -8,6 +8,7 @@ import multiprocessing
 import os
 import pickle
 import threading
+import time
 import tracemalloc
 from functools import partial
 
@@ -277,6 +278,13 @@ def test_one_environment_that_diverges_ends_alone(mode):
             assert (info["termination"][lost] == Termination.diverged).all()
             assert (info["state"][lost] == states[lost]).all() and np.isfinite(info["normal_force"]).all()
             assert (found[1][lost] == -10.0).all()
+
+
+def test_an_interrupted_step_waits_for_its_other_threads():
+    simulation, done = CapsuleVectorEnv(130, threads=2).simulation, []
+    with pytest.raises(ZeroDivisionError):
+        simulation._share(lambda first, last: done.append(time.sleep(0.1)) if first else 1 // first)
+    assert len(done) == 1
 
 
 def digest(env: CapsuleVectorEnv) -> str:
