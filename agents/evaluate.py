@@ -34,8 +34,8 @@ def comparison_table(name: str, episodes: Sequence[Episode], reference: str, oth
     main = next(metric for metric in of_task if metric.name in {each.metric.name for each in CRITERIA.values()})
     for metric in (replace(main, label=f"{main.label}, mean", share=True), *of_task):
         both = [scores(each, metric.name) for each in (episodes, others)]
-        values = [metric.with_interval(estimate(each, mean=metric.share).to_dict()) for each in both]
-        paired = paired_difference(*both, mean=metric.share).to_dict()
+        values = [metric.with_interval(estimate(each, mean=metric.share).to_dict().values()) for each in both]
+        paired = paired_difference(*both, mean=metric.share).to_dict().values()
         rows.append([metric.label, *values, metric.with_interval(paired, sign=True)])
     rows.append(["failures", *(f"{failures(each)}/{len(each)}" for each in (episodes, others))])
     return text_table(rows)

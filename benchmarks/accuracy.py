@@ -160,18 +160,6 @@ def random_capsule(seed: int) -> Capsule:
     return Capsule(**constants)
 
 
-def expected_trajectories(
-    capsules: Sequence[Capsule], amplitude: float
-) -> list[tuple[Capsule, np.ndarray, np.ndarray]]:
-    """Plants, torques in valid control intervals, and the reference's state at their end; torque i has the seed i."""
-    solved = []
-    for seed, capsule in enumerate(capsules):
-        torques = np.random.default_rng(seed).uniform(-amplitude, amplitude, round(SECONDS / task.CONTROL_DT))
-        found = solve(torques, capsule.plant())
-        solved.append((capsule, torques[: found.valid], found.states[found.valid]))
-    return solved
-
-
 @command(COMMAND, ValueError)
 def main(markdown: Path | None = None) -> None:
     """The integration error of the plant's step at several step sizes, against an independent reference.
@@ -187,7 +175,12 @@ def main(markdown: Path | None = None) -> None:
     kinds = [(f"μ = {mu:g}", [Capsule(mu=mu)] * TRAJECTORIES, a) for mu in FRICTION for a in AMPLITUDES]
     kinds.append((f"{PLANTS} random", [random_capsule(seed) for seed in range(PLANTS)], AMPLITUDE))
     for kind, capsules, amplitude in tqdm(kinds, desc="errors"):
-        solved = expected_trajectories(capsules, amplitude)
+        # The plants, the torques in valid control intervals, and the reference's state at their end.
+        solved = []
+        for seed, capsule in enumerate(capsules):
+            torques = np.random.default_rng(seed).uniform(-amplitude, amplitude, round(SECONDS / task.CONTROL_DT))
+            found = solve(torques, capsule.plant())
+            solved.append((capsule, torques[: found.valid], found.states[found.valid]))
         length = task.CONTROL_DT * np.median([len(u) for _, u, _ in solved])
         line = [kind, f"±{amplitude:g}"]
         for step in STEPS:

@@ -63,9 +63,8 @@ def table(learning: Mapping[str, Learning]) -> str:
     for name, runs in learning.items():
         if runs:
             steps, value, low, high = learning_curve(runs)
-            end = {"iqm": value[-1], "low": low[-1], "high": high[-1]}
             reached = steps[value >= 0.9 * value[-1]][0]
-            cells = f"{steps[-1]:,.0f}", SPEED.with_interval(end), f"{reached:,.0f}"
+            cells = f"{steps[-1]:,.0f}", SPEED.with_interval((value[-1], low[-1], high[-1])), f"{reached:,.0f}"
             lines.append([name, str(len(runs)), *cells])
     without = [name for name, runs in learning.items() if not runs]
     return markdown_table(lines) + (f"\n\nWithout committed evaluations: {', '.join(without)}." if without else "")

@@ -11,7 +11,7 @@ from typing import Any
 
 from agents.evaluation.criteria import CRITERIA, Criteria
 from agents.leaderboard.rows import Row
-from baselines.evaluation.episodes import LABELS, SHARE_OF_OPTIMUM, TABLE_METRICS, TASK_METRICS, TableMetric, summarise
+from baselines.evaluation.episodes import LABELS, SHARE_OF_OPTIMUM, TABLE_METRICS, TASK_METRICS, summarise
 from baselines.evaluation.policies import find_candidate
 from baselines.evaluation.statistics import paired_difference
 from baselines.tables import markdown_table
@@ -137,12 +137,6 @@ def _main_table(board: Mapping[str, Any], columns: Sequence[str], names: Sequenc
     return markdown_table(lines)
 
 
-def _interval(metric: TableMetric, values: Iterable[float | None], *, sign: bool = False) -> str:
-    """Formats a value and the ends of its interval; the only possible line break is between the two."""
-    value, low, high = (metric.format(each, sign=sign) for each in values)
-    return f"{value} [{low},\N{NO-BREAK SPACE}{high}]"
-
-
 def _details(rows: Sequence[Mapping[str, Any]], sets: Iterable[str], criteria: Criteria) -> str:
     """A table for each set: means, worst seeds and interquartile means, and the differences to base laws."""
     tables = []
@@ -162,12 +156,12 @@ def _cells(row: Mapping[str, Any], set_name: str, criteria: Criteria) -> dict[st
             continue
         each = result[name]
         worst = max(each["seeds"]) if weight < 0.0 else min(each["seeds"])
-        cells[metric.label] = _interval(metric, (each["mean"], each["mean_low"], each["mean_high"]))
+        cells[metric.label] = metric.with_interval((each["mean"], each["mean_low"], each["mean_high"]))
         cells[f"worst seed ({metric.label.partition(' (')[2] or 'share)'}"] = metric.format(worst if seeds else None)
         if not metric.share:
-            cells["interquartile mean"] = _interval(metric, (each["iqm"], each["low"], each["high"]))
+            cells["interquartile mean"] = metric.with_interval((each["iqm"], each["low"], each["high"]))
     base = row.get("minus_base", {}).get(set_name)
-    difference = _interval(criteria.metric, base.values(), sign=True) if base else "-"
+    difference = criteria.metric.with_interval(base.values(), sign=True) if base else "-"
     cells["failed"] = f"{result['failures']}/{result['episodes']}"
     cells[f"difference to base law on `{set_name}`"] = difference
     if SPEED.name in criteria.weights:

@@ -2,7 +2,7 @@
 
 import math
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
@@ -56,11 +56,10 @@ class TableMetric:
         text = f"{value:{'+' if sign else ''}.{self.digits}f}"
         return text.replace("-", "") if float(text) == 0.0 else text
 
-    def with_interval(self, summary: Mapping[str, Any], *, sign: bool = False) -> str:
-        """Formats the result of `Estimate.to_dict` as `value [low, high]`, or without an interval as `value`."""
-        value = self.format(summary["mean" if self.share else "iqm"], sign=sign)
-        low, high = (self.format(summary[end], sign=sign) for end in ("low", "high"))
-        return value if low == high == "-" else f"{value} [{low}, {high}]"
+    def with_interval(self, values: Iterable[float | None], *, sign: bool = False) -> str:
+        """Formats a value and the ends of its interval as `value [low, high]`, or without an interval as `value`."""
+        value, low, high = (self.format(each, sign=sign) for each in values)
+        return value if low == high == "-" else f"{value} [{low},\N{NO-BREAK SPACE}{high}]"
 
 
 _SHOWN = (

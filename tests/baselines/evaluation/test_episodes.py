@@ -74,8 +74,8 @@ def test_numbers_in_tables():
     values = (1.234, -1.235, -0.001, None, math.inf, math.nan)
     assert [SPEED.format(value) for value in values] == ["1.23", "-1.24", "0.00", "-", "-", "-"]
     assert [SPEED.format(value, sign=True) for value in (1.234, -0.001)] == ["+1.23", "0.00"]
-    assert SPEED.with_interval({"iqm": 1.0, "low": -0.5, "high": None}, sign=True) == "+1.00 [-0.50, -]"
-    assert SPEED.with_interval({"iqm": 1.0, "low": None, "high": None}) == "1.00"
+    assert SPEED.with_interval((1.0, -0.5, None), sign=True) == "+1.00 [-0.50,\N{NO-BREAK SPACE}-]"
+    assert SPEED.with_interval((1.0, None, None)) == "1.00"
     assert set(TABLE_METRICS) <= set(METRICS) and SHARE_OF_OPTIMUM.name not in METRICS
 
 
