@@ -156,6 +156,8 @@ def results_table(jobs: Sequence[Job]) -> str:
 def copy_policy(job: Job, checkpoints: Path = CHECKPOINTS) -> Path:
     """Copies a run's best policy and its evaluations into the folder of its row and seed, which it returns.
 
+    The run's configuration replaces that of the row, whose runs differ in their seeds only.
+
     Raises:
         RunError: if the run is not finished, or its code was not committed.
     """
@@ -168,6 +170,7 @@ def copy_policy(job: Job, checkpoints: Path = CHECKPOINTS) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     for path in (job.run / EVALUATIONS, job.run / BEST / POLICY):
         write_atomically(folder / path.name, path.read_bytes())
+    write_atomically(folder.with_name(CONFIG), (job.run / CONFIG).read_bytes())
     return folder
 
 

@@ -1,9 +1,8 @@
 """The bits of whole episodes: `python -m tests.bits` compares them with committed hashes, `--write` writes new ones.
 
 `bits.json` holds a sha256 for the plant under random torques, for every law of `baselines` under random residuals, for
-every scripted policy without a law, for every committed policy, and for a made one that observes estimates.
-A hash covers all observations, rewards and states of a batch over a whole episode, and the metrics at its end. Some
-environments also run alone: the bits must be equal.
+every scripted policy without a law, and for every committed policy. A hash covers all observations, rewards and states
+of a batch over a whole episode, and the metrics at its end.
 """
 
 import hashlib
@@ -11,7 +10,7 @@ import json
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,16 +20,14 @@ from gymnasium.vector import AutoresetMode
 import capsule_gym
 from baselines.laws import LAWS
 from baselines.policies import SCRIPTED
-from capsule_gym import Capsule, CapsuleVectorEnv, Disturbances, Policy, policy_names
-from capsule_gym.command_line import parse
+from capsule_gym import Capsule, CapsuleVectorEnv, Disturbances, policy_names
+from capsule_gym.command_line import command
 from capsule_gym.files import write_atomically
 from capsule_gym.task import CONTROL_DT, HORIZON
 
 FILE = Path(__file__).with_name("bits.json")
 # Two blocks of lanes, the second with one lane in use.
 NUM_ENVS = 65
-# Environments that also run alone: one among many for half of the subjects, the only one of its block for the others.
-ALONE = (1, 64)
 # A random torque is held for so many steps; otherwise nothing would move.
 HOLD = 5
 CYCLE = 400
@@ -69,19 +66,6 @@ def random_actions(scale: float) -> Callable[[Sequence[int]], Act]:
     return start
 
 
-def make_policy() -> Policy:
-    """A policy that observes estimates of M and mu, and pumps energy into the pendulum with all of its inputs."""
-    # Uniform numbers are exact; others come from a library's logarithms.
-    first, last = np.random.default_rng(0).uniform(-0.1, 0.1, (8, 9)), np.full((1, 8), 0.25)
-    first[:, :2] += -0.5, 0.035
-    layers = tuple((weights.astype(np.float32), np.zeros(len(weights), np.float32)) for weights in (first, last))
-    kinds: dict[str, Any] = {"algorithm": "ppo", "activation": "tanh", "squashing": "clip"}
-    inputs: dict[str, Any] = {"mean": np.zeros(9), "variance": np.ones(9), "clip": 10.0, "epsilon": 1e-8}
-    kwargs = {"randomization": "wide", "observe_estimates": True}
-    origin: dict[str, Any] = {"env_kwargs": kwargs, "training_seed": 0, "revision": "none"}
-    return capsule_gym.Policy(name="made", layers=layers, **kinds, **inputs, **origin)
-
-
 def subjects() -> Iterator[Subject]:
     """Yields all subjects."""
     wide = {"randomization": "wide"}
@@ -115,8 +99,6 @@ def subjects() -> Iterator[Subject]:
     for name in policy_names(seeds=True):
         trained = capsule_gym.load_policy(name)
         yield Subject(f"policy {name}", trained.env_kwargs, trained.start)
-    made = make_policy()
-    yield Subject("policy that observes estimates", made.env_kwargs, made.start)
 
 
 def batched(subject: Subject) -> tuple[list[np.ndarray], dict[str, np.ndarray]]:
@@ -137,65 +119,38 @@ def batched(subject: Subject) -> tuple[list[np.ndarray], dict[str, np.ndarray]]:
     return [np.array(column) for column in zip(*shown, strict=True)], metrics
 
 
-def alone(subject: Subject, i: int) -> tuple[bytes, int]:
-    """The bytes of environment i of such a batch, run alone, and the number of steps of its episode."""
-    env = capsule_gym.CapsuleEnv(**subject.env_kwargs)
-    observation, _ = env.reset(seed=i)
-    act = subject.start([i])
-    rows = []
-    for _ in range(subject.steps):
-        observation, reward, terminated, _, info = env.step(act(observation[None])[0])
-        rows.append((observation, np.array(reward), info["state"].copy()))
-        if terminated:
-            break
-    return b"".join(np.array(column).tobytes() for column in zip(*rows, strict=True)), len(rows)
-
-
-def compute(subject: Subject) -> tuple[str, list[str]]:
-    """The hash of a subject, and one line for each difference between runs of the same episode."""
+def compute(subject: Subject) -> str:
+    """The hash of a subject."""
     trajectory, metrics = batched(subject)
-    wrong = []
-    i = ALONE[len(subject.name) % 2]
-    shown, steps = alone(subject, i)
-    if shown != b"".join(array[:steps, i].tobytes() for array in trajectory):
-        wrong.append(f"{subject.name}: environment {i} differs alone and in the batch")
     digest = hashlib.sha256()
     for array in (*trajectory, *metrics.values()):
         digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest(), wrong
+    return digest.hexdigest()
 
 
-@dataclass(frozen=True)
-class Args:
+@command("python -m tests.bits")
+def main(write: bool = False, first_seeds: bool = False) -> int:
     """Computes the bits of whole episodes; the exit status is 1 if they differ from the committed ones.
 
     Examples:
       python -m tests.bits
       CAPSULE_GYM_LEVEL=portable python -m tests.bits
+
+    Args:
+        write: Write them to tests/bits.json.
+        first_seeds: Compare one training seed of each trained policy: `agents.leaderboard --check` evaluates all of
+            them.
     """
-
-    write: bool = False
-    """Write them to tests/bits.json."""
-
-    first_seeds: bool = False
-    """Compare one training seed of each trained policy: `agents.leaderboard --check` evaluates all of them."""
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns the exit status."""
-    args = parse(Args, "python -m tests.bits", arguments)
-    if args.write:
-        hashes = {subject.name: compute(subject)[0] for subject in subjects()}
+    if write:
+        hashes = {subject.name: compute(subject) for subject in subjects()}
         write_atomically(FILE, json.dumps(hashes, indent=1) + "\n")
     committed: dict[str, str] = json.loads(FILE.read_text(encoding="utf-8"))
     wanted = {subject.name: subject for subject in subjects()}
     wrong = [f"{name}: unknown subject" for name in committed if name not in wanted]
-    if args.first_seeds:
+    if first_seeds:
         wanted = {name: subject for name, subject in wanted.items() if not re.search(r"/seed-[1-9]", name)}
     for name, subject in wanted.items():
-        found, lines = compute(subject)
-        wrong += lines
-        if found != committed.get(name):
+        if (found := compute(subject)) != committed.get(name):
             wrong.append(f"{name}: {found} here, {committed.get(name)} committed")
     print(*wrong, f"{len(wanted)} subjects in {NUM_ENVS} environments: {len(wrong)} differences", sep="\n")
     return int(bool(wrong))

@@ -1,5 +1,6 @@
 """Hypothesis: the same few examples in every test run; many, and other ones, with `--hypothesis-profile fuzz`."""
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 settings.register_profile("seeded", derandomize=True, deadline=None, database=None, max_examples=20)
@@ -7,3 +8,14 @@ settings.register_profile(
     "fuzz", deadline=None, database=None, max_examples=300, suppress_health_check=list(HealthCheck), print_blob=True
 )
 settings.load_profile("seeded")
+
+
+@pytest.fixture
+def saved_figures(monkeypatch):
+    """The figures of matplotlib that the test saves."""
+    figure = pytest.importorskip("matplotlib.figure").Figure
+    save, saved = figure.savefig, []
+    monkeypatch.setattr(
+        figure, "savefig", lambda self, *args, **kwargs: saved.append(self) or save(self, *args, **kwargs)
+    )
+    return saved

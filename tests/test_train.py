@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import train
-from agents.training.presets import ENV_PRESETS, PRESETS, ROWS
+from agents.training.presets import ENV_PRESETS, PRESETS
 
 ROOT = Path(train.__file__).parent
 
@@ -23,13 +23,6 @@ def test_another_environment_has_settings_of_its_own():
             assert config.env_kwargs()["task"] == tuned.env_kwargs()["task"]
             assert (config.task, config.algo, config.energy_weight) == (task, algo, 0.0)
             assert ("_pulses" in str(config.controller)) is (task == "residual")
-
-
-@pytest.mark.parametrize("row", ROWS)
-def test_a_rows_settings_are_defaults_that_options_change(row):
-    options = train.read_args(["--row", row, "--seed", "3", "--gamma", "0.9"])
-    assert options.hyperparameters == dataclasses.replace(ROWS[row], seed=3, gamma=0.9)
-    assert (options.task, options.algo) == (ROWS[row].task, ROWS[row].algo)
 
 
 def started(folder, task, algo, **changes):

@@ -2,11 +2,13 @@
 
 The loss of a torque is its interpolated regret, not its distance from the expert's torque. The folder of a run holds
 
+    config.json          the fields of `Student`, and the git revision
     policy.safetensors   the best policy so far, by evaluations on validation plants
     finished.json        after the run: mean_speed (cm/s) and share of failed episodes of the best policy, processor
                          time of the run (core_seconds) and git revision
 """
 
+import dataclasses
 import math
 import sys
 import time
@@ -21,6 +23,7 @@ from tqdm import tqdm
 from agents.distillation.config import Student
 from agents.distillation.dataset import Dataset, collect
 from agents.training.checkpoint import git_revision
+from agents.training.config import CONFIG
 from baselines.dynamic_programming.policy import NUM_TORQUES
 from baselines.evaluation.episodes import evaluate, scores, validation_set
 from capsule_gym import Policy
@@ -141,6 +144,8 @@ def distil(name: str, student: Student, seed: int, folder: Path) -> None:
     folder.mkdir(parents=True)
     torch.set_num_threads(1)
     began, revision = time.process_time(), git_revision(Path(__file__).parent)
+    config = {"hyperparameters": dataclasses.asdict(student), "revision": revision}
+    write_atomically(folder / CONFIG, to_json(config))
     rng = np.random.default_rng(seed)
     # Validation plants, never a frozen set.
     count = student.evaluation_episodes

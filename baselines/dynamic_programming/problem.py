@@ -140,7 +140,6 @@ class Transitions:
 
     def __init__(self, problem: Problem, count: int) -> None:
         self._simulation = Simulation(count, problem.options)
-        self._simulation.reset(np.arange(count))
         self._zeros = np.zeros(count)
         self.margin = problem.margin
         self.set_plants(np.full(count, problem.M), np.full(count, problem.mu))

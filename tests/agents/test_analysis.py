@@ -1,18 +1,25 @@
 import re
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex
 
 from agents.analysis import __main__ as analysis
 from agents.analysis import limit_cycle, sensitivity, statistics
+from baselines.drawing import BLUE, GREEN, INK, MUTED
+from baselines.dynamic_programming.archive import optimal_front
 from baselines.evaluation.policies import Candidate
+from baselines.evaluation.statistics import estimate
 from capsule_gym.parameters import REAL, Disturbances
 from tests.agents.fakes import Sine
+from tests.figures import assert_lines, texts
 
 
 def cells(table):
-    return [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines() if line[:1] == "|"]
+    lines = [line for line in table.replace("\N{NO-BREAK SPACE}", " ").splitlines() if line[:1] == "|"]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
 
 
 def test_the_last_of_two_evaluations_at_the_same_step_counts(tmp_path):
@@ -43,19 +50,51 @@ def test_a_limit_cycle_is_the_steady_one_from_its_smallest_angle_on():
     assert cycle[0, 0] == pytest.approx(-1.0) and cycle[-1, 2] - cycle[0, 2] == pytest.approx(0.08)
 
 
+def test_a_cycle_is_drawn_in_its_units_above_the_phases_of_its_contact():
+    phase = 2.0 * np.pi * np.arange(401.0) / 400.0
+    x = 0.01 * np.array([*np.arange(101.0), *[100.0] * 200, *np.arange(99.0, -1.0, -1.0)])
+    cycle = np.stack([np.sin(phase), 3.0 * np.cos(phase), x, np.cos(phase), 3.0 + phase, np.sin(phase)], axis=1)
+    figure = limit_cycle.draw({"one": cycle, "two": cycle[:201]})
+    columns, grey = np.reshape(figure.axes, (5, 2)).T, [0.0, 1.0]
+    units, weight = ("θ (deg)", "x' (cm/s)", "N / ((M + m) g)", "u (N m)", "θ' (rad/s)"), 0.638 * 9.81
+    assert [axes.get_ylabel() for axes in columns[0]] == list(units)
+    assert texts(figure.legends[0].texts) == ["slips forward", "sticks", "slips backward"]
+    colours = [to_hex(limit_cycle.PHASES[sign][1]) for sign in (1, 0, -1)]
+    drawings = ("one", cycle, [0.0, 0.2, 0.6, 0.8]), ("two", cycle[:201], [0.0, 0.2, 0.4])
+    for column, (name, drawn, ends) in zip(columns, drawings, strict=True):
+        t, degrees = 0.002 * np.arange(len(drawn)), np.degrees(drawn[:, 0])
+        for n, values in enumerate((degrees, 100.0 * drawn[:, 3], drawn[:, 4] / weight, drawn[:, 5])):
+            assert_lines(column[n], (grey, [float(n == 2)] * 2, MUTED), (t, values, INK))
+            spans = [(span.get_x(), span.get_x() + span.get_width()) for span in column[n].patches]
+            np.testing.assert_allclose(spans, list(pairwise(ends)), atol=1e-12)
+            assert [to_hex(span.get_facecolor()) for span in column[n].patches] == colours[: len(spans)]
+            assert column[n].get_xlim() == (0.0, t[-1])
+        assert_lines(column[4], (degrees, drawn[:, 1], BLUE))
+        assert [column[0].get_title(), *(each.get_xlabel() for each in column[3:])] == [name, "time (s)", "θ (deg)"]
+
+
 def test_current_and_stale_tables_are_found(tmp_path, capsys):
     assert analysis.main(["limit_cycle", "statistics", "--check"]) == 0
     assert analysis.main(["statistics", "--check", "--output", str(tmp_path)]) == 1
     assert re.search(r"statistics_tables\.md is not up to date: run `python -m", capsys.readouterr().out)
 
 
-def test_the_curves_of_a_row_are_those_of_its_runs():
+def test_the_curves_of_a_row_are_those_of_its_runs_and_its_table_their_end():
     steps = np.arange(1.0, 9.0) * 1e5
     runs = {seed: (steps, 10.0 + seed - 1e6 / steps) for seed in range(3)}
-    drawn, empty = statistics.draw_learning({"three": runs, **dict.fromkeys("abcdef", runs)}).axes[:8:7]
-    assert drawn.get_title() == "three" and not empty.get_visible()
-    for line, (x, y) in zip(drawn.lines, [*runs.values(), runs[1]], strict=True):  # the middle one is the mean
-        np.testing.assert_allclose(line.get_xydata(), np.transpose([x / 1e6, y]), rtol=1e-12)
+    figure = statistics.draw_learning({"three": runs, **dict.fromkeys("abcdef", runs)})
+    drawn, empty = figure.axes[:8:7]
+    assert drawn.get_title() == "three" and not empty.get_visible() and figure.get_supylabel().endswith("(cm/s)")
+    assert drawn.get_xlim()[0] == drawn.get_ylim()[0] == 0.0
+    curves = [(x / 1e6, y) for x, y in runs.values()]
+    assert_lines(drawn, *((*each, MUTED) for each in curves), (*curves[1], BLUE))  # the middle one is the mean
+    first, last = (estimate(np.array([[0.0], [1.0], [2.0]]) + start) for start in (0.0, 8.75))
+    band = drawn.collections[0].get_paths()[0].vertices
+    assert (band[:, 1].min(), band[band[:, 0] == 0.8][:, 1].max()) == pytest.approx((first.low, last.high))
+    cells_of = cells(statistics.table({"three": runs, "none": {}}))
+    assert cells_of[0][2:] == ["steps", "mean speed (cm/s) at the end", "steps to 90 % of that"]
+    # 11 - 10 / n reaches 90 % of 9.75 at n = 5.
+    assert cells_of[2] == ["three", "3", "800,000", f"9.75 [{last.low:.2f}, {last.high:.2f}]", "500,000"]
 
 
 @dataclass
@@ -73,9 +112,20 @@ class FakeRow:
 
 def test_policies_are_named_at_their_cost_and_speed_without_overlap():
     rows = [FakeRow(f"direct-{n}", True, 15.0 - 0.01 * n) for n in range(6)]
-    axes = statistics.draw_transport([*rows, FakeRow("law", False, 3.0), FakeRow("rest", False, 0.0)]).axes[0]
+    figure = statistics.draw_transport([*rows, FakeRow("law", False, 3.0), FakeRow("rest", False, 0.0)])
+    axes = figure.axes[0]
     marks = [tuple(line.get_xydata()[0]) for line in axes.lines if line.get_marker() in "os" and len(line.get_xydata())]
     np.testing.assert_allclose(marks, [(2.0, row.speed) for row in rows] + [(2.0, 3.0)], rtol=1e-12)
     heights = [text.xy[1] for text in axes.texts]
-    assert [text.get_text() for text in axes.texts] == [row.name for row in rows] + ["law"]
+    assert texts(axes.texts) == [row.name for row in rows] + ["law"]
     np.testing.assert_allclose(heights, np.arange(13, 0, -2) / 14)
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("cost of transport", "mean speed (cm/s)")
+    assert "without a cost: rest." in " ".join(figure.get_supxlabel().split())
+    labels, handles = texts(figure.legends[0].texts), figure.legends[0].legend_handles
+    assert [label.partition(",")[0] for label in labels] == ["dynamic programming", "trained", "scripted"]
+    assert [each.get_color() for each in handles] == [GREEN, BLUE, INK]
+    # The intervals of trained rows; that of a cost without spread is a point.
+    speed, (front, across, along) = estimate(rows[0].score("nominal", statistics.SPEED.name)), axes.lines[:3]
+    np.testing.assert_allclose(front.get_xydata(), list(optimal_front()))
+    np.testing.assert_allclose(across.get_xydata(), [[2.0, speed.value]] * 2)
+    np.testing.assert_allclose(along.get_xydata(), [[2.0, speed.low], [2.0, speed.high]])

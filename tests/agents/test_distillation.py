@@ -139,7 +139,10 @@ def test_ctrl_c_keeps_the_best_policy_and_the_run_is_not_overwritten(tmp_path, m
     assert command.main(words) == INTERRUPTED
     assert len(evaluated) == 2
     folder = tmp_path / NAME / "seed-0"
-    assert [path.name for path in folder.iterdir()] == ["policy.safetensors"]
+    assert sorted(path.name for path in folder.iterdir()) == ["config.json", "policy.safetensors"]
+    record = json.loads((folder / "config.json").read_text())
+    assert record["hyperparameters"] == json.loads(json.dumps(dataclasses.asdict(STUDENTS[NAME])))
+    assert record["revision"] == load_policy(folder).revision
     kept, first = (policy(np.zeros((1, 9), np.float32)) for policy in (load_policy(folder), evaluated[0]))
     assert kept.tobytes() == first.tobytes()
     assert "kept" in capsys.readouterr().out

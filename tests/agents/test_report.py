@@ -1,5 +1,6 @@
 import dataclasses
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +9,12 @@ import pytest
 from agents import report
 from agents.leaderboard.rows import load_row
 from agents.training.presets import ROWS
+from baselines.drawing import BLUE, MUTED
 from baselines.evaluation.episodes import evaluate
 from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec, load_set
 from tests.agents.fakes import Sine, write_run
 from tests.agents.training.small import small
+from tests.figures import assert_lines, texts
 
 ROOT = Path(__file__).resolve().parents[2]
 PLANT = PlantSpec(0.6, 0.05, seed=3)
@@ -75,3 +78,26 @@ def test_a_recording_is_the_episode(amplitude):
     # The stronger torque ends the episode early.
     assert found["t"][-1] == pytest.approx(episode["duration"], abs=0.011)
     assert found["x"][-1] == pytest.approx(episode["distance"], abs=1e-12)
+
+
+@pytest.mark.parametrize("goal", [None, 0.1])
+def test_a_comparison_shows_both_recordings_and_the_end_of_the_longer_one(tmp_path, saved_figures, goal):
+    recordings = {}
+    for name, seconds in (("adaptive", 9.0), ("agent", 12.0)):
+        t = np.arange(0.0, seconds + 1e-9, 0.02)
+        recordings[name] = {"t": t, "x": 0.1 + 0.02 * t, "theta": np.sin(t), "torque": np.cos(t)}
+    report.draw_comparison(recordings, tmp_path / "comparison.png", replace(PLANT, goal=goal))
+    (figure,) = saved_figures
+    displacement, angle, torque = figure.axes
+    assert displacement.get_title("left") == "Plant (M = 0.6 kg, μ = 0.05)"
+    assert (
+        texts(displacement.get_legend().texts) == ["adaptive: 2.00 cm/s", "agent: 2.00 cm/s", "goal"][: 2 + bool(goal)]
+    )
+    both = list(zip(recordings.values(), (MUTED, BLUE), strict=True))
+    line = [([0.0, 1.0], [100.0 * goal] * 2, MUTED)] if goal else []
+    assert_lines(displacement, *((each["t"], 100.0 * each["x"], colour) for each, colour in both), *line)
+    assert_lines(angle, *((each["t"], np.degrees(each["theta"]), colour) for each, colour in both))
+    assert_lines(torque, *((each["t"], each["torque"], colour) for each, colour in both))
+    assert {each.get_drawstyle() for each in torque.lines} == {"steps-pre"}
+    for axes, label, start in ((displacement, "x (cm)", 0.0), (angle, "θ (deg)", 5.4), (torque, "u (N m)", 5.4)):
+        assert axes.get_ylabel().endswith(label) and axes.get_xlim() == pytest.approx((start, 12.0))

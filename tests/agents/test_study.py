@@ -114,6 +114,7 @@ def test_the_best_policy_and_the_evaluations_are_published(finished, tmp_path):
     folder = copy_policy(finished, checkpoints)
     assert folder == checkpoints / "tiny" / "seed-3"
     assert sorted(path.name for path in folder.iterdir()) == ["evaluations.csv", "policy.safetensors"]
+    assert (checkpoints / "tiny" / "config.json").read_bytes() == (finished.run / "config.json").read_bytes()
     policy = (finished.run / "best" / "policy.safetensors").read_bytes()
     # Existing files are replaced.
     (folder / "policy.safetensors").write_bytes(b"")

@@ -35,15 +35,6 @@ def test_the_committed_regulator_is_one_of_the_designs():
     assert len(differences) == len(lqr.TORQUE_DEVIATIONS) and sorted(differences)[0] < 1e-6 < sorted(differences)[1]
 
 
-def test_corrections_close_a_cycle():
-    content = {name: np.array(values) for name, values in json.loads(lqr.FILE.read_text(encoding="utf-8")).items()}
-    transitions, disturbed = Transitions(Problem(), 9), content["states"][0] + [0.005, 0.05, 0.002]
-    assert np.abs(np.ptp(lqr.linearise(transitions, disturbed, content["torques"])[0][[0, -1]], axis=0)).max() > 1e-4
-    distance, state, torques = lqr.close_cycle(transitions, disturbed, content["torques"])
-    states = lqr.linearise(transitions, state, torques)[0]
-    assert np.isfinite(distance) and (np.abs(states[-1] - states[0]) < lqr.CLOSED * lqr.SCALES).all()
-
-
 def test_the_policy_follows_the_cycle_and_an_episode_does_not_depend_on_others():
     speeds = []
     for count in (1, 3):

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 import baselines
+from baselines import mpc
 from baselines.laws import LAWS
 from baselines.policies import ALL_SCRIPTED
+from capsule_gym import CapsuleVectorEnv
 from capsule_gym.controller import Controller
 
 
@@ -20,3 +22,21 @@ def test_a_law_is_a_controller_and_a_policy_with_a_zero_residual(name):
     (policy,) = (each for each in ALL_SCRIPTED.values() if each.env_kwargs.get("controller") == f"baselines:{name}")
     assert isinstance(controller, Controller) and policy.env_kwargs.get("task") == controller.task
     assert policy.start([0, 1])(np.zeros((2, 10), np.float32)).tolist() == [[0.0], [0.0]]
+
+
+def drive(count, steps=150):
+    env = CapsuleVectorEnv(count, randomization="none", autoreset_mode="DISABLED")
+    observations, _ = env.reset(seed=0)
+    act, taken = mpc.start(range(count)), []
+    for _ in range(steps):
+        taken.append(act(observations))
+        observations, *_ = env.step(taken[-1])
+    metrics = env.episode_metrics()
+    return np.array(taken), metrics
+
+
+def test_the_predictive_controller_moves_and_an_episode_does_not_depend_on_others():
+    (alone, metrics), (among, _) = drive(1), drive(3)
+    assert metrics["distance"][0] > 0.2 and metrics["failed"][0] == 0.0
+    assert alone.dtype == np.float32 and (np.abs(alone) <= 1.0).all()
+    assert np.array_equal(alone[:, 0], among[:, 0])

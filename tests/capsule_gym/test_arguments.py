@@ -234,6 +234,7 @@ BAD_OPTIONS: dict[str, list[tuple[Any, type[Exception], str]]] = {
         *(({"goal": goal}, TypeError, NO_GOAL) for goal in ("far", [0.1])),
     ],
     "batch": [
+        ({"state": [[0.0] * 4, [0.1]]}, TypeError, r"options\['state'\] must be .*, got \[\[0\.0, "),
         ({"changes": 1.0}, TypeError, r"options\['changes'\] must be .* one entry per environment .*, got 1.0"),
         ({"reset_mask": np.array([False, False])}, ValueError, "reset_mask"),
     ],

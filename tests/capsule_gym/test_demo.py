@@ -72,7 +72,13 @@ def test_a_file_has_the_pictures_that_were_asked_for(tmp_path, capsys):
         assert (picture.n_frames, picture.info["duration"]) == (11, 40)
         first = np.asarray(picture.convert("RGB"))
         picture.seek(10)
-        assert (first != np.asarray(picture.convert("RGB"))).any()
+        last = np.asarray(picture.convert("RGB"))
+        assert (first != last).any()
+    assert demo.main(["direct-ppo", "--seconds", "0.4", "-o", str(tmp_path / "alone.gif")]) == 0
+    with Image.open(tmp_path / "alone.gif") as picture:
+        picture.seek(10)
+        # Without the rival.
+        assert (np.abs(np.asarray(picture.convert("RGB"), int) - last).max(axis=2) > 8).sum() > 500
     with pytest.raises(SystemExit):
         demo.main(["adaptive", "--seconds", "0.1", "-o", str(path)])
     with Image.open(path) as picture:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from capsule_gym import CapsuleVectorEnv, _core
-from capsule_gym.controller import find_controller
 from capsule_gym.layout import LANES, ROWS
 from capsule_gym.parameters import REAL
 from capsule_gym.task import TASKS
@@ -52,14 +51,6 @@ def test_bits_do_not_depend_on_level_batch_and_threads(kwargs, select_level):
         # The slowest level, without fused instructions, in a small and a large batch.
         for n in SIZES if level == _core.LEVELS[0] else (3, LANES + 1):
             assert episode(n, 1 + n % 2, **kwargs) == expected[:n], (level, n)
-
-
-def test_a_law_of_the_core_gives_the_torques_of_the_environment():
-    made = find_controller("baselines:gait")
-    states = np.random.default_rng(0).uniform(-1.0, 1.0, (200, 4)) * (1.5, 20.0, 1.0, 1.0)
-    torques, _ = made.law.evaluate(states, np.zeros((200, made.law.cells)), np.zeros((200, _core.LAWS["gait"][2])))
-    _, info = CapsuleVectorEnv(200, controller=made).reset(options={"state": states})
-    assert info["law_torque"].tobytes() == np.clip(torques, -1.5, 1.5).tobytes()
 
 
 def test_an_unknown_level_is_named(select_level):

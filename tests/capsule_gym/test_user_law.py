@@ -209,21 +209,6 @@ def test_a_failed_law_is_called_again_with_the_same_arguments(controls, monkeypa
     np.testing.assert_allclose(np.hstack(again), np.hstack(called[-1]), rtol=1e-9)
 
 
-class Squared:
-    """A law that is an object."""
-
-    def __call__(self, theta, theta_dot, x, x_dot, memory, reference):
-        return 0.3 * theta * abs(theta), memory
-
-
-def test_a_callable_object_is_a_law_that_python_calls_with_one_warning():
-    made = Controller("squared", Squared(), np.zeros((1, 2)))
-    with pytest.warns(UserWarning, match=r"^Python calls the control law 'squared', .* cannot compile it: ") as said:
-        single, batch = (torques(made, n) for n in (1, 70))
-    assert len(said) == 1 and "\n" not in str(said[0].message)
-    assert single[:, 0].tobytes() == batch[:, 0].tobytes() and np.ptp(single) > 0.01
-
-
 def scaled(gain, theta, theta_dot, x, x_dot, memory, reference, offset=0.0):
     return gain * theta + offset, memory
 

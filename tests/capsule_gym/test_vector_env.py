@@ -1,11 +1,15 @@
 """The native batch: the same episodes as single environments bit for bit, autoreset, infos, threads."""
 
 import copy
+import gc
 import hashlib
 import itertools
 import multiprocessing
 import os
 import pickle
+import threading
+import time
+import tracemalloc
 from functools import partial
 
 import gymnasium as gym
@@ -15,7 +19,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import baselines
-from capsule_gym import CapsuleVectorEnv
+from capsule_gym import CapsuleEnv, CapsuleVectorEnv
 from capsule_gym.layout import LANES
 from capsule_gym.task import ENV_ID, METRICS, TASKS, Termination
 from tests.capsule_gym.fakes import picky_controller
@@ -276,6 +280,13 @@ def test_one_environment_that_diverges_ends_alone(mode):
             assert (found[1][lost] == -10.0).all()
 
 
+def test_an_interrupted_step_waits_for_its_other_threads():
+    simulation, done = CapsuleVectorEnv(130, threads=2).simulation, []
+    with pytest.raises(ZeroDivisionError):
+        simulation._share(lambda first, last: done.append(time.sleep(0.1)) if first else 1 // first)
+    assert len(done) == 1
+
+
 def digest(env: CapsuleVectorEnv) -> str:
     actions = np.full((env.num_envs, 1), 0.5, np.float32)
     return hashlib.sha256(b"".join(env.step(actions)[0].tobytes() for _ in range(20))).hexdigest()
@@ -285,6 +296,7 @@ def digest(env: CapsuleVectorEnv) -> str:
 # From Python 3.12 on, fork warns that other threads may hold locks. The threads of this package are idle.
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_a_forked_process_steps_on():
+    threads = threading.active_count()
     env, context = CapsuleVectorEnv(130, threads=2), multiprocessing.get_context("fork")
     env.reset(seed=0)
     env.step(np.zeros((130, 1), np.float32))
@@ -295,3 +307,21 @@ def test_a_forked_process_steps_on():
     child.kill()
     assert child.exitcode == 0 and ours.recv() == digest(env)
     env.close()
+    assert threading.active_count() == threads
+
+
+@pytest.mark.parametrize("num_envs", [None, 130])
+def test_stepping_does_not_grow_memory(num_envs):
+    env = CapsuleVectorEnv(130, max_episode_steps=10**9, threads=2) if num_envs else CapsuleEnv()
+    env.reset(seed=0)
+    actions = np.zeros((130, 1) if num_envs else 1, np.float32)
+    tracemalloc.start()
+    held = []
+    for steps in (50, 500):
+        for _ in range(steps):
+            env.step(actions)
+        gc.collect()
+        held.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+    # One reference kept per step would take 4 kB.
+    assert held[1] - held[0] < 4_000

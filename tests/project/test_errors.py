@@ -171,9 +171,14 @@ def test_an_invalid_argument_is_named(call, error, message):
 COMMANDS = [
     (distil, ["nobody"], "NAME must be one of .*, got 'nobody'"),
     (study, [], "NAME must be one or several of"),
+    (study, ["direct-ppo", "--jobs", "0"], "--jobs must be an integer >= 1, got 0"),
     (study, ["direct-ppo", "--jobs", "2", "--backend", "ray"], "--jobs needs --backend loky"),
     (study, ["direct-ppo", "--backend", "ray"], "--backend ray needs Ray: pip install 'capsule-gym"),
     (export, ["direct-ppo"], "at least one of --c and --onnx must be given"),
+    (export, ["direct-ppo", "--law", "--c", "policy.h"], "--law needs a control law of the core"),
+    (export, ["tests.capsule_gym.fakes:picky_controller", "--c", "policy.h"], "--law needs a control law of the core"),
+    (export, ["baselines:adaptive", "--onnx", "law.onnx"], "--onnx needs a policy"),
+    (export, ["direct-pqo", "--c", "policy.h"], "name_or_path must be one of"),
     (export, ["direct-ppo", "--c", "policy.c"], "--c must be the name of a file .h, got 'policy.c'"),
     (demo, ["adaptive", "--output", "film.mp4"], "--output must be the name of a GIF, got 'film.mp4'"),
     (demo, ["adaptive", "--output", "nowhere/film.gif"], "--output must name a file in a folder that exists"),
@@ -200,6 +205,7 @@ def test_an_invalid_command_line_ends_with_2_and_names_the_option(main, words, m
         main(words)
     assert ended.value.code == 2
     assert re.search(message, " ".join(re.sub("[│╭╮╰╯─]", "", capsys.readouterr().err).split()))
+    assert not list(tmp_path.iterdir())
 
 
 MISSING = [

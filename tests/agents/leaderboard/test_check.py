@@ -7,7 +7,7 @@ from agents.leaderboard.chart import CHART
 from agents.leaderboard.page import MAIN_SETS, TABLES
 from agents.leaderboard.rows import RESULTS
 from baselines.evaluation import policies
-from capsule_gym import Capsule, evaluation_sets
+from capsule_gym import evaluation_sets
 from tests.agents.fakes import write_run
 from tests.agents.leaderboard.world import checked, edit_row, evaluated_again, make_set, table
 
@@ -21,16 +21,11 @@ def test_written_results_pass_the_check(written):
 
 
 def test_the_first_episodes_of_policies_are_those_of_the_published_results():
-    names = ("adaptive", "lqr", "pd", "oscillator", "gait-predictive", "goal-pulses", "velocity-pulses", "direct-ppo")
+    names = ["adaptive", "lqr", "pd", "oscillator", "gait-guarded", "gait-predictive", "goal-pulses", "velocity-pulses"]
+    names += ["dp-oracle", "dp-nominal", "direct-ppo"]
     sets = [replace(each, plants=each.plants[:1]) for each in map(evaluation_sets.load_set, leaderboard.SETS)]
     rows = leaderboard.evaluate([policies.find_candidate(name) for name in names], sets)
     assert list(leaderboard.check_episodes(leaderboard.ROOT, rows)) == []
-
-
-def test_check_names_changed_sets(written):
-    other = [make_set("paper", (0.5, 0.02)), make_set("new", (0.5, 0.01))]
-    with pytest.raises(ValueError, match="adaptive: the hash of the set paper is"):
-        checked(written, other)
 
 
 def test_check_names_changed_rows(written):
@@ -83,13 +78,6 @@ def test_check_compares_the_last_bit_of_every_episode(written, name):
     assert [len(evaluated_again(written, policies.find_candidate(name), plants=n)) for n in (1, 2)] == [0, 1]
 
 
-def test_check_finds_another_plant(written, monkeypatch):
-    monkeypatch.setitem(evaluation_sets.EPISODE_SETTINGS, "capsule", Capsule(l=0.3 * 1.02))
-    stale = evaluated_again(written, *policies.all_candidates())
-    for name in ("adaptive", "pd", "learnt"):
-        assert any(line.startswith(f"{name} on paper: mean_speed is") for line in stale)
-
-
 @pytest.fixture
 def main(world, monkeypatch):
     """The command on small sets for two tasks."""
@@ -139,9 +127,6 @@ def test_uncommitted_training_code_raises_an_error(main, world, capsys):
         assert stop.value.code == 2
         assert "dirty/seed-3: the revision 0123456789ab+ is not committed" in capsys.readouterr().err
     assert not (world / RESULTS / "dirty.npz").exists()
-    assert leaderboard.uncommitted(policies.all_candidates()) == [
-        "dirty/seed-3: the revision 0123456789ab+ is not committed"
-    ]
     with pytest.raises(SystemExit):
         main("--check")
     assert "dirty: no results" in capsys.readouterr().err

@@ -5,9 +5,11 @@ import numpy as np
 import pytest
 
 from agents.leaderboard import page
-from agents.leaderboard.chart import contents
+from agents.leaderboard.chart import contents, draw
 from agents.leaderboard.page import _section, grouped, message
+from baselines.drawing import BLUE, VERMILION
 from tests.agents.leaderboard.world import checked, edit_row, read, table
+from tests.figures import assert_bars, texts
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -94,3 +96,25 @@ def test_a_readme_without_a_marker_raises_an_error(written):
         (written / "README.md").write_text(text)
         with pytest.raises(ValueError, match=r"README\.md must contain <!-- --8<-- \[start:message\] --> and then"):
             checked(written)
+
+
+def test_the_chart_has_a_bar_for_every_mean_and_marks_failures(written, saved_figures):
+    board = read(written)
+    draw(board)
+    (axes,) = saved_figures[0].axes
+    ticks, bars, marks = axes.get_yticklabels(), [], []
+    for on, colour, side in (("paper", BLUE, -0.19), ("real", VERMILION, 0.19)):
+        for y, tick in enumerate(ticks):
+            if tick.get_fontweight() == "normal":
+                found = row_of(board, tick.get_text().replace("\n", ""))["results"][on]
+                # From top to bottom, with the bar of `paper` above that of `real`.
+                bars.append((y + side, found["mean_speed"]["mean"], colour))
+                if share := found["failures"] / found["episodes"]:
+                    marks.append((f"\u00d7 {100.0 * share:.0f} %", max(bars[-1][1], 0.0) + 0.15, y + side))
+    assert_bars(axes, *bars)
+    assert {round(bar.get_height(), 9) for bar in axes.patches} == {0.38}
+    assert [(text.get_text(), *text.xy) for text in axes.texts] == marks and len(marks) > 1
+    assert texts(tick for tick in ticks if tick.get_fontweight() == "bold") == list(grouped(board))
+    low, high = axes.get_ylim()
+    assert low > len(ticks) - 1.0 + 0.38 and high < -0.38 and axes.get_xlim()[0] == 0.0
+    assert [name.partition(":")[0] for name in texts(saved_figures[0].legends[0].texts)] == ["paper", "real"]

@@ -1,12 +1,10 @@
 import csv
 import dataclasses
 import json
-import pickle
 
 import numpy as np
 import pytest
 import torch
-from stable_baselines3 import PPO
 
 from agents.evaluation.criteria import CRITERIA
 from agents.training.algorithms import make_env, make_model
@@ -58,15 +56,6 @@ def test_a_run_folder_holds_what_a_policy_needs(tmp_path):
     policy = load_policy(run)
     assert json.loads(json.dumps(policy.env_kwargs)) == content["env"]
     assert (policy.training_seed, policy.revision) == (0, content["revision"])
-    # The last and the best policy, as file and as archive; the archive takes normalised observations.
-    observations = np.random.default_rng(0).normal(size=(5, 10)).astype(np.float32)
-    both = {"policy": observations, "critic": np.zeros((5, 2), np.float32)}
-    for folder in (run, run / "best"):
-        policy = load_policy(folder / "policy.safetensors")
-        agent = PPO.load(folder / "model.zip", device="cpu")
-        normalise = pickle.loads((folder / "vecnormalize.pkl").read_bytes()).normalize_obs
-        expected, _ = agent.predict(normalise(both), deterministic=True)
-        np.testing.assert_allclose(policy(observations), expected, atol=2e-6)
 
 
 RANGES = {"mass_range": (0.42, 0.44), "friction_range": (0.06, 0.07)}

@@ -1,6 +1,7 @@
 """The hyperparameters of training: options shared with the environment have its descriptions and defaults."""
 
 import dataclasses
+import json
 import math
 import re
 
@@ -9,9 +10,12 @@ import pytest
 import train
 from agents.analysis.statistics import read_evaluations
 from agents.distillation.config import STUDENTS
-from agents.training.config import EVALUATIONS, RANGES
+from agents.distillation.dagger import HIDDEN
+from agents.training.config import CONFIG, EVALUATIONS, RANGES, read_config
 from agents.training.presets import PRESETS, ROWS
 from baselines.evaluation.policies import CHECKPOINTS, checkpoint_names, find_candidate
+from capsule_gym.files import to_json
+from capsule_gym.policy import IMITATION
 
 
 @pytest.mark.parametrize("name", RANGES)
@@ -27,30 +31,23 @@ def test_a_range_ends_where_its_words_say(name):
             changed.check()
 
 
-@pytest.mark.parametrize("name", ROWS)
-def test_a_committed_policy_acts_as_its_rows_settings_say(name):
-    settings = ROWS[name]
-    settings.check()
-    assert settings.seed == 0
-    for policy in find_candidate(name).policies:
-        # The plants, the observation and the law of a row stay; these settings may change with its training.
-        changing = {"initial_range", "termination_penalty", "control_dt", "total_torque"}
-        found, expected = (
-            {name: value for name, value in kwargs.items() if name not in changing}
-            for kwargs in (policy.env_kwargs, settings.env_kwargs())
-        )
-        assert found == expected
-        assert policy.algorithm == settings.algo
-        assert [bias.size for _, bias in policy.layers] == [settings.hidden, settings.hidden, 1]
-
-
-@pytest.mark.parametrize("name", sorted(ROWS))
-def test_committed_evaluations_are_those_of_the_rows_settings(name):
-    config = ROWS[name]
-    steps, _ = read_evaluations(CHECKPOINTS / name / "seed-0" / EVALUATIONS, config.env_task)
-    rollout = config.num_envs * (config.n_steps if config.algo == "ppo" else 1)
-    expected = [math.ceil(each / rollout) * rollout for each in (config.evaluate_every, config.total_steps)]
-    assert steps[[0, -1]].tolist() == expected
+@pytest.mark.parametrize("name", [*ROWS, *STUDENTS])
+def test_a_rows_settings_are_those_that_its_policies_were_trained_with(name):
+    record, policies = json.loads((CHECKPOINTS / name / CONFIG).read_text("utf-8")), find_candidate(name).policies
+    if name in STUDENTS:
+        assert record["hyperparameters"] == json.loads(to_json(dataclasses.asdict(STUDENTS[name])))
+        expected = STUDENTS[name].env_kwargs, IMITATION, HIDDEN
+    else:
+        settings = ROWS[name]
+        assert dataclasses.replace(read_config(CHECKPOINTS / name), seed=0) == settings
+        expected = settings.env_kwargs(), settings.algo, settings.hidden
+        rollout = settings.num_envs * (settings.n_steps if settings.algo == "ppo" else 1)
+        ends = [math.ceil(each / rollout) * rollout for each in (settings.evaluate_every, settings.total_steps)]
+        for path in (CHECKPOINTS / name).glob(f"*/{EVALUATIONS}"):
+            assert read_evaluations(path, settings.env_task)[0][[0, -1]].tolist() == ends
+    for policy in policies:
+        assert (policy.env_kwargs, policy.algorithm) == expected[:2] and policy.revision == record["revision"]
+        assert [bias.size for _, bias in policy.layers] == [expected[2], expected[2], 1]
 
 
 def test_the_table_of_commands_names_every_row_and_its_seeds():
@@ -65,4 +62,6 @@ def test_the_table_of_commands_names_every_row_and_its_seeds():
             continue
         program, *words = command.replace(" N", " 7").split()
         assert program == "train.py"
-        assert train.read_args(words).hyperparameters == dataclasses.replace(ROWS[name], seed=7)
+        options = train.read_args([*words, "--gamma", "0.9"])
+        expected = dataclasses.replace(ROWS[name], seed=7, gamma=0.9)
+        assert (options.hyperparameters, options.task, options.algo) == (expected, expected.task, expected.algo)

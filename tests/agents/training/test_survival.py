@@ -1,6 +1,5 @@
 """Resuming: a killed and resumed run ends like an undisturbed run; errors name damaged and broken files."""
 
-import dataclasses
 import json
 import multiprocessing
 import os
@@ -27,11 +26,10 @@ from agents.training.algorithms import make_env
 from agents.training.checkpoint import locked
 from agents.training.config import Config, RunError, read_config
 from agents.training.loop import begin, train
-from agents.training.presets import PRESETS
 from agents.training.signals import INTERRUPTED, Stop
 from tests.agents.training.small import differences, finished, parameters, same, train_until
+from tests.agents.training.small import small as make_config
 
-SMALL = {"num_envs": 8, "batch_size": 64, "hidden": 8, "evaluation_episodes": 1, "evaluate_every": 200}
 OFF_POLICY: dict[str, Any] = {"learning_starts": 150, "buffer_size": 600, "gradient_steps": 1, "total_steps": 800}
 OWN = {
     "ppo": {"n_steps": 16, "n_epochs": 1, "total_steps": 800, "episode_seconds": 0.2, "randomization": "wide"},
@@ -41,7 +39,8 @@ OWN = {
 
 
 def small(algo: str, **changes: Any) -> Config:
-    return dataclasses.replace(PRESETS["residual", algo], **{**SMALL, **OWN[algo], **changes})
+    shared = {"evaluation_episodes": 1, "evaluate_every": 200}
+    return make_config("residual", algo, **{**shared, **OWN[algo], **changes})
 
 
 def steps_of(run: Path) -> int:

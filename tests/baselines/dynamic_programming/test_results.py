@@ -133,17 +133,3 @@ def test_the_page_shows_the_results_on_file():
         rows.append([1e3 * each.control_dt, each.mean_speed, max(each.steady), each.gains[-1]])
         assert f"{each.gains[-1]:.2f}|{extrapolated(each)}|" in page
     assert all("|".join([f"\n|{row[0]:g}", *(f"{value:.2f}" for value in row[1:]), ""]) in page for row in rows)
-
-
-@pytest.mark.parametrize(
-    ("name", "plants"),
-    [
-        ("dp-oracle", [(0.35, 0.3, 30.0), (0.5, 0.01, 14.5), (0.42, 0.07, 20.0), (0.62, 0.015, 12.0)]),
-        ("dp-nominal", [(0.5, 0.01, 13.5), (0.45, 0.009, 13.5), (0.55, 0.011, 13.5)]),
-    ],
-)
-def test_a_policy_is_fast_and_does_not_fail(name, plants):
-    specs = tuple(PlantSpec(M=M, mu=mu, seed=0) for M, mu, _ in plants)
-    episodes = evaluate(SCRIPTED[name], EvaluationSet("some", specs), horizon=8.0)
-    for episode, (_, _, slowest) in zip(episodes, plants, strict=True):
-        assert not episode["failed"] and episode["mean_speed"] > slowest

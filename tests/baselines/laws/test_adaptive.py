@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from baselines.laws.adaptive import MEMORY, adaptive, constants_of, eta_of, nominal_estimates, sliding_variables
+from baselines.laws.adaptive import MEMORY, adaptive, constants_of, eta_of, nominal_estimates
 from baselines.laws.gains import PUBLISHED, REGULARISED, UNREGULARISED, Gains
 from baselines.laws.profiles import COLUMNS, PROPOSED, reference_table
-from capsule_gym import Capsule, dynamics
+from capsule_gym import Capsule
 from capsule_gym.controller import CoreLaw
 from capsule_gym.parameters import NOMINAL
 
@@ -100,40 +100,6 @@ def test_every_term_and_the_euler_step_are_the_papers(form, n, contact):
         if trial % 5 > 0:
             assert (after[9] - memory[9]) / 2e-4 == pytest.approx(root_rate, rel=1e-7)
         assert after[10] == memory[10]
-
-
-@pytest.mark.parametrize("contact", ["newton", "paper"])
-def test_error_dynamics_are_those_of_the_plant(contact):
-    # Eq. (38), M delta' + C delta = [T, 0] - [Y_theta alpha_theta, Y_x alpha_x], with the plant's own accelerations
-    # and normal force, determines every sign and factor of the regressors.
-    # The estimates are free, and a step of 1 s shows the regressors.
-    p, constants = some_constants(contact=contact, dt=1.0, estimate_range=math.inf)
-    law = CoreLaw("adaptive", **constants)
-    alpha = np.array(nominal_estimates(p))
-    rng = np.random.default_rng(11)
-    checked = 0
-    for _ in range(200):
-        (theta, theta_dot, x, x_dot), memory, reference = draw(rng)
-        u = rng.uniform(-1.0, 1.0)
-        theta_ddot, x_ddot, normal = dynamics.accelerations(theta, theta_dot, x_dot, math.copysign(1.0, x_dot), u, p)
-        if normal <= 0.0:
-            continue
-        checked += 1
-        # The law uses theta_d'' in place of theta'' in N. If both are equal, its N is the plant's.
-        reference = (*reference[:2], theta_ddot, *reference[3:])
-        _, after = law(theta, theta_dot, x, x_dot, memory, reference)
-        delta_theta, delta_x = sliding_variables((theta, theta_dot, x, x_dot), memory[-1], np.array(reference), GAINS)
-        change = np.subtract(memory, after)
-        Y_theta, Y_x = change[:5] / (GAINS.Gamma_1 * delta_theta), change[5:9] / (GAINS.Gamma_2 * delta_x)
-        e_dot, e_x_dot = theta_dot - reference[1], x_dot - reference[4]
-        delta_dot = np.array([GAINS.Lambda_theta * e_dot, x_ddot - (reference[5] - GAINS.Lambda_x * e_x_dot)])
-        ml, sin, c = p.m * p.l, math.sin(theta), math.cos(theta)
-        mass = np.array([[ml * p.l, -ml * c], [-ml * c, p.M + p.m]])
-        coriolis = np.array([[0.0, 0.0], [ml * sin * theta_dot, 0.0]])
-        left = mass @ delta_dot + coriolis @ [delta_theta, delta_x]
-        right = np.array([u - np.dot(Y_theta, alpha[:5]), -np.dot(Y_x, alpha[5:])])
-        np.testing.assert_allclose(left, right, rtol=1e-9, atol=1e-10)
-    assert checked > 100
 
 
 def test_memory_stays_within_its_bounds():

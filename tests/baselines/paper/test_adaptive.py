@@ -78,6 +78,24 @@ def test_no_choice_saves_the_plants_of_another_mass():
         assert failed[off].all() and off.sum() == 20
 
 
+def test_variants_change_one_choice_at_a_time_or_are_corners(monkeypatch):
+    def run(controller, plants):
+        assert plants == study.plant_grid()
+        plain = adaptive(choices=UNREGULARISED)
+        own = (controller.law, controller.memory) == (plain.law, plain.memory)
+        return np.array([controller.dt == 1e-4, own, False]), None
+
+    monkeypatch.setattr(study, "run_cycles", run)
+    found = {tuple(variant): failed for *variant, failed in study.study_variants()}
+    own = next(iter(found))
+    assert own == (UNREGULARISED.beta, UNREGULARISED.eta_0, UNREGULARISED.n, 1000)
+    for n, values in enumerate((study.BETAS, study.ETAS, study.EXPONENTS, study.RATES)):
+        assert {each[n] for each in found if each[:n] + each[n + 1 :] == own[:n] + own[n + 1 :]} == set(values)
+    assert (study.BETAS[0], study.ETAS[-1], study.EXPONENTS[-1], 1000) in found
+    assert {n for *_, n, rate in found if rate == 10_000} == {own[2]}
+    assert {each for each, failed in found.items() if failed} == {own, *(each for each in found if each[3] == 10_000)}
+
+
 def test_error_on_the_nominal_plant_is_that_of_the_zero_order_hold():
     slow, fast = (run_cycles(adaptive(dt=dt), [(0.5, 0.01), LIGHT], cycles=1, shown=(1,))[1][0] for dt in (1e-3, 2e-4))
     # The rows are the errors of angle and rate, and delta_theta; the columns are the plants.

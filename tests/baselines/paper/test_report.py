@@ -8,7 +8,7 @@ import pytest
 from baselines import drawing
 from baselines.paper import __main__ as paper
 from baselines.paper import figures, published, report, tracking
-from baselines.paper.adaptive import CORRECTED_LAW
+from baselines.paper.adaptive import sliding
 
 pytest.importorskip("matplotlib")
 
@@ -69,18 +69,62 @@ def test_command_prints_every_published_number(made, monkeypatch, capsys, tmp_pa
         paper.main(["--figures", str(tmp_path / "file")])
 
 
-def test_figures_show_the_numbers_of_the_table(made):
+# What a panel shows, by the label of its axis.
+QUANTITIES = {
+    "rate θ' (rad/s)": lambda run: run.theta_dot,
+    "angle θ (deg)": lambda run: np.degrees(run.theta),
+    "displacement x (cm)": lambda run: 100.0 * run.x,
+    "torque u (N m)": lambda run: run.torque,
+    r"angle error $\theta - \theta_d$ (mrad)": lambda run: 1e3 * (run.theta - run.reference[:, 0]),
+    r"rate error $\dot\theta - \dot\theta_d$ (mrad/s)": lambda run: 1e3 * (run.theta_dot - run.reference[:, 1]),
+    r"$\delta_\theta$ (mrad/s)": lambda run: 1e3 * sliding(run)[0],
+}
+# Heights of lines at published numbers, and the number of the table that a figure shows for both profiles.
+STATED = {
+    "fig3_tracking": {7.8, 11.0, 68.75, 85.85},
+    "fig5_torque": {0.5367, -0.5367, 0.6246, -0.6246},
+    "fig6_adaptive_tracking": {7.9},
+    "fig8_adaptive_torque": {0.5367},
+}
+TABLE = {
+    "fig3_tracking": ("peak_velocity", 2),
+    "fig4_displacement": ("mean_speed", 3),
+    "fig5_torque": ("peak_torque", 3),
+}
+
+
+@pytest.mark.parametrize("name", figures.FIGURES)
+def test_curves_are_the_runs_in_the_units_of_their_axes(name, made):
+    profiles = dict(zip((drawing.PENS[each]["color"] for each in published.RUNS), figures.profile_runs(), strict=True))
+    laws = [dict(zip(figures.PLANT_COLOURS, runs, strict=True)) for runs in figures.adaptive_runs().values()]
     with drawing.style():
-        texts = {name: text_of(draw()) for name, draw in figures.FIGURES.items()}
-    assert [name[:4] for name in texts][:7] == [f"fig{n}" for n in range(3, 10)]
-    for name, key, digits in (
-        ("fig3_tracking", "peak_velocity", 2),
-        ("fig4_displacement", "mean_speed", 3),
-        ("fig5_torque", "peak_torque", 3),
-    ):
+        figure = figures.FIGURES[name]()
+    columns, heights = 1 if name == "fig4_displacement" else 2, set()
+    for n, axes in enumerate(figure.axes):
+        quantity = QUANTITIES[figure.axes[n - n % columns].get_ylabel()]
+        runs = profiles if name[3] in "345" else laws[n % columns]
+        (start, end), (low, high) = axes.get_xlim(), axes.get_ylim()
+        seen = []
+        for line in (each for each in axes.lines if len(each.get_xdata())):
+            x, y = line.get_xydata().T
+            if len(x) > 2 and line.get_color() in runs:
+                run = runs[line.get_color()]
+                steps = np.searchsorted(run.t, x - 1e-9)
+                np.testing.assert_allclose(y, quantity(run)[steps], atol=1e-9)
+                assert x[0] < start + 2e-3 and x[-1] >= min(end, run.t[-1]) - 1e-9
+                seen.append(line.get_color())
+            elif len(x) == 2 and y[0] == y[1]:
+                heights.add(y[0])
+            shown = y[(x >= start) & (x <= end)] if len(x) > 2 else y
+            assert len(x) == 1 or low <= shown.min() <= shown.max() <= high
+        # In Figure 5, every profile has a row of its own.
+        assert seen == ([[*runs][n // 2]] if name == "fig5_torque" else [*runs])
+    assert heights == STATED.get(name, set())
+    if name in TABLE:
+        key, digits = TABLE[name]
         for profile, numbers in published.RUNS.items():
-            assert f"{numbers[key].value:g}" in texts[name]
-            assert f"{made['tracking'][profile]['newton'][key]:.{digits}f}" in texts[name]
-    for name in ("fig6_adaptive_tracking", "fig7_adaptive_error", "fig8_adaptive_torque", "fig9_sliding_variable"):
-        assert "1 of 3 runs loses contact with the floor, at 0.10 s" in texts[name]
-    assert [run.completed for run in figures.adaptive_runs()[CORRECTED_LAW]] == [True, False, True]
+            found = made["tracking"][profile]["newton"][key]
+            assert f"{numbers[key].value:g}" in text_of(figure) and f"{found:.{digits}f}" in text_of(figure)
+    else:
+        assert "1 of 3 runs loses contact with the floor, at 0.10 s" in text_of(figure)
+    assert all(axes.get_xlabel().startswith("time") for axes in figure.axes[-columns:])
