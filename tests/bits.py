@@ -6,6 +6,7 @@ of a batch over a whole episode, and the metrics at its end.
 """
 
 import hashlib
+import itertools
 import json
 import re
 import sys
@@ -54,14 +55,8 @@ def random_actions(scale: float) -> Callable[[Sequence[int]], Act]:
     def start(seeds: Sequence[int]) -> Act:
         draws = np.array([np.random.default_rng([seed, 2]).random(CYCLE) for seed in seeds])
         actions = (scale * (2.0 * draws - 1.0)).astype(np.float32)
-        step = -1
-
-        def act(observations: np.ndarray) -> np.ndarray:
-            nonlocal step
-            step += 1
-            return actions[:, step // HOLD % CYCLE, None]
-
-        return act
+        steps = itertools.count()
+        return lambda observations: actions[:, next(steps) // HOLD % CYCLE, None]
 
     return start
 
@@ -101,12 +96,8 @@ def subjects() -> Iterator[Subject]:
         yield Subject(f"policy {name}", trained.env_kwargs, trained.start)
 
 
-def batched(subject: Subject) -> tuple[list[np.ndarray], dict[str, np.ndarray]]:
-    """The episodes of a batch and their metrics; an environment stands still after its episode has ended.
-
-    Returns:
-        Observations, rewards and states, shape (steps, `NUM_ENVS`, ...); metrics.
-    """
+def compute(subject: Subject) -> str:
+    """The hash of a subject; an environment stands still after its episode has ended."""
     kwargs = {**subject.env_kwargs, "max_episode_steps": subject.steps}
     env = CapsuleVectorEnv(NUM_ENVS, autoreset_mode=AutoresetMode.DISABLED, **kwargs)
     observations, _ = env.reset(seed=0)
@@ -115,15 +106,8 @@ def batched(subject: Subject) -> tuple[list[np.ndarray], dict[str, np.ndarray]]:
     for _ in range(subject.steps):
         observations, rewards, _, _, info = env.step(act(observations))
         shown.append((observations, rewards, info["state"].copy()))
-    metrics = env.episode_metrics()
-    return [np.array(column) for column in zip(*shown, strict=True)], metrics
-
-
-def compute(subject: Subject) -> str:
-    """The hash of a subject."""
-    trajectory, metrics = batched(subject)
     digest = hashlib.sha256()
-    for array in (*trajectory, *metrics.values()):
+    for array in (*map(np.array, zip(*shown, strict=True)), *env.episode_metrics().values()):
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
 

@@ -1,3 +1,4 @@
+import itertools
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -29,13 +30,11 @@ class Sine:
     told: str = "nothing"
 
     def start(self, seeds):
-        step = 0
+        steps = itertools.count()
 
         def act(observations):
-            nonlocal step
             assert observations.shape[0] == len(seeds)
-            torque = self.amplitude / 1.5 * np.cos(2.0 * np.pi * 0.02 * step / self.period)
-            step += 1
+            torque = self.amplitude / 1.5 * np.cos(2.0 * np.pi * 0.02 * next(steps) / self.period)
             return np.full((len(seeds), 1), torque, np.float32)
 
         return act

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import baselines
-from baselines import mpc
+from baselines import lqr, mpc
 from baselines.laws import LAWS
 from baselines.policies import ALL_SCRIPTED
 from capsule_gym import CapsuleVectorEnv
@@ -24,10 +24,10 @@ def test_a_law_is_a_controller_and_a_policy_with_a_zero_residual(name):
     assert policy.start([0, 1])(np.zeros((2, 10), np.float32)).tolist() == [[0.0], [0.0]]
 
 
-def drive(count, steps=150):
+def drive(start, count, steps):
     env = CapsuleVectorEnv(count, randomization="none", autoreset_mode="DISABLED")
     observations, _ = env.reset(seed=0)
-    act, taken = mpc.start(range(count)), []
+    act, taken = start(range(count)), []
     for _ in range(steps):
         taken.append(act(observations))
         observations, *_ = env.step(taken[-1])
@@ -35,8 +35,9 @@ def drive(count, steps=150):
     return np.array(taken), metrics
 
 
-def test_the_predictive_controller_moves_and_an_episode_does_not_depend_on_others():
-    (alone, metrics), (among, _) = drive(1), drive(3)
-    assert metrics["distance"][0] > 0.2 and metrics["failed"][0] == 0.0
+@pytest.mark.parametrize(("start", "steps", "distance"), [(mpc.start, 150, 0.2), (lqr.start, 500, 0.9)])
+def test_a_planned_policy_moves_and_an_episode_does_not_depend_on_others(start, steps, distance):
+    (alone, metrics), (among, _) = (drive(start, count, steps) for count in (1, 3))
+    assert metrics["distance"][0] > distance and metrics["failed"][0] == 0.0
     assert alone.dtype == np.float32 and (np.abs(alone) <= 1.0).all()
     assert np.array_equal(alone[:, 0], among[:, 0])

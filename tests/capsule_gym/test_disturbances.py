@@ -117,17 +117,14 @@ def proportional(theta, theta_dot, x, x_dot, memory, reference):
     return 0.1 * theta + 0.01 * theta_dot + 0.1 * x + x_dot, memory
 
 
-def shown(reading: np.ndarray) -> float:
-    return float(np.clip(reading @ [0.1, 0.01, 0.1, 1.0], -1.5, 1.5))
-
-
 @pytest.mark.parametrize(("controls", "law", "agent"), [("both", 1, 1), ("law", 1, 0), ("agent", 0, 1)])
 def test_controls_says_who_sees_the_sensors(controls, law, agent):
     controller = Controller("proportional", proportional, np.zeros((1, 2)))
     env = CapsuleEnv(controller=controller, disturbances=replace(REAL, controls=controls))
     for info in run(env, swing(100), seed=4):
         states = info["state"], info["reading"]
-        assert info["law_torque"] == pytest.approx(shown(states[law]), abs=1e-12)
+        torque = np.clip(states[law] @ [0.1, 0.01, 0.1, 1.0], -1.5, 1.5)
+        assert info["law_torque"] == pytest.approx(torque, abs=1e-12)
         seen = states[agent][[0, 1, 3]].clip(-np.array([math.pi / 2, 20.0, 2.0]), [math.pi / 2, 20.0, 2.0])
         np.testing.assert_allclose(info["observation"][:3], seen, rtol=1e-6)
         if agent:

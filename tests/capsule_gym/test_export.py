@@ -163,19 +163,6 @@ def test_onnx(observed: Any, single: bool):
     assert worst <= (2e-6 if single else 1e-9)
 
 
-@pytest.mark.parametrize("name", ["direct-ppo", "residual-real"])
-def test_float_does_not_change_the_speed(library: Any, name: str):
-    policy, speeds = load_policy(name), []
-    for act in (policy, c_policy(library(name, True))):
-        env = CapsuleVectorEnv(100, **{**policy.env_kwargs, "max_episode_steps": 400})
-        observation, _ = env.reset(seed=8_000)
-        for _ in range(399):
-            observation, *_ = env.step(act(observation))
-        speeds.append(env.episode_metrics()["mean_speed"].mean())
-    assert speeds[0] > 10.0
-    assert speeds[1] == pytest.approx(speeds[0], abs=1e-3)
-
-
 @pytest.mark.parametrize("name", LAWS)
 def test_c_law(library: Any, name: str):
     """On 3,000 states, some of them at rest, and with changes that no plant makes."""

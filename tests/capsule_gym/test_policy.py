@@ -189,10 +189,7 @@ def ones(*shape: int) -> np.ndarray:
     return np.ones(shape, np.float32)
 
 
-def layers_of(units: int) -> dict[str, np.ndarray]:
-    return {"layers.0.weight": ones(units, 5), "layers.0.bias": ones(units), "layers.1.weight": ones(1, units)}
-
-
+WIDE = {"layers.0.weight": ones(2000, 5), "layers.0.bias": ones(2000), "layers.1.weight": ones(1, 2000)}
 DEEP = {f"layers.{n}.{kind}": ones(*shape) for n in range(2, 7) for kind, shape in (("weight", (1, 1)), ("bias", (1,)))}
 # Tensors and entries of the metadata that replace those of a valid file (None removes one), and the error message.
 HOSTILE_TENSORS: list[tuple[dict[str, np.ndarray | None], str]] = [
@@ -201,7 +198,7 @@ HOSTILE_TENSORS: list[tuple[dict[str, np.ndarray | None], str]] = [
     ({"inputs.mean": np.zeros(6)}, "of shape (5,), one for each entry"),
     ({"layers.0.bias": None}, "it must contain the tensors"),
     ({**DEEP}, "1 to 6 layers, got 7"),
-    ({**layers_of(2000)}, "1 to 1024 units"),
+    ({**WIDE}, "1 to 1024 units"),
 ]
 HOSTILE_METADATA: list[tuple[dict[str, str | None], str]] = [
     ({"format": "pt"}, "must be ('capsule_gym policy', '2'), got ('pt', '2')"),

@@ -121,19 +121,12 @@ def test_a_closed_window_stays_closed(dummy, by_user) -> None:
     renderer.close()
 
 
-RED = (255, 0, 0)
-
-
-def shaded(place: int) -> np.ndarray:
-    """A picture of many greys, with a few red pixels at that place."""
-    frame = np.empty((100, 200, 3), np.uint8)
-    frame[:] = np.add.outer(np.arange(100), np.arange(200))[..., None] * 255 // 298
-    frame[10:14, place : place + 4] = RED
-    return frame
-
-
 def test_every_frame_is_there_for_its_time_with_its_colours(tmp_path):
-    frames = [shaded(20 * n) for n in range(6)]
+    # Many greys, with a few red pixels that move.
+    grey = np.add.outer(np.arange(100), np.arange(200))[..., None] * 255 // 298
+    frames = np.tile(grey, (6, 1, 1, 3)).astype(np.uint8)
+    for n, frame in enumerate(frames):
+        frame[10:14, 20 * n : 20 * n + 4] = (255, 0, 0)
     write_gif(iter(frames), tmp_path / "moving.gif", frame_seconds=0.1, width=200)
     with Image.open(tmp_path / "moving.gif") as moving:
         assert (moving.n_frames, moving.info["loop"]) == (6, 0)

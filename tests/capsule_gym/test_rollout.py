@@ -85,12 +85,6 @@ def test_a_rollout_gives_the_bits_of_a_loop_in_python_and_of_environments_alone(
         assert observation.tobytes() == rolled.simulation.observations[i].tobytes()
 
 
-def falling() -> Policy:
-    """A policy that pushes in one direction until the pendulum lies down."""
-    weights, bias = np.zeros((1, 5), np.float32), np.full(1, 3.0, np.float32)
-    return make_policy(layers=((weights, bias),), env_kwargs={"torque_limit": 1.5, "randomization": "wide"})
-
-
 def test_a_rollout_goes_on_from_where_it_is_and_steps_go_on_from_there():
     policy, n = load_policy("direct-ppo"), 70
     looped, observations = begun(policy, n, jumps(n))
@@ -107,7 +101,9 @@ def test_a_rollout_goes_on_from_where_it_is_and_steps_go_on_from_there():
 
 
 def test_blocks_that_have_ended_stop_and_the_metrics_have_the_rollouts_horizon():
-    policy = falling()
+    # The policy pushes in one direction until the pendulum lies down.
+    push = np.zeros((1, 5), np.float32), np.full(1, 3.0, np.float32)
+    policy = make_policy(layers=(push,), env_kwargs={"torque_limit": 1.5, "randomization": "wide"})
     env, _ = begun(policy, 3)
     metrics = rollout(env.simulation, policy, 500)
     assert metrics["failed"].all() and (env.simulation.row(Row.steps) < 100).all()

@@ -125,16 +125,6 @@ def test_recordings_are_what_the_policies_do(name: str) -> None:
         assert episodes.record(name, [load_set(each).plants[n]])[0].tolist() == known[f"{name} {each}"][n].tolist()
 
 
-def world(policy: Any, steps: int, **options: Any) -> str:
-    """The world of Python's environment after these steps of a policy, in bytes."""
-    env = CapsuleEnv(**policy.env_kwargs)
-    observation, _ = env.reset(options=options)
-    act = policy.start([0])
-    for _ in range(steps):
-        observation, *_ = env.step(act(observation[None])[0])
-    return env.simulation.world[0, :, 0].tobytes().hex()
-
-
 def test_a_restored_episode_goes_on_as_it_did(node: Node) -> None:
     code = """
         const episode = await live.drive("residual-real", { changes: [{ t: 3, M: 0.4, mu: 0.1 }] });

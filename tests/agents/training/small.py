@@ -7,7 +7,6 @@ import signal
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 from stable_baselines3.common.save_util import load_from_zip_file
@@ -58,10 +57,6 @@ def train_until(run: Path, steps: int, monkeypatch: pytest.MonkeyPatch, *, kille
                 train(run)
         else:
             assert not train(run)
-
-
-def weights(model: Any) -> np.ndarray:
-    return torch.cat([p.detach().flatten() for p in model.policy.parameters()]).numpy()
 
 
 def parameters(archive: Path) -> dict[str, Any]:

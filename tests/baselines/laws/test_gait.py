@@ -6,21 +6,12 @@ import pytest
 from baselines.laws import gait as module
 from baselines.laws.gains import known_parameters
 from baselines.laws.gait import LIGHTEST, PARAMETERS, gait
-from capsule_gym import CapsuleVectorEnv
 from capsule_gym.layout import ROWS
-from capsule_gym.task import HORIZON, TORQUE_LIMIT
+from capsule_gym.task import TORQUE_LIMIT
+from tests.baselines.laws.test_predictive import episode
 
-LIGHT = ([0.26, 0.3, 0.3, 0.33, 0.33, 0.29], [0.003, 0.01, 0.5, 0.05, 0.4, 0.1])
+LIGHT = [(0.26, 0.003), (0.3, 0.01), (0.3, 0.5), (0.33, 0.05), (0.33, 0.4), (0.29, 0.1)]
 FREE = (*known_parameters("gait")[:-2], 0.0, 0.0)
-
-
-def episodes(controller, M, mu, horizon=HORIZON):
-    """Runs an episode without residual on these plants and returns the environment."""
-    env = CapsuleVectorEnv(len(M), controller=controller, control_dt=0.1, autoreset_mode="DISABLED")
-    env.reset(seed=0, options={"M": np.array(M), "mu": np.array(mu)})
-    for _ in range(round(horizon / 0.1)):
-        env.step(np.zeros((len(M), 1), np.float32))
-    return env
 
 
 def torque(controller, theta, theta_dot, x_dot):
@@ -52,13 +43,13 @@ def test_the_guard_opposes_the_rate_in_proportion_to_its_excess():
 
 
 def test_the_guard_keeps_the_contact_of_platforms_lighter_than_those_of_the_search(monkeypatch):
-    assert max(LIGHT[0]) < LIGHTEST
-    kept = episodes(gait(), *LIGHT)
+    assert max(LIGHT)[0] < LIGHTEST
+    kept = episode(gait(), LIGHT)
     # A guard for no platform at all acts at the same rate on all of them.
     monkeypatch.setattr(module, "LIGHTEST", 0.0)
-    lost = episodes(gait(), *LIGHT)
+    lost = episode(gait(), LIGHT)
     metrics = kept.episode_metrics()
     assert metrics["failed"].sum() == 0.0 < lost.episode_metrics()["failed"].sum()
     assert metrics["mean_speed"].min() > 10.0
     # The law's estimates match the plants.
-    assert kept.simulation.row(ROWS + 1) == pytest.approx(np.array(LIGHT[0]), rel=0.02)
+    assert kept.simulation.row(ROWS + 1) == pytest.approx(np.array(LIGHT)[:, 0], rel=0.02)
