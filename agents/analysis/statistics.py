@@ -3,6 +3,7 @@
 import csv
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from baselines.tables import markdown_table
 ROOT = Path(__file__).resolve().parents[2]
 SPEED = TABLE_METRICS["mean_speed"]
 FAINT = "#c5ccd6"
-# Evaluations on validation plants during training, by training seed: steps and mean speeds (cm/s).
+# Evaluations on validation plants during training, by training seed: steps and values of the task's metric.
 Learning = dict[int, tuple[np.ndarray, np.ndarray]]
 
 
@@ -30,14 +31,25 @@ def document() -> tuple[dict[str, str], dict[str, Callable[[], Any]]]:
     rows = load_rows(ROOT / RESULTS, [candidate.name for candidate in all_candidates()])
     ranking_set = CRITERIA["speed"].ranking_set
     rows.sort(key=lambda row: (-row.score(ranking_set, SPEED.name).mean(), row.name))
-    learning: dict[str, Learning] = {row.name: {} for row in rows if row.trained}
-    for path in sorted(CHECKPOINTS.glob(f"*/seed-*/{EVALUATIONS}")):
-        if (name := path.parts[-3]) in learning:
-            learning[name][int(path.parts[-2].removeprefix("seed-"))] = read_evaluations(path)
-    return {"learning": table(learning)}, {
+    learning = read_learning([row.name for row in rows if row.trained], "speed")
+    figures: dict[str, Callable[[], Any]] = {
         "statistics_transport": lambda: draw_transport(rows),
         "statistics_learning": lambda: draw_learning({name: runs for name, runs in learning.items() if runs}),
     }
+    for task in ("goal", "velocity"):
+        names = [candidate.name for candidate in all_candidates(task) if candidate.trained]
+        label = CRITERIA[task].metric.label
+        figures[f"statistics_{task}"] = partial(draw_learning, read_learning(names, task), label)
+    return {"learning": table(learning)}, figures
+
+
+def read_learning(names: Sequence[str], task: str) -> dict[str, Learning]:
+    """The evaluations of all committed runs of rows, of rows without evaluations an empty dict."""
+    found: dict[str, Learning] = {}
+    for name in names:
+        paths = sorted((CHECKPOINTS / name).glob(f"seed-*/{EVALUATIONS}"))
+        found[name] = {int(path.parts[-2].removeprefix("seed-")): read_evaluations(path, task) for path in paths}
+    return found
 
 
 def read_evaluations(path: Path, task: str = "speed") -> tuple[np.ndarray, np.ndarray]:
@@ -70,11 +82,13 @@ def table(learning: Mapping[str, Learning]) -> str:
     return markdown_table(lines) + (f"\n\nWithout committed evaluations: {', '.join(without)}." if without else "")
 
 
-def draw_learning(learning: Mapping[str, Learning]) -> Any:
-    """Draws the mean speed of all seeds over steps, and its interquartile mean, one panel per row of `learning`."""
+def draw_learning(learning: Mapping[str, Learning], label: str = SPEED.label) -> Any:
+    """Draws the metric of all seeds over steps, and its interquartile mean, one panel per row of `learning`."""
+    from matplotlib.ticker import LogLocator
+
     columns = min(4, len(learning))
     lines = math.ceil(len(learning) / columns)
-    figure = new_figure(0.75 + 1.3 * lines)
+    figure = new_figure(max(2.6, 0.75 + 1.3 * lines))
     grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
     for axes, (name, runs) in zip(grid.flat, learning.items(), strict=False):
         axes.set_title(name, parse_math=False)
@@ -84,12 +98,20 @@ def draw_learning(learning: Mapping[str, Learning]) -> Any:
         steps, value, low, high = learning_curve(runs)
         axes.fill_between(steps / 1e6, low, high, color=BLUE, alpha=0.18, linewidth=0.0)
         axes.plot(steps / 1e6, value, color=BLUE)
-    axes.set(xlim=(0.0, None), ylim=(0.0, None))
+    axes.set_xlim(0.0, None)
+    if label == SPEED.label:
+        axes.set_ylim(0.0, None)
+    else:
+        # These fall by a factor of up to a hundred.
+        axes.set_yscale("log")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0)))
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.minorticks_off()
     for n in range(len(learning), grid.size):
         grid.flat[n].set_visible(False)
         # The panel above an empty place shows the tick labels instead.
         grid.flat[n - columns].tick_params(labelbottom=True)
-    figure.supylabel(SPEED.label, fontsize=8.0)
+    figure.supylabel(label, fontsize=8.0)
     add_note(
         figure,
         "Horizontal: millions of agent steps. Evaluations on each run's validation plants, never on a frozen set; "

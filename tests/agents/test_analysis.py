@@ -91,6 +91,8 @@ def test_the_curves_of_a_row_are_those_of_its_runs_and_its_table_their_end():
     first, last = (estimate(np.array([[0.0], [1.0], [2.0]]) + start) for start in (0.0, 8.75))
     band = drawn.collections[0].get_paths()[0].vertices
     assert (band[:, 1].min(), band[band[:, 0] == 0.8][:, 1].max()) == pytest.approx((first.low, last.high))
+    other = statistics.draw_learning({"goal": runs}, "time to the goal (s)")
+    assert other.axes[0].get_yscale() == "log" and other.get_supylabel() == "time to the goal (s)"
     cells_of = cells(statistics.table({"three": runs, "none": {}}))
     assert cells_of[0][2:] == ["steps", "mean speed (cm/s) at the end", "steps to 90 % of that"]
     # 11 - 10 / n reaches 90 % of 9.75 at n = 5.
