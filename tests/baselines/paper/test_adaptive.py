@@ -81,7 +81,7 @@ def test_no_choice_saves_the_plants_of_another_mass():
 def test_variants_change_one_choice_at_a_time_or_are_corners(monkeypatch):
     def run(controller, plants):
         assert plants == study.plant_grid()
-        plain = adaptive(choices=UNREGULARISED)
+        plain = adaptive(regularised=False)
         own = (controller.law, controller.memory) == (plain.law, plain.memory)
         return np.array([controller.dt == 1e-4, own, False]), None
 
