@@ -49,9 +49,9 @@ SECTIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "sticky": (("sticky", "gait-guarded", "dp-oracle", "dp-distilled-wide"), ("sticky",)),
     "paper": ((*GROUPS["The paper"], *OTHER_LAWS), (RANKING_SET,)),
 }
-# The message: policies with perfect sensors, policies that keep their speed with real ones, and the learned of these.
+# The message: policies with perfect sensors, policies that keep their speed with real ones, and learned for these.
 PERFECT = ("lqr", "mpc", "dp-nominal", "dp-oracle", "direct-ppo", "residual-ppo")
-KEPT, LEARNED = ("lqr", "gait-predictive", "direct-real", "residual-real"), ("direct-real", "residual-real")
+KEPT, LEARNED = ("lqr", "gait-predictive", "residual-real"), ("direct-real", "residual-real")
 ENTRIES = ("policy", "description", "training_seeds", "revision", "files", "base", "versions")
 
 

@@ -38,8 +38,10 @@ def test_the_message_is_true_of_the_committed_board():
     assert all(clearly(board, name, "pd", "paper") for name in page.PERFECT)
     # With real sensors all of these but LQR fall below the PD.
     assert [name for name in page.PERFECT if not clearly(board, "pd", name, "real")] == ["lqr"]
-    pd, *kept = (row_of(board, name)["results"]["real"]["mean_speed"] for name in ("pd", *page.KEPT))
-    assert all(each["mean_low"] > pd["mean_high"] for each in kept)
+    assert all(clearly(board, name, "pd", "real") for name in page.KEPT)
+    # The seeds of direct-real differ more: of the least gain of learning, the interval is above the PD's.
+    pd, *learned = (row_of(board, name)["results"]["real"]["mean_speed"] for name in ("pd", *page.LEARNED))
+    assert all(each["mean_low"] > pd["mean_high"] for each in learned)
     numbers = [float(number) for number in re.findall(r"\d+(?:\.\d)?", message(board))]
     assert len(numbers) == 9 and np.isfinite(numbers).all()
 
