@@ -15,7 +15,5 @@ def saved_figures(monkeypatch):
     """The figures of matplotlib that the test saves."""
     figure = pytest.importorskip("matplotlib.figure").Figure
     save, saved = figure.savefig, []
-    monkeypatch.setattr(
-        figure, "savefig", lambda self, *args, **kwargs: saved.append(self) or save(self, *args, **kwargs)
-    )
+    monkeypatch.setattr(figure, "savefig", lambda self, *a, **kwargs: saved.append(self) or save(self, *a, **kwargs))
     return saved

@@ -9,17 +9,8 @@ import numpy as np
 import pytest
 
 from baselines.drawing import BLUE, MUTED
-from benchmarks import (
-    accuracy,
-    fresh_draws,
-    identification,
-    measurement,
-    mujoco,
-    rig,
-    sensitivity,
-    throughput,
-    training,
-)
+from benchmarks import accuracy, fresh_draws, identification, measurement, rig, sensitivity, throughput, training
+from benchmarks.mujoco import FRICTIONS, build, hold
 from capsule_gym import load_policy
 from capsule_gym.layout import Row
 from capsule_gym.parameters import Capsule
@@ -28,8 +19,13 @@ from tests.figures import assert_bars, texts
 
 
 def test_errors_of_the_step_grow_with_it(monkeypatch, tmp_path):
-    changes = {"FRICTION": (0.1,), "AMPLITUDES": (0.5,), "TRAJECTORIES": 2, "PLANTS": 2, "SECONDS": 1.0}
-    for name, value in changes.items():
+    for name, value in {
+        "FRICTION": (0.1,),
+        "AMPLITUDES": (0.5,),
+        "TRAJECTORIES": 2,
+        "PLANTS": 2,
+        "SECONDS": 1.0,
+    }.items():
         monkeypatch.setattr(accuracy, name, value)
     assert accuracy.main(["--markdown", str(tmp_path / "page.md")]) == 0
     head, _, *rows = [line.strip("|").split("|") for line in (tmp_path / "page.md").read_text().splitlines()[2:6]]
@@ -189,9 +185,7 @@ def test_a_ratio_below_its_floor_fails(tmp_path, monkeypatch) -> None:
 # Without the end of episodes, and with it.
 @pytest.mark.parametrize("scale", [throughput.ACTION_SCALE, 1.0])
 def test_plain_c_does_the_work_of_the_core(scale, monkeypatch) -> None:
-    compiler = throughput.COMPILER
-    if compiler is None:
-        pytest.skip("no C compiler")
+    compiler = throughput.COMPILER or pytest.skip("no C compiler")
     monkeypatch.setattr(throughput, "ACTION_SCALE", scale)
     (core, expected), (plain, world) = throughput.from_the_start(), throughput.from_the_start(compiler)
     # The options of plain C hold for it alone: the process keeps subnormal numbers.
@@ -206,15 +200,14 @@ def test_plain_c_does_the_work_of_the_core(scale, monkeypatch) -> None:
     assert (world[:, Row.termination] != 0.0).any() == (scale == 1.0)
 
 
-@pytest.mark.parametrize("friction", [None, *mujoco.FRICTIONS])
+@pytest.mark.parametrize("friction", [None, *FRICTIONS])
 def test_mujoco_has_the_same_plant_and_about_the_same_friction(friction: str | None) -> None:
     module = pytest.importorskip("mujoco")
     torques = np.random.default_rng(0).uniform(-0.5, 0.5, 100)
-
     capsule = Capsule(mu=0.1 if friction else 0.0)
-    model, data = mujoco.build(friction or mujoco.FRICTIONS[0], 1e-3, capsule)
+    model, data = build(friction or FRICTIONS[0], 1e-3, capsule)
     model.opt.integrator = module.mjtIntegrator.mjINT_RK4
-    state = [mujoco.hold(model, data, torque) for torque in torques][-1]
+    state = [hold(model, data, torque) for torque in torques][-1]
     difference = np.abs(state - accuracy.run(torques, capsule, 1e-3)).max()
     assert difference < (0.03 if friction else 1e-8)
     assert not friction or np.abs(state - accuracy.run(torques, Capsule(mu=0.0), 1e-3)).max() > 5.0 * difference
