@@ -101,8 +101,22 @@ def tune(name: str, generations: int, seed: int, step: float) -> None:
             write_atomically(gains.TUNED, "{\n" + lines + "\n}\n")
 
 
-def design_lqr() -> None:
-    """Writes the regulator with the best score under disturbances to its file."""
+@command("python -m baselines.tuning")
+def main(law: Positional[Name], generations: int = 200, seed: int = 0, step: float = 0.5) -> None:
+    """Tunes a law on random plants; baselines/laws/tuned.json keeps the best parameters so far, also after Ctrl-C.
+
+    Examples:
+      python -m baselines.tuning pd --generations 200
+
+    Args:
+        law: The law; lqr compares its designs.
+        generations: Generations of the search, of 20 candidates on 32 plants each.
+        seed: Seed of the search.
+        step: Initial standard deviation of the parameters in their units.
+    """
+    if law != "lqr":
+        tune(law, generations, seed, step)
+        return
     best = -math.inf
     for content in lqr.candidates():
         regulator = ScriptedPolicy("lqr", "", {}, partial(lqr.start, regulator=lqr.interpolate(content)))
@@ -112,25 +126,6 @@ def design_lqr() -> None:
             best = reached
             lines = ",\n".join(f' "{name}": {json.dumps(values)}' for name, values in content.items())
             write_atomically(lqr.FILE, "{\n" + lines + "\n}\n")
-
-
-@command("python -m baselines.tuning")
-def main(law: Positional[Name], generations: int = 200, seed: int = 0, step: float = 0.5) -> None:
-    """Tunes a law on random plants; baselines/laws/tuned.json keeps the best parameters so far, also after Ctrl-C.
-
-    Examples:
-      python -m baselines.tuning pd --generations 200
-
-    Args:
-        law: The law.
-        generations: Generations of the search, of 20 candidates on 32 plants each.
-        seed: Seed of the search.
-        step: Initial standard deviation of the parameters in their units.
-    """
-    if law == "lqr":
-        design_lqr()
-    else:
-        tune(law, generations, seed, step)
 
 
 if __name__ == "__main__":

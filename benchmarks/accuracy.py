@@ -158,13 +158,6 @@ def phase_at_rest(y: np.ndarray, u: float, p: Plant) -> float:
     return 0.0 if min(forwards, backwards) >= 0.0 else math.copysign(1.0, backwards - forwards)
 
 
-def random_capsule(seed: int) -> Capsule:
-    """A random plant with a slope, a Stribeck curve, and all kinds of friction."""
-    rng = np.random.default_rng(seed)
-    constants: dict[str, Any] = {name: rng.uniform(*limits) for name, limits in RANGES.items()}
-    return Capsule(**constants)
-
-
 def expected_trajectories(
     capsules: Sequence[Capsule], amplitude: float
 ) -> list[tuple[Capsule, np.ndarray, np.ndarray]]:
@@ -226,7 +219,9 @@ def main(markdown: Path | None = None) -> None:
     check_output("--markdown", markdown, overwrite=True)
     table = [["plant", "torque, N m", *(f"{1e3 * step:g} ms" for step in STEPS), "length"]]
     kinds = [(f"μ = {mu:g}", [Capsule(mu=mu)] * TRAJECTORIES, a) for mu in FRICTION for a in AMPLITUDES]
-    kinds.append((f"{PLANTS} random", [random_capsule(seed) for seed in range(PLANTS)], AMPLITUDE))
+    rngs = map(np.random.default_rng, range(PLANTS))
+    drawn: Any = ({name: rng.uniform(*limits) for name, limits in RANGES.items()} for rng in rngs)
+    kinds.append((f"{PLANTS} random", [Capsule(**constants) for constants in drawn], AMPLITUDE))
     for kind, capsules, amplitude in tqdm(kinds, desc="errors"):
         solved = expected_trajectories(capsules, amplitude)
         length = task.CONTROL_DT * np.median([len(u) for _, u, _ in solved])

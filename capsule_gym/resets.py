@@ -10,15 +10,7 @@ import numpy as np
 from capsule_gym.checks import check_number, short_repr
 from capsule_gym.elementary import log
 from capsule_gym.native import evaluate
-from capsule_gym.parameters import (
-    CONSTANTS,
-    DISTURBANCES,
-    LARGEST,
-    Capsule,
-    Disturbances,
-    Randomization,
-    check_divisor,
-)
+from capsule_gym.parameters import CONSTANTS, DISTURBANCES, LARGEST, Capsule, Disturbances, Randomization, check_divisor
 from capsule_gym.task import LARGEST_STATE, THETA_LIMIT, Draw, Task
 
 

@@ -120,17 +120,16 @@ def _whole(word: re.Match[str]) -> str:
 
 
 def _watched(page: Any, table: str) -> str:
-    """Links the policies of a ranking, in its first column, to the live page; returns another table unchanged."""
+    """Links policies, in the first column of a ranking, to the live page, next to the paper's controller."""
+
+    def watch(cell: re.Match[str]) -> str:
+        words, rival = f"Watch {cell[0]}", {} if cell[0] == BASELINE else {"rival": BASELINE}
+        scene = urlencode({"driver": cell[0], **rival, "set": "paper", "plant": 0})
+        return f"{cell[0]} {_link(page, scene, '&#9654;', {'class': 'watch', 'title': words, 'aria-label': words})}"
+
     if not {"policy", "senses"} <= {*re.findall("<th>(.*?)</th>", table)}:
         return table
-    return POLICY.sub(lambda cell: f"{cell[0]} {_watch(page, cell[0])}" if cell[0] in drivers() else cell[0], table)
-
-
-def _watch(page: Any, policy: str) -> str:
-    """A link to a policy on the live page, next to the paper's controller."""
-    words, rival = f"Watch {policy}", {} if policy == BASELINE else {"rival": BASELINE}
-    scene = urlencode({"driver": policy, **rival, "set": "paper", "plant": 0})
-    return _link(page, scene, "&#9654;", {"class": "watch", "title": words, "aria-label": words})
+    return POLICY.sub(lambda cell: watch(cell) if cell[0] in drivers() else cell[0], table)
 
 
 def _link(page: Any, scene: str, text: str, attributes: dict[str, str]) -> str:

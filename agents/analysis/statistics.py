@@ -122,7 +122,6 @@ def draw_learning(learning: Mapping[str, Learning], label: str = SPEED.label) ->
 
 def draw_transport(rows: Sequence[Row]) -> Any:
     """Draws speed against cost of transport on the nominal plant, with the front of dynamic programming."""
-    from matplotlib.patches import ConnectionPatch
     from matplotlib.ticker import LogLocator
 
     figure = new_figure(max(4.4, 1.4 + 0.145 * len(rows)))
@@ -152,12 +151,9 @@ def draw_transport(rows: Sequence[Row]) -> Any:
     axes.set(xlabel="cost of transport", ylabel="mean speed (cm/s)", xlim=(0.1, None), ylim=(-0.5, None))
     # Names next to the axes, the highest mark's first, with a line to each mark.
     for n, (x, y, name, colour) in enumerate(sorted(marks, key=lambda mark: -mark[1])):
-        place = 1.0 - (n + 0.5) / len(marks)
-        text = {"xytext": (4.0, 0.0), "textcoords": "offset points", "va": "center", "fontsize": 7.5, "color": colour}
-        axes.annotate(name, (1.0, place), xycoords="axes fraction", parse_math=False, **text)
-        line = ConnectionPatch((x, y), (1.0, place), "data", "axes fraction", axesA=axes, color=FAINT, linewidth=0.6)
-        line.set_in_layout(False)
-        axes.add_artist(line)
+        place = {"xytext": (1.01, 1.0 - (n + 0.5) / len(marks)), "textcoords": "axes fraction", "va": "center"}
+        line = {"arrowstyle": "-", "color": FAINT, "linewidth": 0.6, "relpos": (0.0, 0.5), "shrinkA": 0.0}
+        axes.annotate(name, (x, y), **place, color=colour, fontsize=7.5, parse_math=False, arrowprops=line, zorder=1)
     # Outside: every corner inside the axes contains a front, a policy or a label's line.
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=4)
     axes.set_title("Speed against cost of transport, the paper's plant from 100 starts")

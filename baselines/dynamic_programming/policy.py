@@ -11,14 +11,7 @@ import numpy as np
 
 from baselines.dynamic_programming.archive import known_results
 from baselines.dynamic_programming.grid import clamped, coordinates, interpolate
-from baselines.dynamic_programming.problem import (
-    GRID,
-    NOMINAL_MARGIN,
-    PlantGrid,
-    Problem,
-    Transitions,
-    plant_problems,
-)
+from baselines.dynamic_programming.problem import GRID, NOMINAL_MARGIN, PlantGrid, Problem, Transitions, plant_problems
 from baselines.dynamic_programming.solver import cell_curvature
 from capsule_gym.parameters import NOMINAL
 

@@ -7,15 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from baselines.laws.gains import (
-    PUBLISHED,
-    REGULARISED,
-    UNREGULARISED,
-    Choices,
-    Gains,
-    check_gains,
-    plant_constants,
-)
+from baselines.laws.gains import PUBLISHED, REGULARISED, UNREGULARISED, Choices, Gains, check_gains, plant_constants
 from baselines.laws.profiles import COLUMNS, PROPOSED, Profile, optimal, reference_table
 from capsule_gym.checks import check_count, check_number
 from capsule_gym.config import LAW_DT

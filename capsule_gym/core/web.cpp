@@ -45,4 +45,3 @@ EXPORT(act) double act(const double* network) {
   web::act_together<double, 1>(network, batch.observations, &action);
   return action;
 }
-

@@ -118,9 +118,10 @@ def test_policies_are_named_at_their_cost_and_speed_without_overlap():
     axes = figure.axes[0]
     marks = [tuple(line.get_xydata()[0]) for line in axes.lines if line.get_marker() in "os" and len(line.get_xydata())]
     np.testing.assert_allclose(marks, [(2.0, row.speed) for row in rows] + [(2.0, 3.0)], rtol=1e-12)
-    heights = [text.xy[1] for text in axes.texts]
     assert texts(axes.texts) == [row.name for row in rows] + ["law"]
-    np.testing.assert_allclose(heights, np.arange(13, 0, -2) / 14)
+    # A line leads from each name to its mark.
+    np.testing.assert_allclose([text.xy for text in axes.texts], marks)
+    np.testing.assert_allclose([text.xyann[1] for text in axes.texts], np.arange(13, 0, -2) / 14)
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("cost of transport", "mean speed (cm/s)")
     assert "without a cost: rest." in " ".join(figure.get_supxlabel().split())
     labels, handles = texts(figure.legends[0].texts), figure.legends[0].legend_handles

@@ -111,5 +111,4 @@ struct GaitPredictive {
                clip(keep_contact(wanted, now.theta, now.theta_dot), T(q.torque_limit));
   }
 };
-
 }  // namespace LEVEL
