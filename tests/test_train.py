@@ -89,9 +89,8 @@ def test_a_comparison_that_cannot_be_drawn_is_left_out_before_the_training(tmp_p
     monkeypatch.setattr(train, "new_figure", full)
     before, run = threading.excepthook, tmp_path / "run"
     assert train.main([*TINY, "--run", str(run)]) == 0
-    assert capsys.readouterr().err == (
-        "Without a comparison at the end, since figures cannot be drawn: No space left on device\n"
-    )
+    said = "Without a comparison at the end, since figures cannot be drawn: No space left on device\n"
+    assert capsys.readouterr().err == said
     assert threading.excepthook is before and not (run / "comparison.png").exists()
 
 

@@ -19,13 +19,8 @@ from tests.figures import assert_bars, texts
 
 
 def test_errors_of_the_step_grow_with_it(monkeypatch, tmp_path):
-    for name, value in {
-        "FRICTION": (0.1,),
-        "AMPLITUDES": (0.5,),
-        "TRAJECTORIES": 2,
-        "PLANTS": 2,
-        "SECONDS": 1.0,
-    }.items():
+    small = {"FRICTION": (0.1,), "AMPLITUDES": (0.5,), "TRAJECTORIES": 2, "PLANTS": 2, "SECONDS": 1.0}
+    for name, value in small.items():
         monkeypatch.setattr(accuracy, name, value)
     assert accuracy.main(["--markdown", str(tmp_path / "page.md")]) == 0
     head, _, *rows = [line.strip("|").split("|") for line in (tmp_path / "page.md").read_text().splitlines()[2:6]]

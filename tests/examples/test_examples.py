@@ -114,8 +114,6 @@ def test_the_data_are_the_episodes_of_their_actions(quality: str, monkeypatch: p
             observation, reward, terminated, truncated, _ = env.step(action)
             seen.append(observation)
             rewards.append(reward)
-        assert (terminated, truncated) == (
-            episode.terminations[-1],
-            episode.truncations[-1],
-        ) and terminated != truncated
+        assert (terminated, truncated) == (episode.terminations[-1], episode.truncations[-1])
+        assert terminated != truncated
         assert np.array_equal(episode.observations, seen) and np.array_equal(episode.rewards, rewards)
