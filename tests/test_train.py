@@ -79,6 +79,22 @@ def test_a_run_is_never_overwritten(tmp_path, capsys):
     assert "--resume" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [("", "residual-ppo"), ("--row direct-ppo", "direct-ppo"), ("--env CapsuleGoal-v0", "goal-direct-ppo")],
+)
+def test_runs_that_begin_at_once_have_folders_of_their_own(words, name, tmp_path, monkeypatch, capsys):
+    runs = []
+    monkeypatch.setattr(train, "RUNS", tmp_path)
+    monkeypatch.setattr("agents.training.loop.begin", lambda run, config: runs.append((run, config.seed)))
+    monkeypatch.setattr("agents.training.loop.train", lambda *_, **__: False)
+    for _ in range(2):
+        assert train.main([*words.split(), "--seed", "3", "--no-comparison"]) == 130
+    assert len(set(runs)) == 2 and {run.parent for run, _ in runs} == {tmp_path} and {seed for _, seed in runs} == {3}
+    assert all(run.name.startswith(f"{name}-seed3-2") for run, _ in runs)
+    assert f"saved. To resume: python train.py --resume {runs[1][0]}\n" in capsys.readouterr().out
+
+
 TINY = "--total-steps 64 --num-envs 8 --n-steps 8 --batch-size 32 --hidden 4 --evaluation-episodes 1".split()
 
 

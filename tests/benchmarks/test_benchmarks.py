@@ -119,12 +119,13 @@ def test_a_contender_begins_anew_after_the_end_of_an_episode(monkeypatch):
     assert [env.get_wrapper_attr("_elapsed_steps") for env in envs] == [50, 0]
 
 
-def test_a_training_that_does_not_arrive_is_marked_in_the_table(monkeypatch, tmp_path):
+def test_a_training_that_does_not_arrive_is_marked_in_the_table(monkeypatch, tmp_path, capsys):
     def trainer(speed):
         return lambda seed, clock: vars(clock).update(seconds=12.0 + seed, steps=65_536, speed=speed)
 
     monkeypatch.setattr(training, "CONTENDERS", {"fast": trainer(training.SPEED), "slow": trainer(3.25)})
     assert training.main(["--seeds", "2", "--markdown", str(tmp_path / "page.md")]) == 0
+    assert "fast, seed 1: 13 s\n" in capsys.readouterr().err
     page = (tmp_path / "page.md").read_text(encoding="utf-8")
     assert "|trainer|seed 0, s|seed 1, s|thousands of steps|" in page
     assert "|fast|12|13|66, 66|" in page and "|slow|> 12 (3.2 cm/s)|> 13 (3.2 cm/s)|66, 66|" in page

@@ -166,7 +166,7 @@ def test_a_spec_comes_back_from_json(make):
 def test_the_frame_rate_is_real_time_where_a_video_can_have_it(control_dt, fps):
     for kind in (CapsuleEnv, CapsuleVectorEnv):
         env = kind(control_dt=control_dt, physics_dt=control_dt / (1e6 if control_dt > 1.0 else 20))
-        assert env.metadata["render_fps"] == pytest.approx(fps)
+        assert env.metadata["render_fps"] == pytest.approx(fps) and kind.metadata["render_fps"] == 50
 
 
 def test_an_episode_is_truncated_after_33_seconds_and_its_metrics_follow_their_definitions():
