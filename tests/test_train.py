@@ -25,6 +25,11 @@ def test_another_environment_has_settings_of_its_own():
             assert ("_pulses" in str(config.controller)) is (task == "residual")
 
 
+@pytest.mark.parametrize(("text", "value"), [("7", 7), ("8e6", 8_000_000), ("8_000", 8000), ("0", 0)])
+def test_counts_are_written_in_several_ways(text, value):
+    assert train.read_args(["--seed", text]).hyperparameters.seed == value
+
+
 def started(folder, task, algo, **changes):
     config = dataclasses.replace(PRESETS[task, algo], **changes).to_dict()
     folder.mkdir()
