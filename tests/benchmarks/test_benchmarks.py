@@ -132,18 +132,20 @@ def test_a_training_that_does_not_arrive_is_marked_in_the_table(monkeypatch, tmp
 
 
 class Hoard(gym.Env):
-    """The last of five steps costs the sum of all actions."""
+    """The last of five steps costs the sum of all actions, by the sign that is observed."""
 
     observation_space, action_space = gym.spaces.Box(-9.0, 9.0, (2,)), gym.spaces.Box(-1.0, 1.0, (1,))
 
     def reset(self, *, seed=None, options=None):
-        self.seen = np.zeros(2, np.float32)
+        super().reset(seed=seed)
+        self.seen, self.paid = np.float32([0.0, self.np_random.choice([-1.0, 1.0])]), 0.0
         return self.seen, {}
 
     def step(self, action):
-        self.seen = self.seen + np.float32([1.0, action[0]])
+        self.seen = self.seen + np.float32([1.0, 0.0])
+        self.paid -= float(self.seen[1] * action[0])
         done = bool(self.seen[0] == 5.0)
-        return self.seen, -float(self.seen[1]) * done, done, False, {}
+        return self.seen, self.paid * done, done, False, {}
 
 
 def test_the_loop_learns_what_pays_in_the_end(monkeypatch):
@@ -151,12 +153,12 @@ def test_the_loop_learns_what_pays_in_the_end(monkeypatch):
     seen = []
 
     def check(steps, policy):
-        seen.append((steps, policy().start([0])(np.float32([[0.0, 0.0]]))))
+        seen.append((steps, policy().start([0, 1])(np.float32([[0.0, -1.0], [0.0, 1.0]])).ravel()))
         return len(seen) < 4
 
     training.train_loop(0, SimpleNamespace(check=check))
     assert [steps for steps, _ in seen] == [0, 2048, 4096, 6144]
-    assert abs(seen[0][1]) < 0.05 and seen[-1][1] < -0.3
+    assert max(abs(seen[0][1])) < 0.05 and (seen[-1][1] * [-1.0, 1.0] < -0.3).all(), seen
 
 
 def test_contenders_take_turns_and_the_tenth_percentile_counts() -> None:

@@ -34,6 +34,7 @@ def test_trajectories_give_the_speeds_on_file_to_the_last_bit():
 
 def test_the_plants_of_the_sets_are_solved_themselves():
     known = known_results()
+    np.testing.assert_allclose(known.results[Problem().key].grids, solver.GRIDS, rtol=0.01)
     plants = set_plants()
     assert list(known.plant_speeds) == plants and len(plants) > 700
     solved = np.array([optimal_speed(*plant) for plant in plants])
