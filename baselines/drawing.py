@@ -17,29 +17,8 @@ WIDTH = 7.0
 NOTE_COLUMNS = 122
 DPI = 200
 
-_STYLE: dict[str, Any] = {
-    "font.family": "DejaVu Sans",  # comes with matplotlib, so that the outlines do not depend on the machine
-    "font.size": 8.0,
-    "axes.titlesize": 8.5,
-    "axes.titlelocation": "left",
-    "axes.labelsize": 8.0,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.prop_cycle": f"cycler('color', {[BLUE, VERMILION, GREEN, PURPLE, '#E69F00', '#56B4E9', INK]})",
-    "grid.color": "#e3e8ef",
-    "grid.linewidth": 0.6,
-    "legend.frameon": False,
-    "legend.fontsize": 7.5,
-    "legend.handlelength": 2.6,
-    "lines.linewidth": 1.3,
-    "path.simplify_threshold": 0.3,
-    "hatch.linewidth": 0.5,
-    "svg.fonttype": "path",
-    "svg.hashsalt": "capsule_gym",
-}
-
+STYLE = Path(__file__).with_name("figures.mplstyle")
+COLOURS = [BLUE, VERMILION, GREEN, PURPLE, "#E69F00", "#56B4E9", INK]
 
 # The arguments of `Axes.plot` for each of the compared items.
 PENS: dict[str, dict[str, Any]] = {
@@ -68,7 +47,7 @@ def style() -> Iterator[None]:
     finally:
         if backend is not None:
             os.environ["MPLBACKEND"] = backend
-    with matplotlib_style.context(["default", _STYLE]):
+    with matplotlib_style.context(["default", STYLE, {"axes.prop_cycle": f"cycler('color', {COLOURS})"}]):
         yield
 
 

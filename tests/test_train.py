@@ -25,6 +25,11 @@ def test_another_environment_has_settings_of_its_own():
             assert ("_pulses" in str(config.controller)) is (task == "residual")
 
 
+@pytest.mark.parametrize(("text", "value"), [("7", 7), ("8e6", 8_000_000), ("8_000", 8000), ("0", 0)])
+def test_counts_are_written_in_several_ways(text, value):
+    assert train.read_args(["--seed", text]).hyperparameters.seed == value
+
+
 def started(folder, task, algo, **changes):
     config = dataclasses.replace(PRESETS[task, algo], **changes).to_dict()
     folder.mkdir()
@@ -79,6 +84,22 @@ def test_a_run_is_never_overwritten(tmp_path, capsys):
     assert "--resume" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [("", "residual-ppo"), ("--row direct-ppo", "direct-ppo"), ("--env CapsuleGoal-v0", "goal-direct-ppo")],
+)
+def test_runs_that_begin_at_once_have_folders_of_their_own(words, name, tmp_path, monkeypatch, capsys):
+    runs = []
+    monkeypatch.setattr(train, "RUNS", tmp_path)
+    monkeypatch.setattr("agents.training.loop.begin", lambda run, config: runs.append((run, config.seed)))
+    monkeypatch.setattr("agents.training.loop.train", lambda *_, **__: False)
+    for _ in range(2):
+        assert train.main([*words.split(), "--seed", "3", "--no-comparison"]) == 130
+    assert len(set(runs)) == 2 and {run.parent for run, _ in runs} == {tmp_path} and {seed for _, seed in runs} == {3}
+    assert all(run.name.startswith(f"{name}-seed3-2") for run, _ in runs)
+    assert f"saved. To resume: python train.py --resume {runs[1][0]}\n" in capsys.readouterr().out
+
+
 TINY = "--total-steps 64 --num-envs 8 --n-steps 8 --batch-size 32 --hidden 4 --evaluation-episodes 1".split()
 
 
@@ -89,9 +110,8 @@ def test_a_comparison_that_cannot_be_drawn_is_left_out_before_the_training(tmp_p
     monkeypatch.setattr(train, "new_figure", full)
     before, run = threading.excepthook, tmp_path / "run"
     assert train.main([*TINY, "--run", str(run)]) == 0
-    assert capsys.readouterr().err == (
-        "Without a comparison at the end, since figures cannot be drawn: No space left on device\n"
-    )
+    said = "Without a comparison at the end, since figures cannot be drawn: No space left on device\n"
+    assert capsys.readouterr().err == said
     assert threading.excepthook is before and not (run / "comparison.png").exists()
 
 

@@ -90,9 +90,8 @@ def test_a_comparison_shows_both_recordings_and_the_end_of_the_longer_one(tmp_pa
     (figure,) = saved_figures
     displacement, angle, torque = figure.axes
     assert displacement.get_title("left") == "Plant (M = 0.6 kg, μ = 0.05)"
-    assert (
-        texts(displacement.get_legend().texts) == ["adaptive: 2.00 cm/s", "agent: 2.00 cm/s", "goal"][: 2 + bool(goal)]
-    )
+    names = ["adaptive: 2.00 cm/s", "agent: 2.00 cm/s", *(["goal"] if goal else [])]
+    assert texts(displacement.get_legend().texts) == names
     both = list(zip(recordings.values(), (MUTED, BLUE), strict=True))
     line = [([0.0, 1.0], [100.0 * goal] * 2, MUTED)] if goal else []
     assert_lines(displacement, *((each["t"], 100.0 * each["x"], colour) for each, colour in both), *line)

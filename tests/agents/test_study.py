@@ -135,10 +135,8 @@ def test_a_revision_that_cannot_be_checked_out_is_not_published(finished, tmp_pa
     assert not (tmp_path / "checkpoints").exists()
 
 
-@pytest.mark.parametrize(
-    ("error", "status", "message"), [(None, 1, "failed: lost"), (KeyboardInterrupt, 130, "--resume continues")]
-)
-def test_failures_and_ctrl_c_have_their_exit_status(tmp_path, monkeypatch, capsys, error, status, message):
+@pytest.mark.parametrize(("error", "status", "said"), [(None, 1, "failed: lost"), (KeyboardInterrupt, 130, "--resume")])
+def test_failures_and_ctrl_c_have_their_exit_status(tmp_path, monkeypatch, capsys, error, status, said):
     def train(jobs, parallel, backend):
         assert (len(jobs), parallel, backend) == (2, 3, "loky")
         if error:
@@ -147,4 +145,4 @@ def test_failures_and_ctrl_c_have_their_exit_status(tmp_path, monkeypatch, capsy
 
     monkeypatch.setattr("agents.study.train_all", train)
     assert main(["direct-ppo", "--seeds", "0", "1", "--jobs", "3", "--runs", str(tmp_path), "--publish"]) == status
-    assert message in "".join(capsys.readouterr())
+    assert said in "".join(capsys.readouterr())

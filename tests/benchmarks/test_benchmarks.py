@@ -19,13 +19,8 @@ from tests.figures import assert_bars, texts
 
 
 def test_errors_of_the_step_grow_with_it(monkeypatch, tmp_path):
-    for name, value in {
-        "FRICTION": (0.1,),
-        "AMPLITUDES": (0.5,),
-        "TRAJECTORIES": 2,
-        "PLANTS": 2,
-        "SECONDS": 1.0,
-    }.items():
+    small = {"FRICTION": (0.1,), "AMPLITUDES": (0.5,), "TRAJECTORIES": 2, "PLANTS": 2, "SECONDS": 1.0}
+    for name, value in small.items():
         monkeypatch.setattr(accuracy, name, value)
     assert accuracy.main(["--markdown", str(tmp_path / "page.md")]) == 0
     head, _, *rows = [line.strip("|").split("|") for line in (tmp_path / "page.md").read_text().splitlines()[2:6]]
@@ -124,30 +119,33 @@ def test_a_contender_begins_anew_after_the_end_of_an_episode(monkeypatch):
     assert [env.get_wrapper_attr("_elapsed_steps") for env in envs] == [50, 0]
 
 
-def test_a_training_that_does_not_arrive_is_marked_in_the_table(monkeypatch, tmp_path):
+def test_a_training_that_does_not_arrive_is_marked_in_the_table(monkeypatch, tmp_path, capsys):
     def trainer(speed):
         return lambda seed, clock: vars(clock).update(seconds=12.0 + seed, steps=65_536, speed=speed)
 
     monkeypatch.setattr(training, "CONTENDERS", {"fast": trainer(training.SPEED), "slow": trainer(3.25)})
     assert training.main(["--seeds", "2", "--markdown", str(tmp_path / "page.md")]) == 0
+    assert "fast, seed 1: 13 s\n" in capsys.readouterr().err
     page = (tmp_path / "page.md").read_text(encoding="utf-8")
     assert "|trainer|seed 0, s|seed 1, s|thousands of steps|" in page
     assert "|fast|12|13|66, 66|" in page and "|slow|> 12 (3.2 cm/s)|> 13 (3.2 cm/s)|66, 66|" in page
 
 
 class Hoard(gym.Env):
-    """The last of five steps costs the sum of all actions."""
+    """The last of five steps costs the sum of all actions, by the sign that is observed."""
 
     observation_space, action_space = gym.spaces.Box(-9.0, 9.0, (2,)), gym.spaces.Box(-1.0, 1.0, (1,))
 
     def reset(self, *, seed=None, options=None):
-        self.seen = np.zeros(2, np.float32)
+        super().reset(seed=seed)
+        self.seen, self.paid = np.float32([0.0, self.np_random.choice([-1.0, 1.0])]), 0.0
         return self.seen, {}
 
     def step(self, action):
-        self.seen = self.seen + np.float32([1.0, action[0]])
+        self.seen = self.seen + np.float32([1.0, 0.0])
+        self.paid -= float(self.seen[1] * action[0])
         done = bool(self.seen[0] == 5.0)
-        return self.seen, -float(self.seen[1]) * done, done, False, {}
+        return self.seen, self.paid * done, done, False, {}
 
 
 def test_the_loop_learns_what_pays_in_the_end(monkeypatch):
@@ -155,12 +153,12 @@ def test_the_loop_learns_what_pays_in_the_end(monkeypatch):
     seen = []
 
     def check(steps, policy):
-        seen.append((steps, policy().start([0])(np.float32([[0.0, 0.0]]))))
+        seen.append((steps, policy().start([0, 1])(np.float32([[0.0, -1.0], [0.0, 1.0]])).ravel()))
         return len(seen) < 4
 
     training.train_loop(0, SimpleNamespace(check=check))
     assert [steps for steps, _ in seen] == [0, 2048, 4096, 6144]
-    assert abs(seen[0][1]) < 0.05 and seen[-1][1] < -0.3
+    assert max(abs(seen[0][1])) < 0.05 and (seen[-1][1] * [-1.0, 1.0] < -0.3).all(), seen
 
 
 def test_contenders_take_turns_and_the_tenth_percentile_counts() -> None:

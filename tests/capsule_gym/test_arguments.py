@@ -36,9 +36,7 @@ scalars = numbers | st.none() | st.booleans() | st.text(max_size=3) | st.binary(
 some_arrays = arrays.arrays(arrays.scalar_dtypes(), arrays.array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=4))
 anything = st.recursive(
     scalars | some_arrays | st.builds(object),
-    lambda inner: (
-        st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(CHANGE), inner) | st.tuples(inner, inner)
-    ),
+    lambda any_: st.lists(any_, max_size=4) | st.dictionaries(st.sampled_from(CHANGE), any_) | st.tuples(any_, any_),
     max_leaves=8,
 )
 # Numbers of which some are valid.
@@ -80,12 +78,11 @@ def names_of(kind: type) -> list[str]:
     return [each.name for each in dataclasses.fields(kind)]
 
 
-OWN = {CapsuleEnv: (), CapsuleVectorEnv: ("num_envs", "max_episode_steps", "autoreset_mode")}
+OWN = {CapsuleEnv: names_of(EnvConfig)}
+OWN[CapsuleVectorEnv] = ["num_envs", "max_episode_steps", "autoreset_mode", *OWN[CapsuleEnv]]
 
 
-@pytest.mark.parametrize(
-    ("kind", "name"), [(kind, name) for kind, own in OWN.items() for name in (*own, *names_of(EnvConfig))]
-)
+@pytest.mark.parametrize(("kind", "name"), [(kind, name) for kind in OWN for name in OWN[kind]])
 @given(value=anything | likely)
 def test_an_argument_of_an_environment(kind, name, value):
     # Such a large number would be accepted, and would fill the memory.

@@ -7,6 +7,7 @@ import numba
 import numpy as np
 import pytest
 
+from baselines.laws import LAWS
 from baselines.laws.gains import plant_constants
 from baselines.laws.periodic import oscillator
 from capsule_gym import CapsuleEnv, Controller
@@ -80,9 +81,8 @@ GAINS = SimpleNamespace(gain=1.0)
     ],
 )
 def test_a_law_that_numba_cannot_compile_is_named_and_called_by_python(law, cause):
-    with pytest.warns(
-        UserWarning, match=rf"^Python calls the control law 'odd', .* cannot compile it: .*{cause}$"
-    ) as said:
+    message = rf"^Python calls the control law 'odd', .* cannot compile it: .*{cause}$"
+    with pytest.warns(UserWarning, match=message) as said:
         env = CapsuleEnv(controller=Controller("odd", law, np.zeros((1, 2))))
     assert len(said) == 1 and "\n" not in str(said[0].message)
     _, info = env.reset(seed=0)
@@ -142,3 +142,21 @@ def test_many_calls_of_a_law_of_the_core_are_single_calls():
     one, other = (CoreLaw("feedback_linearising", **dict(order(LINEARISING.items()))) for order in (iter, reversed))
     assert one == other
     assert pickle.loads(pickle.dumps(law)) == law
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_a_zero_residual_gives_the_torques_of_the_law_alone_bit_for_bit(name):
+    made = find_controller(f"baselines:{name}")
+    env = CapsuleEnv(controller=made, task=made.task or "speed", control_dt=1e-3, residual_limit=3.0)
+    simulation, memory, (_, info) = env.simulation, made.memory, env.reset(seed=0)
+    task_memory = simulation.world[0, simulation.task_row : simulation.task_end, 0]
+    own = task_memory.copy()
+    for n in range(800):
+        torque, memory = made.law(*info["state"], memory, (*made.reference[n % len(made.reference)], *own))
+        # The law is called before the task's memory changes.
+        own = task_memory.copy()
+        law_torque, (_, _, terminated, _, info) = info["law_torque"], env.step(np.zeros(1))
+        assert law_torque == info["torque"] == np.clip(torque, -1.5, 1.5)
+        if terminated:
+            break
+    assert n > 90

@@ -165,8 +165,9 @@ def test_goals_are_seen_through_the_sensors(controls, law, agent, x_noise):
     controller = Controller("reads_error", reads_error, np.zeros((1, 2)), task="goal")
     env = CapsuleEnv(task="goal", controller=controller, disturbances=disturbances)
     # The start is close to the goal and at rest, so that the truth and the readings both hold it for some time.
-    options = {"state": [0.0, 0.0, 2.0, 0.0], "goal": 0.001, "mu": 0.4}
+    options = {"state": [0.0, 0.0, 2.0, 0.0], "goal": 0.001, "mu": 0.4, "disturbances": {"latency": 0.007}}
     infos = run(env, np.concatenate([np.zeros((20, 1, 1)), swing(100)]).astype(np.float32), seed=4, options=options)
+    assert infos[0]["disturbances"]["latency"] == 0.007
     held, last = np.zeros(2), 0.001 * np.ones(2)
     for n, info in enumerate(infos):
         seen = np.array([[info["state"][2], info["state"][3]], [info["reading"][2], info["reading"][3]]])

@@ -13,9 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from baselines.evaluation.episodes import evaluate
+from baselines.evaluation.policies import wrap_policy
 from baselines.laws import LAWS
 from capsule_gym import CapsuleVectorEnv, Controller, load_policy
 from capsule_gym.config import find_task
+from capsule_gym.evaluation_sets import load_set
 from capsule_gym.export import Exported, main
 
 POLICIES = ("direct-ppo", "goal", "residual-real", "direct-real", "velocity", "dp-distilled-wide")
@@ -150,6 +153,15 @@ def test_c_network(observed: Any, library: Any, single: bool):
     errors = np.abs(np.array([act(each) for each in observed.observations]) - observed.actions)
     print(f"{observed.policy.name}, C99 in {'float' if single else 'double'}: {errors.max():.2g}")
     assert errors.max() <= (1e-5 if single else 0.0)
+
+
+@pytest.mark.parametrize("name", ["direct-ppo", "residual-real"])
+def test_float_does_not_change_the_speed(library: Any, name: str):
+    policy, plants = load_policy(name), load_set("paper")
+    single = wrap_policy(c_policy(library(name, True)), env_kwargs=policy.env_kwargs)
+    speeds = [[each["mean_speed"] for each in evaluate(act, plants, horizon=8.0)] for act in (policy, single)]
+    exact, rounded = np.mean(speeds, axis=1)
+    assert exact > 10.0 and rounded == pytest.approx(exact, abs=1e-3)
 
 
 @pytest.mark.parametrize("single", [False, True])

@@ -17,9 +17,7 @@ GOAL = {"task": "goal", "goal_env": True, "energy_weight": 0.5}
 LAW = {"controller": "baselines:goal_pulses", "residual_limit": 0.2}
 
 
-@pytest.mark.parametrize(
-    "kwargs", [{}, LAW, {"stack_size": 2, "observe_parameters": True}], ids=["direct", "law", "more"]
-)
+@pytest.mark.parametrize("kwargs", [{}, LAW, {"stack_size": 2, "observe_parameters": True}], ids=str)
 def test_the_checkers_accept_it(kwargs):
     env = gym.make("capsule_gym:CapsuleGoal-v0", goal_env=True, **kwargs).unwrapped
     check_env(env, skip_render_check=True)

@@ -1,4 +1,4 @@
-"""The network in C++."""
+"""The network in C++: its outputs, and their equality in any batch."""
 
 from itertools import pairwise
 
@@ -50,3 +50,10 @@ def test_it_computes_what_numpy_does(widths, relu, tanh_squashing):
     np.testing.assert_allclose(actions, exact, rtol=6.1e-8, atol=1e-13)
     assert np.unique(actions).size > 20
     assert (np.abs(actions) <= 1.0).all()
+    # The action of a row is the same alone and in any batch, also next to a row that is not a number.
+    for n in (1, 2, 3, 4, 5, 8, 33, BATCH - 1, BATCH, BATCH + 1):
+        for first in (0, 1, 37):
+            assert act(packed, observations[first : first + n]).tobytes() == actions[first : first + n].tobytes()
+    observations[7, 2] = np.nan
+    broken = act(packed, observations)
+    assert np.isnan(broken[7]) and np.delete(broken, 7).tobytes() == np.delete(actions, 7).tobytes()

@@ -127,13 +127,8 @@ def test_a_run_folder_means_its_best_policy(tmp_path):
 
 
 def test_another_law_asks_for_consent(tmp_path):
-    for controller in (
-        "os:getcwd",
-        "baselines.paper.__main__:main",
-        "baselines:_hidden",
-        "baselines:x:y",
-        "baselinesx:y",
-    ):
+    foreign = ("os:getcwd", "baselines.paper.__main__:main", "baselines:_hidden", "baselines:x:y", "baselinesx:y")
+    for controller in foreign:
         make_policy(**TEN_ENTRIES, env_kwargs={"controller": controller}).save(tmp_path / POLICY)
         with pytest.raises(ValueError, match=r"does not come with this package.*trust_controller=True"):
             load_policy(tmp_path)

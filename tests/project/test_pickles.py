@@ -79,11 +79,7 @@ def hostile(tmp_path, monkeypatch) -> Path:
 PATHS = ("run", "old", "run/best", "old/best", "old/best/model.zip", "model.zip", "policy.safetensors", "archive")
 # The commands that read a path, with their arguments.
 READERS = {
-    "agents.evaluate": [
-        *([path] for path in PATHS),
-        ["adaptive", "--set", "set.json"],
-        ["adaptive", "--against", "run"],
-    ],
+    "agents.evaluate": [*([path] for path in PATHS), ["pd", "--set", "set.json"], ["pd", "--against", "run"]],
     "agents.study": [["direct-ppo", "--runs", "study", "--seeds", "0"]],
     "baselines.dynamic_programming": [["--folder", name, "--report"] for name in ("archive", "empty")],
     "capsule_gym.demo": [

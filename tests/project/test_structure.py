@@ -1,12 +1,14 @@
 """Installation and imports: packages and data, light imports, import contracts."""
 
+import dataclasses
+import importlib
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.project.test_pages import MODULES, ROOT
 
 
 def test_another_package_baselines_is_named(tmp_path: Path) -> None:
@@ -22,6 +24,16 @@ def test_another_package_baselines_is_named(tmp_path: Path) -> None:
     command = [sys.executable, "-c", code, str(tmp_path / "baselines" / "__init__.py")]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert str(tmp_path) in done.stderr and "uninstall that one" in done.stderr
+
+
+def test_settings_and_results_cannot_be_changed() -> None:
+    """Copies, caches and threads share them."""
+    # `backend` needs scikit-build-core, which only the build of a wheel has.
+    names = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in MODULES if path.name != "backend.py"]
+    values = [each for name in names for each in vars(importlib.import_module(name)).values()]
+    found = [each for each in values if dataclasses.is_dataclass(each) and getattr(each, "__module__", "") in names]
+    changing = {(each.__module__, each.__name__) for each in found if not each.__dataclass_params__.frozen}
+    assert {name for _, name in changing} == {"Archive", "Problem", "Progress"} and len(changing) == 3
 
 
 def test_no_tracked_file_is_large_or_names_a_path_of_a_machine() -> None:

@@ -61,10 +61,8 @@ def test_episodes_are_written_and_compared(tmp_path: Path, monkeypatch: pytest.M
     episodes.FILE.write_text("[]", encoding="utf-8")
     assert episodes.main(["--write"]) == episodes.main([]) == 0
     written = json.loads(episodes.FILE.read_text(encoding="utf-8"))
-    assert [(each["driver"], each["set"], each["plant"]) for each in written] == [
-        (names[0], "drift", 0),
-        (names[1], "goal", 1),
-    ]
+    found = [(each["driver"], each["set"], each["plant"]) for each in written]
+    assert found == [(names[0], "drift", 0), (names[1], "goal", 1)]
     recorded = dict(np.load(episodes.RECORDINGS))
     assert {each.shape for each in recorded.values()} == {(2, 30)} and "dp-nominal paper" in recorded
     np.savez_compressed(episodes.RECORDINGS, **{**recorded, "dp-nominal paper": recorded["dp-nominal paper"] + 1})

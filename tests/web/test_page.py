@@ -54,9 +54,7 @@ def open_page(browser: Any, site: Path) -> Iterator[Open]:
         page.set_default_timeout(PATIENCE)
         page.on("console", lambda message: said.append(f"{message.type}: {message.text}"))
         page.on("pageerror", lambda error: said.append(f"error: {error}"))
-        page.on(
-            "request", lambda each: None if each.url.startswith((live, "data:", "blob:")) else said.append(each.url)
-        )
+        page.on("request", lambda one: None if one.url.startswith((live, "data:", "blob:")) else said.append(one.url))
         page.goto(live + scene)
         page.wait_for_function("document.getElementById('driver').value && location.hash.length > 1")
         return page
@@ -137,12 +135,8 @@ def test_plays_pauses_steps_and_scrubs_by_mouse_and_keyboard(open_page: Open) ->
         shows(page, "figure-time", time)
         rows.append(measures(page))
     assert rows[:2] == rows[2:] and rows[0] != rows[1]
-    for name, key, time in (
-        ("scrub", "Home", "0.00"),
-        ("step", "Enter", "0.02"),
-        ("stage", ".", "0.04"),
-        ("back", "Enter", "0.02"),
-    ):
+    presses = ("scrub", "Home", "0.00"), ("step", "Enter", "0.02"), ("stage", ".", "0.04"), ("back", "Enter", "0.02")
+    for name, key, time in presses:
         page.press(f"#{name}", key)
         shows(page, "figure-time", time)
 

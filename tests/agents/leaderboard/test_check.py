@@ -37,9 +37,7 @@ def test_check_names_changed_rows(written):
     assert (revision, changed) == tuple(f"learnt: {field} differs from its results" for field in ("revision", "files"))
     assert all(line.endswith(" differs from the results") for line in pages)
     write_run(written / "checkpoints" / "fresh" / "seed-0", 0)
-    with pytest.raises(
-        ValueError, match=r"fresh: no results in fresh\.npz; `python -m agents\.leaderboard NAME` writes"
-    ):
+    with pytest.raises(ValueError, match=r"fresh: no results in fresh\.npz; `python -m agents\.leaderboard NAME`"):
         checked(written)
 
 

@@ -8,6 +8,7 @@ from agents.leaderboard import page
 from agents.leaderboard.chart import contents, draw
 from agents.leaderboard.page import _section, grouped, message
 from baselines.drawing import BLUE, VERMILION
+from baselines.evaluation.policies import Candidate
 from tests.agents.leaderboard.world import checked, edit_row, read, table
 from tests.figures import assert_bars, texts
 
@@ -68,9 +69,7 @@ def test_ranking_is_by_the_mean_and_shows_the_worst_seed(written):
 
 
 def test_the_difference_to_the_base_names_its_set(written, monkeypatch):
-    monkeypatch.setattr(
-        "baselines.evaluation.policies.Candidate.base", property(lambda self: "pd" if self.trained else None)
-    )
+    monkeypatch.setattr(Candidate, "base", property(lambda self: "pd" if self.trained else None))
     edit_row(written, "learnt", lambda row: row.header.update(base="pd"))
     board = read(written)
     rows = [row_of(board, name) for name in ("learnt", "pd")]

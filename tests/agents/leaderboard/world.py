@@ -17,9 +17,7 @@ def make_set(name, *plants):
     return parse_set({"name": name, "plants": [{"M": M, "mu": mu, "seed": i} for i, (M, mu) in enumerate(plants)]})
 
 
-PLANTS = {name: [(0.5, 0.01)] for name in ("nominal", *MAIN_SETS)} | {
-    "paper": [(0.5, 0.01), (0.55, 0.011), (0.45, 0.009)]
-}
+PLANTS = dict.fromkeys(("nominal", *MAIN_SETS), ((0.5, 0.01),)) | {"paper": ((0.5, 0.01), (0.55, 0.011), (0.45, 0.009))}
 SETS = [make_set(name, *plants) for name, plants in PLANTS.items()]
 
 

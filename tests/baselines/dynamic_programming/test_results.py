@@ -8,15 +8,7 @@ import pytest
 
 from baselines.dynamic_programming import __main__ as command
 from baselines.dynamic_programming import archive, solver
-from baselines.dynamic_programming.archive import (
-    Archive,
-    extrapolated,
-    known_results,
-    load_archive,
-    optimal_speed,
-    set_plants,
-    solve_plant,
-)
+from baselines.dynamic_programming.archive import Archive, known_results, load_archive, optimal_speed, set_plants
 from baselines.dynamic_programming.grid import Grid
 from baselines.dynamic_programming.policy import Oracle
 from baselines.dynamic_programming.problem import GRID, STICKY_GRID, Problem, find_grid, plant_problems, repeat
@@ -42,13 +34,14 @@ def test_trajectories_give_the_speeds_on_file_to_the_last_bit():
 
 def test_the_plants_of_the_sets_are_solved_themselves():
     known = known_results()
+    np.testing.assert_allclose(known.results[Problem().key].grids, solver.GRIDS, rtol=0.01)
     plants = set_plants()
     assert list(known.plant_speeds) == plants and len(plants) > 700
     solved = np.array([optimal_speed(*plant) for plant in plants])
     ratios = np.array([known.interpolated_speed(*plant) for plant in plants]) / solved
     assert 0.001 < np.abs(ratios - 1.0).mean() < 0.02 and np.abs(ratios - 1.0).max() < 0.0335
     # A solution on a much coarser grid is slightly slower.
-    coarse = solve_plant(Problem(M=plants[1][0], mu=plants[1][1]), known, (13, 18, 7))
+    coarse = archive.solve_plant(Problem(M=plants[1][0], mu=plants[1][1]), known, (13, 18, 7))
     assert 0.9 < coarse.metrics["mean_speed"][0] / solved[1] < 1.01
 
 
@@ -131,5 +124,5 @@ def test_the_page_shows_the_results_on_file():
         rows += np.column_stack([grid.M, speeds]).tolist()
     for each in (known[Problem(control_dt=control_dt).key] for control_dt in (0.02, 0.01, 0.005)):
         rows.append([1e3 * each.control_dt, each.mean_speed, max(each.steady), each.gains[-1]])
-        assert f"{each.gains[-1]:.2f}|{extrapolated(each)}|" in page
+        assert f"{each.gains[-1]:.2f}|{archive.extrapolated(each)}|" in page
     assert all("|".join([f"\n|{row[0]:g}", *(f"{value:.2f}" for value in row[1:]), ""]) in page for row in rows)

@@ -10,14 +10,7 @@ from scipy.ndimage import map_coordinates
 from baselines.dynamic_programming import solver
 from baselines.dynamic_programming.grid import FAILED, Grid
 from baselines.dynamic_programming.problem import Problem, Transitions
-from baselines.dynamic_programming.solver import (
-    FAILURE_VALUE,
-    Solution,
-    final_solutions,
-    run_policy,
-    solve,
-    transitions,
-)
+from baselines.dynamic_programming.solver import Solution, final_solutions, run_policy, solve, transitions
 from capsule_gym import CapsuleEnv
 from capsule_gym.task import START_THETA
 
@@ -82,10 +75,10 @@ def test_the_solution_is_that_of_value_iteration(coarse):
 
     def operator(values):
         after = map_coordinates(values, coordinates, order=1).reshape(rewards.shape)
-        return (rewards + np.where(failed, FAILURE_VALUE, after)).max(axis=1).reshape(SHAPE)
+        return (rewards + np.where(failed, solver.FAILURE_VALUE, after)).max(axis=1).reshape(SHAPE)
 
     values = solution.values.astype(np.float64)
-    alive = values > 0.5 * FAILURE_VALUE
+    alive = values > 0.5 * solver.FAILURE_VALUE
     # scipy's interpolation omits the parabola along w. `at` interpolates this parabola and linear functions exactly.
     a, b, c = np.meshgrid(*(np.arange(n) for n in SHAPE), indexing="ij")
     states = np.random.default_rng(0).uniform([[-1.0], [-3.0], [-0.1]], [[1.0], [3.0], [0.1]], (3, 50))

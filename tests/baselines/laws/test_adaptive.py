@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from baselines.laws.adaptive import MEMORY, adaptive, constants_of, eta_of, nominal_estimates
+from baselines.laws.adaptive import MEMORY, adaptive, constants_of, eta_of, nominal_estimates, sliding_variables
 from baselines.laws.gains import PUBLISHED, REGULARISED, UNREGULARISED, Gains
 from baselines.laws.profiles import COLUMNS, PROPOSED, reference_table
-from capsule_gym import Capsule
+from capsule_gym import Capsule, dynamics
 from capsule_gym.controller import CoreLaw
 from capsule_gym.parameters import NOMINAL
 
@@ -100,6 +100,35 @@ def test_every_term_and_the_euler_step_are_the_papers(form, n, contact):
         if trial % 5 > 0:
             assert (after[9] - memory[9]) / 2e-4 == pytest.approx(root_rate, rel=1e-7)
         assert after[10] == memory[10]
+
+
+@pytest.mark.parametrize("contact", ["newton", "paper"])
+def test_error_dynamics_are_those_of_the_plant(contact):
+    # Eq. (38), M delta' + C delta = [T, 0] - [Y_theta alpha_theta, Y_x alpha_x], with the plant's own accelerations
+    # and normal force, determines every sign and factor of the regressors, which a step of 1 s shows.
+    p, constants = some_constants(contact=contact, dt=1.0, estimate_range=math.inf)
+    law, alpha, rng, checked = CoreLaw("adaptive", **constants), nominal_estimates(p), np.random.default_rng(11), 0
+    for _ in range(200):
+        state, memory, reference = draw(rng)
+        theta, theta_dot, _, x_dot = state
+        u = rng.uniform(-1.0, 1.0)
+        theta_ddot, x_ddot, normal = dynamics.accelerations(theta, theta_dot, x_dot, math.copysign(1.0, x_dot), u, p)
+        if normal <= 0.0:
+            continue
+        checked += 1
+        # The law uses theta_d'' in place of theta'' in N. If both are equal, its N is the plant's.
+        reference = (*reference[:2], theta_ddot, *reference[3:])
+        change = np.subtract(memory, law(*state, memory, reference)[1])
+        delta_theta, delta_x = sliding_variables(state, memory[-1], reference, GAINS)
+        Y_theta, Y_x = change[:5] / (GAINS.Gamma_1 * delta_theta), change[5:9] / (GAINS.Gamma_2 * delta_x)
+        theta_part = p.m * p.l * GAINS.Lambda_theta * (theta_dot - reference[1])
+        x_part = x_ddot - reference[5] + GAINS.Lambda_x * (x_dot - reference[4])
+        cosine, sine = math.cos(theta), p.m * p.l * math.sin(theta)
+        left = [p.l * theta_part - p.m * p.l * cosine * x_part]
+        left += [-cosine * theta_part + (p.M + p.m) * x_part + sine * theta_dot * delta_theta]
+        right = [u - np.dot(Y_theta, alpha[:5]), -np.dot(Y_x, alpha[5:])]
+        np.testing.assert_allclose(left, right, rtol=1e-9, atol=1e-10)
+    assert checked > 100
 
 
 def test_memory_stays_within_its_bounds():

@@ -6,17 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines.paper.principles import (
-    NEWTON,
-    PAPER,
-    Cycle,
-    check_lemmas,
-    evaluate_demands,
-    lemma_1,
-    lemma_2,
-    principle_3,
-    principle_4,
-)
+from baselines.paper import principles
+from baselines.paper.principles import NEWTON, PAPER, Cycle, lemma_1, lemma_2, principle_3, principle_4
 from capsule_gym.parameters import Capsule
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -67,7 +58,7 @@ def test_lemma_2_by_hand():
 
 
 def test_lemmas_as_printed_imply_nothing_and_corrected_imply_their_principles():
-    rows = check_lemmas(20_000)
+    rows = principles.check_lemmas(20_000)
     assert len(rows) == 6
     for row in rows:
         assert row["states"] > 500
@@ -77,7 +68,7 @@ def test_lemmas_as_printed_imply_nothing_and_corrected_imply_their_principles():
 
 
 def test_demands_on_the_profiles_are_those_of_the_page():
-    rows, page = evaluate_demands(), (ROOT / "docs" / "paper.md").read_text(encoding="utf-8")
+    rows, page = principles.evaluate_demands(), (ROOT / "docs" / "paper.md").read_text(encoding="utf-8")
     for demand in ("Principle 4, Newton", "Principle 4, (8)", "Lemma 2, (15)", "Lemma 2, corrected"):
         found = [row["restoring"] for row in rows if row["demand"].startswith(demand)]
         assert "|".join(f"{max(0.0, factor):.2f}" for phases in found for factor in phases) in page
