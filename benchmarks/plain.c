@@ -21,9 +21,9 @@ typedef struct {
 // The first rows are the core's.
 typedef struct {
   double theta[N], theta_dot[N], x[N], x_dot[N], M[N], mu[N], torque[N], law_torque[N], normal_force[N], energy[N];
-  double reward_progress[N], reward_energy[N], reward_termination[N], reward[N], termination[N], steps[N], start_x[N];
-  double duration[N], episode_energy[N], weight_distance[N], torque_squared[N], peak_torque[N], forward[N], backward[N];
-  double stuck[N], smallest_normal_ratio[N], largest_theta[N], largest_theta_dot[N];
+  double reward_progress[N], reward_energy[N], reward_termination[N], cost[N], reward[N], termination[N], steps[N];
+  double start_x[N], duration[N], episode_energy[N], weight_distance[N], torque_squared[N], peak_torque[N];
+  double forward[N], backward[N], stuck[N], smallest_normal_ratio[N], largest_theta[N], largest_theta_dot[N];
   double slip[N], mass_ratio[N], before_x[N], event[N], halted[N], elapsed[N];
 } Block;
 const int ROWS = sizeof(Block) / sizeof(double) / N;
@@ -252,7 +252,9 @@ INLINE void finish_step(Block *b, Settings q, const double *actions, float *obse
     b->reward[j] = b->reward_progress[j] + b->reward_energy[j] + b->reward_termination[j];
     b->steps[j] += 1.0, b->episode_energy[j] += b->energy[j], b->weight_distance[j] += weight * moved;
     b->duration[j] += b->elapsed[j], b->torque_squared[j] += b->elapsed[j] * b->torque[j] * b->torque[j];
-    b->smallest_normal_ratio[j] = smaller(b->smallest_normal_ratio[j], b->normal_force[j] / weight);
+    double ratio = b->normal_force[j] / weight;
+    b->smallest_normal_ratio[j] = smaller(b->smallest_normal_ratio[j], ratio);
+    b->cost[j] = (ratio < 0.1) | (fabs(b->theta[j]) > 0.9 * THETA_LIMIT) | (b->termination[j] != 0.0) ? 1.0 : 0.0;
   }
   for (int j = 0; j < N; j++, observations += 5) {
     observations[0] = (float)clip(b->theta[j], THETA_LIMIT), observations[1] = (float)clip(b->theta_dot[j], 20.0);

@@ -197,7 +197,8 @@ class Simulation:
         self._set_changes(np.zeros((0, 4)))
         # Looking the arguments up each time takes a tenth of a step.
         self._advance = partial(_core.call, "advance", self._batch)
-        self._step_one = partial(_core.call_locked, "step_one", self._batch)
+        # Steps a single environment with an action, without the arrays; returns as the `work` of `run`.
+        self.step_one = partial(_core.call_locked, "step_one", self._batch)
 
     def row(self, row: int) -> np.ndarray:
         """A copy of one quantity of every environment, shape (num_envs,)."""
@@ -304,16 +305,6 @@ class Simulation:
         self._everyone = active is None
         self.run(lambda first, last: self._advance(first, last, False))
 
-    def step_one(self, action: float) -> None:
-        """`step` for a single environment, without the arrays."""
-        try:
-            broken = self._step_one(action)
-        except BaseException:
-            self._discard_failed()
-            raise
-        if broken >= 0:
-            self._report(0)
-
     def run(self, work: Callable[[int, int], int]) -> None:
         """Runs the core on all environments, distributed over the threads.
 
@@ -327,10 +318,10 @@ class Simulation:
         try:
             broken = max(self._share(work))
         except BaseException:
-            self._discard_failed()
+            self.discard_failed()
             raise
         if broken >= 0:
-            self._report(broken)
+            self.report(broken)
 
     def _share(self, work: Callable[[int, int], int]) -> list[int]:
         """The results of `work`, which the threads call for parts of the environments."""
@@ -350,11 +341,11 @@ class Simulation:
             wait(futures)
             raise
 
-    def _report(self, broken: int) -> None:
+    def report(self, broken: int) -> None:
         """Raises the exception of a law that has failed in an environment, or the error for its torque."""
         column = self.columns(np.array([broken]))[:, 0]
         raised = self._raised[:]
-        self._discard_failed()
+        self.discard_failed()
         if raised:
             raise raised[0]
         names = "theta", "theta_dot", "x", "x_dot"
@@ -372,7 +363,7 @@ class Simulation:
             f"(step {column[Row.steps]:.0f}, state {state}); a law must return finite numbers"
         )
 
-    def _discard_failed(self) -> None:
+    def discard_failed(self) -> None:
         """Discards the exceptions of failed laws, and their torques, which a reset of others would return too."""
         self._raised.clear()
         lost = np.flatnonzero(~np.isfinite(self.row(Row.law_torque)))

@@ -224,8 +224,7 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
     def _info(self, rows: np.ndarray, mask: np.ndarray) -> dict[str, Any]:
         """The infos of the environments that the mask selects, from the first rows of `Row`."""
         simulation = self.simulation
-        terminations, costs = rows[Row.termination].astype(np.int64), simulation.row(Row.cost)
-        info = env.describe(rows, rows[Row.theta : Row.M].T, terminations, costs)
+        info = env.describe(rows[: Row.steps], rows[Row.theta : Row.M].T, rows[Row.termination].astype(np.int64))
         if simulation.task is not SPEED:
             env.add_task(info, simulation.task, simulation.rows(simulation.task_row, simulation.task_end))
         if simulation.settings.history:

@@ -8,6 +8,8 @@
 #define CAPSULE_ROWS                                                                                                   \
   ROW(theta) ROW(theta_dot) ROW(x) ROW(x_dot) ROW(M) ROW(mu) ROW(torque) ROW(law_torque) ROW(normal_force) ROW(energy) \
   ROW(reward_progress) ROW(reward_energy) ROW(reward_termination)                                                      \
+  /* 1.0 where the last step came close to a termination. */                                                           \
+  ROW(cost)                                                                                                            \
   /* The result of the agent step. */                                                                                  \
   ROW(reward) ROW(termination) ROW(steps)                                                                              \
   /* Sums and extreme values of the episode. weight_distance is the distance weighted with (M + m) g, J: the           \
@@ -16,8 +18,6 @@
   ROW(forward) ROW(backward) ROW(stuck) ROW(smallest_normal_ratio) ROW(largest_theta) ROW(largest_theta_dot)           \
   /* Row of the reference that the law has seen last. */                                                               \
   ROW(clock)                                                                                                           \
-  /* 1.0 where the last step came close to a termination. */                                                           \
-  ROW(cost)                                                                                                            \
   /* Input of the step: the action, and 1.0 where the environment takes part. */                                       \
   ROW(action) ROW(active)                                                                                              \
   /* Of the running step: m / (M + m), x at its start, the phase of the contact, how far the environment has stopped,  \
