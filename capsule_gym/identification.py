@@ -27,7 +27,9 @@ QUANTITIES = (*PLANT, *OTHERS)
 # Duration of a segment of the first fit, s.
 SHORT = 0.2
 # Starts of the fit: shares of the ranges of latency and mu; the best ones of the first fit begin the second.
-STARTS, KEPT = tuple({"latency": latency, "mu": mu} for latency in (0.2, 0.5, 0.8) for mu in (0.25, 0.7)), 2
+STARTS, KEPT = tuple({"latency": latency, "mu": mu} for latency in (0.3, 0.7) for mu in (0.25, 0.7)), 2
+# Share of the static ratio's range at which the search fixes it.
+RATIO = 0.25
 LARGEST_CHI2 = 1.2
 # Width of an interval in units of the range's from which on it is the prior's.
 OPEN = 0.8
@@ -39,7 +41,6 @@ class Fit:
 
     Attributes:
         estimates: posterior mean of every estimated quantity, SI units.
-        known: the quantities that were given.
         samples: samples of the posterior distribution, shape (samples, quantities), in the order of `estimates`.
         capsule: the plant with the estimates; its `motor_friction` is the motor's whole friction.
         disturbances: latency, lag, biases, noise and drift of the rig, as estimated.
@@ -50,7 +51,6 @@ class Fit:
     """
 
     estimates: dict[str, float]
-    known: dict[str, float]
     samples: np.ndarray = field(repr=False)
     capsule: Capsule
     disturbances: Disturbances
@@ -186,20 +186,23 @@ def identify(
     if not ranges:
         raise ValueError(f"known and prior must leave a quantity to estimate, got known={known} and prior={prior}")
     problem = Problem(columns, capsule, ranges, prior.log_mu, {**dict.fromkeys(OTHERS, 0.0), **known}, physics_dt)
-    states = problem.cut(SHORT)
-    starts = [np.array([start.get(name, 0.5) for name in problem.names]) for start in STARTS]
-    fits = sorted((problem.fit(np.append(shares, states), tolerance=1.0) for shares in starts), key=itemgetter(1))
-    states = problem.cut(DISTANCE)
-    fits = [problem.fit(np.append(end[: len(problem.names)], states), tolerance=1.0) for end, _ in fits[:KEPT]]
-    for tolerance in (1.0, 0.03):
+    # With an unknown static ratio, at which the likelihood jumps, a search would end anywhere.
+    smooth = problem.at("static_ratio", RATIO) if "static_ratio" in ranges else problem
+    states = smooth.cut(SHORT)
+    starts = [np.array([start.get(name, 0.5) for name in smooth.names]) for start in STARTS]
+    fits = sorted((smooth.fit(np.append(shares, states), tolerance=1.0) for shares in starts), key=itemgetter(1))
+    states = smooth.cut(DISTANCE)
+    fits = [smooth.fit(np.append(end[: len(smooth.names)], states), tolerance=1.0) for end, _ in fits[:KEPT]]
+    for _ in range(2):
         fits.sort(key=itemgetter(1))
-        problem.estimate_noise(fits[0][0])
+        smooth.estimate_noise(fits[0][0])
         # Equal ends are one.
         fits = [end for end in fits if end is fits[0] or end[1] > fits[0][1] + 3.0]
-        fits = [problem.fit(unknowns, tolerance) for unknowns, _ in fits]
+        fits = [smooth.fit(unknowns, tolerance=1.0) for unknowns, _ in fits]
     fits.sort(key=itemgetter(1))
-    found = fits[0][0]
-    shares = problem.posterior(found)
+    problem.noise, problem.segments = smooth.noise, smooth.segments
+    found = fits[0][0] if smooth is problem else np.insert(fits[0][0], problem.names.index("static_ratio"), RATIO)
+    shares, found = problem.posterior(found)
     samples = np.array([[problem.values(each)[0][name] for name in problem.names] for each in shares])
     estimates = dict(zip(problem.names, samples.mean(axis=0).tolist(), strict=True))
     values = {**problem.known, **estimates}
@@ -211,7 +214,6 @@ def identify(
     unmeasured = tuple(name for name in SENSORS if name not in columns)
     fit = Fit(
         estimates=estimates,
-        known=known,
         samples=samples,
         capsule=replace(capsule, **constants),
         disturbances=Disturbances(

@@ -6,7 +6,7 @@ sensor are a bias, white noise and a Gauss-Markov drift, whose sizes follow from
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -22,6 +22,10 @@ NOISE = {name: (getattr(REAL, f"{name}_noise", 0.01), getattr(REAL, f"{name}_dri
 # Distance between the starts of segments, s, and the standard deviation of a gap over that of a reading.
 DISTANCE, GAP = 0.8, 0.02
 MOST_STEPS = 15
+# The reduction of the sum of squares that ends the last fits, and the number of samples of a posterior.
+FINEST, SAMPLES = 0.03, 5000
+# Shares of the ranges at which the other quantities are fitted.
+NODES = {"static_ratio": np.linspace(0.0, 1.0, 7).tolist(), "lag": np.linspace(0.0, 1.0, 7).tolist()}
 
 
 @lru_cache(maxsize=len(STATE))
@@ -56,6 +60,11 @@ class Problem:
         # The components of a segment's state that are unknown: x itself acts on nothing but its sensor.
         self.components = [n for n, name in enumerate(STATE) if name != "x" or "x" in self.log]
         self.low, self.high = np.array(list(self.ranges.values())).T
+        # Constants of the plant act by their products: on a logarithmic scale what a log leaves open is straight.
+        scaled = np.array([name in PLANT for name in self.names]) & (self.low > 0.0)
+        self.growths = np.log(np.divide(self.high, self.low, out=np.ones(len(scaled)), where=scaled))
+        # The density of a prior that is uniform in the quantity itself grows with it.
+        self.densities = np.where([name == "mu" and self.log_mu for name in self.names], 0.0, self.growths)
         latest = self.ranges.get("latency", (0.0, self.known.get("latency", 0.0)))[1]
         # Readings before the first of a segment, which begins earlier by the longest latency.
         self.lead = math.ceil((latest + self.h) / self.period - 1e-9)
@@ -66,12 +75,11 @@ class Problem:
 
     def values(self, shares: np.ndarray) -> tuple[dict[str, float], np.ndarray]:
         """The quantities in SI units, and the derivatives of the unknown ones by their shares."""
-        slopes = self.high - self.low
-        found = self.low + shares * slopes
-        if self.log_mu and "mu" in self.names:
-            n, (low, high) = self.names.index("mu"), self.ranges["mu"]
-            found[n] = low * (high / low) ** shares[n]
-            slopes[n] = found[n] * math.log(high / low)
+        logarithmic = self.growths > 0.0
+        found = np.where(
+            logarithmic, self.low * np.exp(self.growths * shares), self.low + shares * (self.high - self.low)
+        )
+        slopes = np.where(logarithmic, found * self.growths, self.high - self.low)
         return {**self.known, **dict(zip(self.names, found.tolist(), strict=True))}, slopes
 
     def cut(self, seconds: float) -> np.ndarray:
@@ -109,6 +117,7 @@ class Problem:
 
         Also the gaps between segments, shape (gaps, components, 1 + unknowns).
         """
+        from scipy.interpolate import CubicHermiteSpline
         from scipy.signal import lfilter
 
         count, width = len(self.names), len(self.components)
@@ -144,22 +153,16 @@ class Problem:
             own = count + n * width + np.arange(width)
             columns = np.append(0, 1 + np.append(directions, own).astype(int)) if slopes else [0]
             whole = np.concatenate([grid[:, :4, None], rates], axis=2)
-            # Between the steps of the integrator readings are interpolated linearly.
+            # Between the steps of the integrator: angle and position by the cubics with their rates at both ends.
             at = (np.arange(first, last) * self.steps - begin) - latency
-            low = np.floor(at).astype(int)
-            rest = (at - low)[:, None, None]
-
-            def read(part: np.ndarray, ahead: int, low: np.ndarray = low, rest: np.ndarray = rest) -> np.ndarray:
-                before, after = (np.minimum(low + ahead + k, len(part) - 1) for k in (0, 1))
-                return ((1.0 - rest) * part[before] + rest * part[after])[:, shown]
-
+            motion = CubicHermiteSpline(np.arange(len(whole)), whole[:, ::2], self.h * whole[:, 1::2])
+            orders = [motion(at, order) / self.h**order for order in range(3)]
             out[first:last] = 0.0
-            out[first:last][:, :, columns] = read(whole, 0)
+            out[first:last][:, :, columns] = np.stack(orders[:2], 2).reshape(len(at), 4, -1)[:, shown]
             if slopes and "latency" in self.names:
-                # The slope jumps where the motor's torque does: the mean of both sides.
-                which, own_state = self.names.index("latency"), whole[..., :1]
-                difference = (read(own_state, -1) - read(own_state, 1))[..., 0]
-                out[first:last, :, 1 + which] = difference / (2.0 * self.h) * scale[which]
+                which = self.names.index("latency")
+                speeds = np.stack(orders[1:], 2)[..., 0].reshape(len(at), 4)[:, shown]
+                out[first:last, :, 1 + which] = -speeds * scale[which]
             if n < len(gaps) and self.segments[n + 1][0] == last:
                 gaps[n][:, columns] = whole[(last - self.lead) * self.steps - begin][self.components]
                 gaps[n, :, 0] -= states[n + 1]
@@ -251,7 +254,56 @@ class Problem:
         logs = np.exp(minimize(likelihood, [*sizes, math.log(0.05)], method="L-BFGS-B", bounds=bounds).x).tolist()
         self.noise = {name: (logs[2 * n], logs[2 * n + 1], logs[-1]) for n, name in enumerate(self.sensors)}
 
-    def posterior(self, unknowns: np.ndarray) -> np.ndarray:
+    def at(self, name: str, share: float) -> "Problem":
+        """The problem in which a quantity is known, with the value at this share of its range."""
+        value = self.values(np.full(len(self.names), share))[0][name]
+        ranges = {other: limits for other, limits in self.ranges.items() if other != name}
+        problem = replace(self, ranges=ranges, known={**self.known, name: value})
+        problem.noise, problem.segments = self.noise, self.segments
+        return problem
+
+    def posterior(self, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Samples of the shares, shape (samples, shares), and the unknowns of the largest likelihood, from those given.
+
+        The likelihood is approximated as normal in the ranges, but for two quantities, over which the others are
+        fitted. With the static ratio it jumps; the others are those of its best value. Lag and latency act alike along
+        a curve; the others are interpolated between several lags.
+        """
+        from scipy.interpolate import Akima1DInterpolator
+
+        name = next((each for each in NODES if each in self.names), None)
+        if name is None:
+            unknowns, _ = self.fit(unknowns, FINEST)
+            return self.laplace(unknowns), unknowns
+        place, nodes = self.names.index(name), NODES[name]
+        ends, costs = {unknowns[place]: np.delete(unknowns, place)}, dict[float, float]()
+        problems = {node: self.at(name, node) for node in nodes}
+        for node in sorted(nodes, key=lambda node: abs(node - unknowns[place])):
+            last = min(ends, key=lambda end: abs(end - node))
+            guess = ends[last].copy()
+            if name == "lag" and "latency" in self.names:
+                # The log determines little more than their sum.
+                ratio = np.ptp(self.ranges[name]) / np.ptp(self.ranges["latency"])
+                n = problems[node].names.index("latency")
+                guess[n] = np.clip(guess[n] + (last - node) * ratio, 0.0, 1.0)
+            ends[node], costs[node] = problems[node].fit(guess, FINEST)
+        shares, generator = (np.arange(1000) + 0.5) / 1000.0, np.random.default_rng(0)
+        cost = Akima1DInterpolator(nodes, [costs[node] for node in nodes])(shares)
+        density = np.exp(-0.5 * (cost - cost.min()) + shares * self.densities[place])
+        drawn = generator.choice(shares, SAMPLES, p=density / density.sum())
+        if name == "lag":
+            best = shares[np.argmin(cost)]
+            found = Akima1DInterpolator(nodes, [ends[node] for node in nodes])(best)
+            parts = np.array([problems[node].laplace(ends[node]) for node in nodes])
+            middles, nearest = parts.mean(axis=1), np.abs(np.subtract.outer(drawn, nodes)).argmin(axis=1)
+            samples = Akima1DInterpolator(nodes, middles)(drawn) + (parts - middles[:, None])[nearest, range(SAMPLES)]
+        else:
+            best = min(nodes, key=costs.__getitem__)
+            samples, found = problems[best].posterior(ends[best])
+        found[: len(self.names) - 1] = np.clip(found[: len(self.names) - 1], 0.0, 1.0)
+        return np.insert(np.clip(samples, 0.0, 1.0), place, drawn, axis=1), np.insert(found, place, best)
+
+    def laplace(self, unknowns: np.ndarray) -> np.ndarray:
         """Samples of the shares, shape (samples, shares): the normal approximation of the likelihood in the ranges."""
         r, jacobian = self.residuals(unknowns)
         gradient, normal = jacobian.T @ r, jacobian.T @ jacobian + 1e-6 * np.eye(len(unknowns))
@@ -267,14 +319,14 @@ class Problem:
         factor = np.linalg.cholesky(covariance)
         generator, found = np.random.default_rng(0), np.zeros((0, count))
         for _ in range(200):
-            every = middle + generator.standard_normal((5000, count)) @ factor.T
+            every = middle + generator.standard_normal((SAMPLES, count)) @ factor.T
             drawn = every[((every >= 0.0) & (every <= 1.0)).all(axis=1)]
-            weight = np.exp(0.5 * np.sum((drawn - 0.5) ** 2 - 0.25, axis=1))
+            weight = np.exp(0.5 * np.sum((drawn - 0.5) ** 2 - 0.25, axis=1) + (drawn - 1.0) @ self.densities)
             found = np.concatenate([found, drawn[generator.uniform(size=len(drawn)) < weight]])
-            if len(found) >= 5000:
+            if len(found) >= SAMPLES:
                 break
         # A likelihood far outside of the ranges, which hardly any sample meets.
-        return found if len(found) > 500 else np.clip(every, 0.0, 1.0)
+        return np.resize(found, (SAMPLES, count)) if len(found) > 500 else np.clip(every, 0.0, 1.0)
 
     def statistic(self, unknowns: np.ndarray) -> float:
         """The share of the whitened residuals that past torques and the predicted motion explain, over that of noise.
