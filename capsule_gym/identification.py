@@ -63,7 +63,7 @@ class Fit:
     @property
     def covariance(self) -> np.ndarray:
         """The covariance of the estimates, shape (quantities, quantities), SI units."""
-        return np.cov(self.samples.T)
+        return np.atleast_2d(np.cov(self.samples.T))
 
     @property
     def identified(self) -> list[tuple[float, dict[str, float]]]:
@@ -131,7 +131,7 @@ class Fit:
         figure.axes[0].legend(loc="upper right")
         axes = figure.add_subplot(grid[-1, :])
         names = list(self.estimates)
-        image = axes.imshow(np.corrcoef(self.samples.T), vmin=-1.0, vmax=1.0, cmap="RdBu")
+        image = axes.imshow(np.atleast_2d(np.corrcoef(self.samples.T)), vmin=-1.0, vmax=1.0, cmap="RdBu")
         axes.set_xticks(range(len(names)), names, rotation=60)
         axes.set_yticks(range(len(names)), names)
         figure.colorbar(image, label="correlation")

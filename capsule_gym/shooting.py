@@ -59,9 +59,9 @@ class Problem:
         self.sensors = [name for name in STATE if name in self.log]
         # The components of a segment's state that are unknown: x itself acts on nothing but its sensor.
         self.components = [n for n, name in enumerate(STATE) if name != "x" or "x" in self.log]
-        self.low, self.high = np.array(list(self.ranges.values())).T
+        self.low, self.high = np.reshape(list(self.ranges.values()), (-1, 2)).T
         # Constants of the plant act by their products: on a logarithmic scale what a log leaves open is straight.
-        scaled = np.array([name in PLANT for name in self.names]) & (self.low > 0.0)
+        scaled = np.array([name in PLANT for name in self.names], np.bool_) & (self.low > 0.0)
         self.growths = np.log(np.divide(self.high, self.low, out=np.ones(len(scaled)), where=scaled))
         # The density of a prior that is uniform in the quantity itself grows with it.
         self.densities = np.where([name == "mu" and self.log_mu for name in self.names], 0.0, self.growths)
