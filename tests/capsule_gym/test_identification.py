@@ -82,7 +82,7 @@ T = 0.01 * np.arange(400)
 
 def make_small_problem(count: int = 400, **more) -> Problem:
     t, torque = 0.01 * np.arange(count), np.random.default_rng(0).normal(size=count)
-    columns = {"t": t, "torque": torque, "theta": 0.3 * np.sin(2.0 * t), **more}
+    columns = {"t": 7.0 + t, "torque": torque, "theta": 0.3 * np.sin(2.0 * t), **more}
     ranges = {"M": (0.4, 0.8), "mu": (0.01, 0.16), "latency": (0.004, 0.012)}
     return Problem(columns, Capsule(), ranges, True, {"lag": 0.0}, 3e-3)
 
@@ -243,6 +243,7 @@ def test_an_excitation_is_a_multisine_of_its_size_under_a_weak_pd_law():
     power, frequencies = np.abs(np.fft.rfft(rest * np.hanning(4000))) ** 2, np.fft.rfftfreq(4000, 0.01)
     assert np.sqrt(np.mean(rest**2)) == pytest.approx(0.2, rel=0.1)
     assert power[(frequencies > 0.25) & (frequencies < 8.05)].sum() > 0.999 * power.sum()
+    assert [Excitation().start()(np.float32([theta, 0.0]))[0] for theta in (9.0, -9.0)] == [-1.0, 1.0]
     assert leant - rest == pytest.approx(-0.06, abs=1e-6) and swung - rest == pytest.approx(-0.04, abs=1e-6)
 
 
