@@ -100,6 +100,12 @@ def test_runs_that_begin_at_once_have_folders_of_their_own(words, name, tmp_path
     assert f"saved. To resume: python train.py --resume {runs[1][0]}\n" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(("error", "said"), [(OSError("full"), ""), (ValueError("odd"), "ValueError: odd")])
+def test_a_thread_says_what_is_no_error_of_the_system(error, said, capsys):
+    train._report(threading.ExceptHookArgs((type(error), error, None, None)))
+    assert "".join(capsys.readouterr().err.splitlines()[-1:]) == said
+
+
 TINY = "--total-steps 64 --num-envs 8 --n-steps 8 --batch-size 32 --hidden 4 --evaluation-episodes 1".split()
 
 

@@ -153,24 +153,16 @@ PLANTS = {
     **dict.fromkeys(("static_ratio", "backward_ratio"), st.floats(1.0, 3.0)),
 }
 ARGUMENTS = {
-    "controller": st.sampled_from([None, "baselines:adaptive"]),
-    "residual_limit": st.floats(1e-6, 30.0),
-    "total_torque": st.booleans(),
-    "torque_limit": st.floats(0.1, 50.0),
-    "randomization": st.sampled_from(["none", "paper", "wide"]),
-    "observe_parameters": st.booleans(),
-    "energy_weight": st.floats(0.0, 100.0),
-    "initial_noise": st.floats(0.0, 0.5),
-    "initial_range": st.none(),
-    "control_dt": st.sampled_from([0.02, 0.01, 0.1]),
-    "physics_dt": st.sampled_from([1e-3, 5e-4]),
-}
+    "controller": st.sampled_from([None, "baselines:adaptive"]), "residual_limit": st.floats(1e-6, 30.0),
+    "total_torque": st.booleans(), "torque_limit": st.floats(0.1, 50.0), "observe_parameters": st.booleans(),
+    "randomization": st.sampled_from(["none", "paper", "wide"]), "energy_weight": st.floats(0.0, 100.0),
+    "initial_noise": st.floats(0.0, 0.5), "initial_range": st.none(),
+    "control_dt": st.sampled_from([0.02, 0.01, 0.1]), "physics_dt": st.sampled_from([1e-3, 5e-4]),
+}  # fmt: skip
 BATCH_ARGUMENTS = {
-    "num_envs": st.sampled_from([1, 2, LANES + 1]),
-    "threads": st.integers(1, 3),
-    "max_episode_steps": st.sampled_from([1, 7, 1650]),
-    "autoreset_mode": st.sampled_from(["NEXT_STEP", "SAME_STEP", "DISABLED"]),
-}
+    "num_envs": st.sampled_from([1, 2, LANES + 1]), "max_episode_steps": st.sampled_from([1, 7, 1650]),
+    "threads": st.integers(1, 3), "autoreset_mode": st.sampled_from(["NEXT_STEP", "SAME_STEP", "DISABLED"]),
+}  # fmt: skip
 # Actions of an episode: noise, bang-bang, full torque, none, numbers next to the largest and the smallest.
 DRIVES: tuple[Callable[[np.random.Generator, int, int], np.ndarray], ...] = (
     lambda rng, step, n: rng.uniform(-1.5, 1.5, (n, 1)),

@@ -280,6 +280,7 @@ def test_an_excitation_is_a_multisine_of_its_size_under_a_weak_pd_law():
     power, frequencies = np.abs(np.fft.rfft(rest * np.hanning(4000))) ** 2, np.fft.rfftfreq(4000, 0.01)
     assert np.sqrt(np.mean(rest**2)) == pytest.approx(0.2, rel=0.1)
     assert power[(frequencies > 0.25) & (frequencies < 8.05)].sum() > 0.999 * power.sum()
+    assert [Excitation().start()(np.float32([theta, 0.0]))[0] for theta in (9.0, -9.0)] == [-1.0, 1.0]
     assert leant - rest == pytest.approx(-0.06, abs=1e-6) and swung - rest == pytest.approx(-0.04, abs=1e-6)
 
 

@@ -21,20 +21,10 @@ from tests.capsule_gym.test_network import make_layers
 
 def make_policy(**changes: object) -> Policy:
     rng = np.random.default_rng(5)
-    values: dict[str, object] = {
-        "name": "made",
-        "algorithm": "ppo",
-        "layers": tuple(make_layers((5, 8, 1))),
-        "activation": "tanh",
-        "squashing": "clip",
-        "mean": rng.normal(size=5),
-        "variance": rng.uniform(0.1, 2.0, 5),
-        "clip": 10.0,
-        "epsilon": 1e-8,
-        "env_kwargs": {"torque_limit": 1.25, "randomization": "wide"},
-        "training_seed": 3,
-        "revision": "0123456789ab",
-    }
+    words = {"name": "made", "algorithm": "ppo", "activation": "tanh", "squashing": "clip", "revision": "0123456789ab"}
+    arrays = {"mean": rng.normal(size=5), "variance": rng.uniform(0.1, 2.0, 5), "layers": tuple(make_layers((5, 8, 1)))}
+    env_kwargs = {"torque_limit": 1.25, "randomization": "wide"}
+    values = {**words, **arrays, "clip": 10.0, "epsilon": 1e-8, "training_seed": 3, "env_kwargs": env_kwargs}
     return Policy(**{**values, **changes})  # type: ignore[arg-type]
 
 

@@ -5,10 +5,11 @@ import torch
 from gymnasium.vector import AutoresetMode
 from stable_baselines3 import PPO
 from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import VecNormalize
 
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.layout import Row
-from capsule_gym.sb3 import AsymmetricPolicy, CapsuleSB3VecEnv
+from capsule_gym.sb3 import AsymmetricPolicy, CapsuleSB3VecEnv, FixedScale
 
 
 @pytest.mark.parametrize("kwargs", [{"controller": "baselines:adaptive", "residual_limit": 3.0}, {"task": "goal"}])
@@ -102,6 +103,15 @@ def test_a_privileged_critic_observes_the_plant_and_the_true_state(kwargs, entri
         check(found, observations, info, every)
         for i in np.flatnonzero(dones):
             check(infos[i]["terminal_observation"], info["final_obs"][i], info["final_info"], i)
+
+
+def test_fixed_scales_multiply_observations():
+    factors = np.array([0.5, 1.0, 2.0, 3.0, 4.0])
+    env = VecNormalize(CapsuleSB3VecEnv(2, seed=0), clip_obs=100.0)
+    env.obs_rms = FixedScale(factors)
+    env.reset()
+    env.step(np.ones((2, 1), np.float32))
+    assert env.normalize_obs(np.array([1.0, -1.0, 0.5, 1.0, 10.0])) == pytest.approx(factors * [1, -1, 0.5, 1, 10])
 
 
 def test_the_actor_ignores_what_only_the_critic_observes(tmp_path):

@@ -135,9 +135,7 @@ NOT_FINITE = r"^the control law 'picky' returned a torque that is not finite in 
 
 @pytest.mark.parametrize(("law", "error"), [(picky, ValueError), (failing, OwnError)])
 @pytest.mark.parametrize(("n", "threads"), [(1, 1), (70, 1), (130, 2)])
-def test_an_exception_and_a_torque_that_is_not_finite_reach_the_caller_and_spare_the_others(
-    law, error, n, threads, either_way
-):
+def test_an_exception_and_a_torque_that_is_not_finite_reach_the_caller(law, error, n, threads, either_way):
     made = Controller(law.__name__, law, np.zeros((1, 2)))
     env, sound = (CapsuleVectorEnv(n, controller=made, threads=threads) for _ in range(2))
     lost, zeros, states = n // 2, np.zeros((n, 1), np.float32), np.tile([-1.0, 0.0, 0.0, 0.0], (n, 1))

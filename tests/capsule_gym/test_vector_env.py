@@ -211,7 +211,7 @@ def test_a_copy_goes_on_with_the_episodes_bit_for_bit_and_on_its_own(make_copy, 
     for each in (env, make_copy(env)):
         with pytest.raises(gym.error.ResetNeeded):
             each.unwrapped.step(np.zeros(env.action_space.shape, np.float32))
-    changes = [{"t": 0.05, "M": 0.5, "mu": 0.01}, {"t": 0.4, "M": 0.6, "mu": 0.02}]
+    changes = [{"t": 0.05, "M": 0.5, "mu": 0.01}, {"t": 0.9, "M": 0.6, "mu": 0.02}]
     env.reset(seed=4, options={"changes": changes if isinstance(env, gym.Env) else [changes] * (LANES + 2)})
     # A batch is copied just after its first episodes have ended, an environment in the middle of one, and the reverse.
     for steps in (30, 60, 10):

@@ -44,18 +44,12 @@ def agent(kind: type[BaseAlgorithm], **policy_kwargs: Any) -> BaseAlgorithm:
     return model
 
 
-@pytest.mark.parametrize(
-    ("kind", "policy_kwargs", "labels"),
-    [
-        (PPO, {}, ("ppo", "tanh", "clip")),
-        (PPO, {"net_arch": [32, 16, 8]}, ("ppo", "tanh", "clip")),
-        (SAC, {}, ("sac", "relu", "tanh")),
-        (TD3, {}, ("td3", "relu", "tanh")),
-        (TQC, {}, ("tqc", "relu", "tanh")),
-    ],
-    ids=["ppo", "ppo with three layers", "sac", "td3", "tqc"],
-)
-def test_policy_file_and_archive_act_as_the_agent(kind, policy_kwargs, labels, tmp_path):
+KINDS = [(PPO, {}), (PPO, {"net_arch": [32, 16, 8]}), (SAC, {}), (TD3, {}), (TQC, {})]
+
+
+@pytest.mark.parametrize(("kind", "policy_kwargs"), KINDS)
+def test_policy_file_and_archive_act_as_the_agent(kind, policy_kwargs, tmp_path):
+    labels = ("ppo", "tanh", "clip") if kind is PPO else (kind.__name__.lower(), "relu", "tanh")
     model = agent(kind, **policy_kwargs)
     config = dataclasses.replace(PRESETS["direct", labels[0]], seed=4)
     policy = export("run", model, config, "abc")

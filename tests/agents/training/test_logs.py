@@ -1,6 +1,7 @@
 import io
 import sys
 from functools import partial
+from types import SimpleNamespace
 
 import pytest
 from tqdm import tqdm
@@ -42,3 +43,13 @@ def test_weights_and_biases_is_not_needed_unless_it_is_asked_for(tmp_path, monke
     with pytest.raises(RunError, match=r'pip install "capsule-gym\[wandb\]"'):
         train_briefly(tmp_path / "run", wandb=True)
     assert train_briefly(tmp_path / "run")[1]
+
+
+def test_weights_and_biases_follows_a_run_under_the_same_name(tmp_path, monkeypatch):
+    begun = []
+    wandb = SimpleNamespace(init=lambda **options: begun.append(options) or wandb, finish=lambda: begun.append("end"))
+    monkeypatch.setitem(sys.modules, "wandb", wandb)
+    for folder in "aba":
+        train_briefly(tmp_path / folder, total_steps=256, wandb=True)
+    assert begun[1::2] == ["end"] * 3 and begun[0]["id"] == begun[4]["id"] != begun[2]["id"]
+    assert (begun[0]["name"], begun[0]["project"], begun[0]["sync_tensorboard"]) == ("a", "capsule_gym", True)
