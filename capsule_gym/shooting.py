@@ -288,7 +288,10 @@ class Problem:
                 guess[n] = np.clip(guess[n] + (last - node) * ratio, 0.0, 1.0)
             ends[node], costs[node] = problems[node].fit(guess, FINEST)
         shares, generator = (np.arange(1000) + 0.5) / 1000.0, np.random.default_rng(0)
-        cost = Akima1DInterpolator(nodes, [costs[node] for node in nodes])(shares)
+        values, below = np.array([costs[node] for node in nodes]), (shares * (len(nodes) - 1)).astype(int)
+        # Where the likelihood jumps, it may be as large in between as at the better end.
+        jumping = np.minimum(values[below], values[below + 1])
+        cost = Akima1DInterpolator(nodes, values)(shares) if name == "lag" else jumping
         density = np.exp(-0.5 * (cost - cost.min()) + shares * self.densities[place])
         drawn = generator.choice(shares, SAMPLES, p=density / density.sum())
         if name == "lag":
