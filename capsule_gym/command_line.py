@@ -57,9 +57,7 @@ def parse(kind: Callable[..., T], prog: str, arguments: Sequence[str] | None = N
     """Reads a command line.
 
     Args:
-        kind: a dataclass, or a function that is called; its docstring, up to its arguments, is the description. A
-            `ValueError` or `TypeError` of the dataclass's method `check`, if it has one, is an error of the command
-            line.
+        kind: a dataclass, or a function that is called; its docstring, up to its arguments, is the description.
         prog: the command as the user types it.
         arguments: the words after the command; None takes them from `sys.argv`.
         default: defaults other than the fields' own.
@@ -72,14 +70,7 @@ def parse(kind: Callable[..., T], prog: str, arguments: Sequence[str] | None = N
         sys.stdout.reconfigure(errors="backslashreplace")
     defaults: dict[str, Any] = {} if default is None else {"default": default}
     description = (inspect.getdoc(kind) or "").partition("\n\nArgs:")[0]
-    options: T = tyro.cli(kind, prog=prog, args=arguments, description=description, config=NO_NEGATIONS, **defaults)
-    check = getattr(options, "check", None)
-    if callable(check):
-        try:
-            check()
-        except (TypeError, ValueError) as error:
-            refuse(prog, str(error))
-    return options
+    return tyro.cli(kind, prog=prog, args=arguments, description=description, config=NO_NEGATIONS, **defaults)
 
 
 def command(prog: str, *errors: type[Exception]) -> Callable[[Callable[..., int | None]], Callable[..., int]]:

@@ -76,9 +76,8 @@ def subjects() -> Iterator[Subject]:
     shaken = replace(real, push=(0.0, 0.5), theta_resolution=0.001, torque_resolution=0.01)
     varied = {"randomization": "real-wide", "disturbances": shaken}
     yield Subject("plant disturbed", varied, random_actions(0.15))
-    yield Subject(
-        "law gait_predictive disturbed", {**varied, "controller": "baselines:gait_predictive"}, random_actions(0.05)
-    )
+    predictive = {**varied, "controller": "baselines:gait_predictive"}
+    yield Subject("law gait_predictive disturbed", predictive, random_actions(0.05))
     for name, own in (("goal", shaken), ("velocity", replace(shaken, x_noise=0.001))):
         law = {"task": name, "disturbances": own, "controller": f"baselines:{name}_pulses"}
         yield Subject(f"law {name}_pulses disturbed", law, random_actions(0.05))

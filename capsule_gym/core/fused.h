@@ -25,9 +25,9 @@ static __attribute__((noinline, const, unused)) double fused(double a, double b,
   double v = p + t, v_0 = v - p, v_error = (p - (v - v_0)) + (t - v_0);
   double z = t_error + v_error, z_0 = z - t_error, z_error = (t_error - (z - z_0)) + (v_error - z_0);
   unsigned long long word;
-  __builtin_memcpy(&word, &z, 8);
+  __builtin_memcpy(&word, &z, sizeof(z));
   word += ((z_error > 0.0) == (z > 0.0) ? 1 : -1) * (unsigned long long)((z_error != 0.0) & ~word & 1);
-  __builtin_memcpy(&z, &word, 8);
+  __builtin_memcpy(&z, &word, sizeof(z));
   return v + z;
 }
 )

@@ -14,12 +14,8 @@ from baselines.evaluation.policies import Candidate
 from baselines.evaluation.statistics import estimate
 from capsule_gym.parameters import REAL, Disturbances
 from tests.agents.fakes import Sine
+from tests.agents.leaderboard.world import table
 from tests.figures import assert_lines, texts
-
-
-def cells(table):
-    lines = [line for line in table.replace("\N{NO-BREAK SPACE}", " ").splitlines() if line[:1] == "|"]
-    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
 
 
 def test_the_last_of_two_evaluations_at_the_same_step_counts(tmp_path):
@@ -34,7 +30,7 @@ def test_sensitivity_shows_speed_and_failures_under_each_disturbance(monkeypatch
     conditions = sensitivity.conditions()
     assert conditions['all of "real"'] == REAL and conditions["latency"] == Disturbances(latency=0.01)
     results = sensitivity.run([Candidate("wild", (Sine(1.5, period=10.0, name="wild"),), "")], horizon=1.0)
-    head, _, wild, still = cells(sensitivity.table({**results, "still": dict.fromkeys(conditions, (0.0, 0))}))
+    head, _, wild, still = table(sensitivity.table({**results, "still": dict.fromkeys(conditions, (0.0, 0))}))
     assert head == ["policy", "none", *sensitivity.DISTURBED, "no x_dot"]
     assert wild[1].endswith(" (2)") and still[1:] == ["0.00"] * (len(head) - 1)
 
@@ -93,10 +89,10 @@ def test_the_curves_of_a_row_are_those_of_its_runs_and_its_table_their_end():
     assert (band[:, 1].min(), band[band[:, 0] == 0.8][:, 1].max()) == pytest.approx((first.low, last.high))
     other = statistics.draw_learning({"goal": runs}, "time to the goal (s)")
     assert other.axes[0].get_yscale() == "log" and other.get_supylabel() == "time to the goal (s)"
-    cells_of = cells(statistics.table({"three": runs, "none": {}}))
-    assert cells_of[0][2:] == ["steps", "mean speed (cm/s) at the end", "steps to 90 % of that"]
+    cells = table(statistics.table({"three": runs, "none": {}}))
+    assert cells[0][2:] == ["steps", "mean speed (cm/s) at the end", "steps to 90 % of that"]
     # 11 - 10 / n reaches 90 % of 9.75 at n = 5.
-    assert cells_of[2] == ["three", "3", "800,000", f"9.75 [{last.low:.2f}, {last.high:.2f}]", "500,000"]
+    assert cells[2] == ["three", "3", "800,000", f"9.75 [{last.low:.2f},\N{NO-BREAK SPACE}{last.high:.2f}]", "500,000"]
 
 
 @dataclass

@@ -20,7 +20,7 @@ def picky(theta, theta_dot, x, x_dot, memory, reference):
     if x > 50.0:
         torque = 1e308
     elif x > 5.0:
-        torque = np.inf if count >= 30.0 else 0.1
+        torque = np.inf if count == 30.0 else 0.1
     if x < -5.0:
         torque = np.nan
     return torque, (count + 1.0,)

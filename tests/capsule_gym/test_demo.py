@@ -14,14 +14,8 @@ pygame = pytest.importorskip("pygame")
 
 PAPER = load_set("paper")
 PLANT = PAPER.plants[0]
+pytestmark = pytest.mark.usefixtures("no_screen")
 KEYS = pygame.K_LEFT, pygame.K_a, pygame.K_RIGHT, pygame.K_d
-
-
-@pytest.fixture(autouse=True)
-def display(monkeypatch):
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    yield
-    pygame.display.quit()
 
 
 def state(episode: Episode) -> dict:

@@ -31,8 +31,7 @@ VARIANTS = [
 
 
 @pytest.mark.parametrize("kwargs", VARIANTS)
-def test_the_checkers_are_silent_and_every_info_has_the_form_of_the_first(kwargs, monkeypatch):
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+def test_the_checkers_are_silent_and_every_info_has_the_form_of_the_first(kwargs, no_screen):
     task = find_task(kwargs.get("task", "speed"))
     env_id, steps = TASKS[task.name]
     assert gym.spec(env_id).max_episode_steps == task.episode_steps == steps

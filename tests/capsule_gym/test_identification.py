@@ -226,6 +226,17 @@ def test_a_single_quantity_is_estimated_alone(log, tmp_path):
     fit.report(tmp_path / "fit.png")
 
 
+def test_a_report_shows_readings_residuals_and_correlations(fit, log, tmp_path, saved_figures):
+    fit.report(tmp_path / "fit.png")
+    *panels, correlations, _ = saved_figures[0].axes
+    for left, right, name in zip(panels[::2], panels[1::2], list(log)[2:], strict=True):
+        (t, measured), (_, predicted), (_, residual) = (each.get_xydata().T for each in (*left.lines, *right.lines))
+        assert np.array_equal(t, log["t"]) and np.array_equal(measured, log[name])
+        assert np.array_equal(residual, measured - predicted, equal_nan=True)
+        assert np.nanstd(residual) < 0.5 * np.std(measured)
+    np.testing.assert_allclose(correlations.images[0].get_array(), np.corrcoef(fit.samples.T))
+
+
 def test_command_and_lost_readings(log, tmp_path):
     path = tmp_path / "log.csv"
     generator = np.random.default_rng(0)

@@ -94,8 +94,7 @@ def test_the_fastest_rate_bounds_every_eigenvalue_closely(normal_force, close):
     while tested < 20:
         names = ("M", "m", "l", "k", "c", "mu", "backward_ratio")
         fields = dict(zip(names, (10.0 ** rng.uniform(-1.5, 0.5, len(names))).tolist(), strict=True))
-        # Every other spring is stiffer than gravity.
-        fields["k"] *= 30.0 ** (tested % 2)
+        fields["k"] *= 30.0 ** (tested % 2)  # every other spring is stiffer than gravity
         try:
             capsule = Capsule(**fields, normal_force=normal_force)
         except ValueError:  # Painleve

@@ -92,15 +92,7 @@ renderer.close()
     assert done.stdout == "" and done.stderr == ""
 
 
-@pytest.fixture
-def dummy(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """SDL's driver without a screen; leaves no window behind."""
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    yield
-    pygame.display.quit()
-
-
-def test_a_window_shows_the_frames(dummy) -> None:
+def test_a_window_shows_the_frames(no_screen) -> None:
     renderer = Renderer(Capsule(), "human", 200, 1.5, title="a title")
     for k in range(3):
         assert renderer.draw(**{**STATE, "time": 0.02 * k}) is None
@@ -111,7 +103,7 @@ def test_a_window_shows_the_frames(dummy) -> None:
 
 
 @pytest.mark.parametrize("by_user", [False, True])
-def test_a_closed_window_stays_closed(dummy, by_user) -> None:
+def test_a_closed_window_stays_closed(no_screen, by_user) -> None:
     renderer = Renderer(Capsule(), "human", 200, 1.5)
     renderer.draw(**STATE)
     pygame.event.post(pygame.event.Event(pygame.QUIT)) if by_user else renderer.close()

@@ -23,7 +23,7 @@ PLAIN = f"{EXAMPLES}/plain_sb3.py --steps 2048 --every 2048"
 # The required module, the command, and a pattern of what it prints at its end.
 PROGRAMS = {
     "sb3": ("stable_baselines3", f"{EXAMPLES}/sb3_ppo.py --steps 2048", r"return of an episode: -?\d+\.\d \+- \d"),
-    "sb3-her": ("stable_baselines3", f"{EXAMPLES}/sb3_her.py --steps 6528", r"before: \S.*\nafter: \S"),
+    "sb3-her": ("stable_baselines3", f"{EXAMPLES}/sb3_her.py --steps 6528", r"before: distance .*\nafter: distance"),
     "sb3-direct": ("stable_baselines3", f"{PLAIN} direct", r"2,048 steps: -?\d+\.\d\d cm/s, \d+% failed"),
     "sb3-residual": ("stable_baselines3", f"{PLAIN} residual", r"2,048 steps: -?\d+\.\d\d cm/s, \d+% failed"),
     "rl-zoo": ("rl_zoo3", f"{ZOO} --algo ppo --conf-file {EXAMPLES}/rl_zoo.yml", "Saving to"),

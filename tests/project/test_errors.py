@@ -55,6 +55,7 @@ GOALS, REAL = CapsuleEnv(task="goal", goal_env=True), CapsuleEnv(disturbances="r
 ORIGIN = (0.0, 0.0, 0.0, 0.0)
 CALLS = [
     (lambda: CapsuleEnv(randomization=Randomization(M=(0.001, 0.5), mu=(5.0, 20.0))), ValueError, "Painleve"),
+    *((lambda k=k: k(0.5), TypeError, "positional") for k in (Capsule, Config, Disturbances, Randomization)),
     (lambda: CapsuleEnv(render_mode=np.array(["human", "human"])), ValueError, "render_mode must be"),
     (lambda: CapsuleEnv(tusk="goal"), TypeError, "unexpected keyword argument 'tusk'; did you mean 'task'"),
     (lambda: CapsuleEnv(mu=0.1), TypeError, r"'mu'; every reset draws it from randomization=Randomization\(mu="),

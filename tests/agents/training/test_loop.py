@@ -9,6 +9,7 @@ import torch
 from agents.evaluation.criteria import CRITERIA
 from agents.training.algorithms import make_env, make_model
 from agents.training.callbacks import validation_plants
+from agents.training.config import read_config
 from agents.training.loop import begin, train
 from agents.training.presets import preset
 from baselines.evaluation.episodes import evaluate, scores
@@ -37,7 +38,7 @@ def test_bootstrap_happens_at_time_limits_only():
     assert np.array_equal(rewards > 500.0, ended & ~failed)
 
 
-def test_a_run_folder_holds_what_a_policy_needs(tmp_path):
+def test_a_run_folder_holds_what_a_policy_needs(tmp_path, capsys):
     run = tmp_path / "run"
     config = small("residual", "ppo", total_steps=768, evaluate_every=256)
     finished(run, config)
@@ -56,6 +57,8 @@ def test_a_run_folder_holds_what_a_policy_needs(tmp_path):
     policy = load_policy(run)
     assert json.loads(json.dumps(policy.env_kwargs)) == content["env"]
     assert (policy.training_seed, policy.revision) == (0, content["revision"])
+    assert train(run, 1024) and read_config(run) == dataclasses.replace(config, total_steps=1024)
+    assert "falls until 1,024 steps" in capsys.readouterr().out
 
 
 RANGES = {"mass_range": (0.42, 0.44), "friction_range": (0.06, 0.07)}
