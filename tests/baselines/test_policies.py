@@ -1,10 +1,13 @@
+import json
 import pickle
 
 import numpy as np
 import pytest
+from scipy.linalg import solve_discrete_are
 
 import baselines
 from baselines import lqr, mpc
+from baselines.dynamic_programming.problem import Problem, Transitions
 from baselines.laws import LAWS
 from baselines.policies import ALL_SCRIPTED
 from capsule_gym import CapsuleVectorEnv
@@ -41,3 +44,30 @@ def test_a_planned_policy_moves_and_an_episode_does_not_depend_on_others(start, 
     assert metrics["distance"][0] > distance and metrics["failed"][0] == 0.0
     assert alone.dtype == np.float32 and (np.abs(alone) <= 1.0).all()
     assert np.array_equal(alone[:, 0], among[:, 0])
+
+
+def test_a_constant_system_has_the_gains_of_the_algebraic_riccati_equation():
+    A, B, deviation = np.array([[1.0, 0.1, 0.0], [0.2, 0.9, 0.05], [0.0, -0.1, 0.98]]), np.array([0.0, 0.4, 0.1]), 0.3
+    gains = lqr.riccati_gains(np.tile(A, (4, 1, 1)), np.tile(B, (4, 1)), deviation)
+    R = deviation**-2.0
+    P = solve_discrete_are(A, B[:, None], np.diag(lqr.DEVIATIONS**-2.0), [[R]])
+    np.testing.assert_allclose(gains, np.tile(B @ P @ A / (R + B @ P @ B), (4, 1)), rtol=1e-9)
+
+
+def test_the_committed_cycle_is_closed_and_its_regulator_stable():
+    content = {name: np.array(values) for name, values in json.loads(lqr.FILE.read_text(encoding="utf-8")).items()}
+    states, distance, A, B = lqr.linearise(Transitions(Problem(), 9), content["states"][0], content["torques"])
+    np.testing.assert_allclose(states[:-1], content["states"], atol=1e-9)
+    assert (np.abs(states[-1] - states[0]) < 1e-5).all()
+    assert distance / (0.02 * len(content["torques"])) > 20.0
+    free, closed = np.eye(3), np.eye(3)
+    for a, b, k in zip(A, B, content["gains"], strict=True):
+        free, closed = a @ free, (a - np.outer(b, k)) @ closed
+    assert np.abs(np.linalg.eigvals(closed)).max() < 1.0 < np.abs(np.linalg.eigvals(free)).max()
+
+
+def test_the_committed_regulator_is_one_of_the_designs():
+    content = json.loads(lqr.FILE.read_text(encoding="utf-8"))
+    designs = [each for each in lqr.candidates() if len(each["torques"]) == len(content["torques"])]
+    differences = [max(np.abs(np.subtract(each[name], content[name])).max() for name in content) for each in designs]
+    assert len(differences) == len(lqr.TORQUE_DEVIATIONS) and sorted(differences)[0] < 1e-6 < sorted(differences)[1]

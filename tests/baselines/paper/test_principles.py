@@ -1,4 +1,4 @@
-"""Principles 1 to 4 and both Lemmas: values computed by hand, and implications between them."""
+"""Principles 1 to 4, both Lemmas and the proof about the torques: by hand, by brute force, and what implies what."""
 
 import math
 from pathlib import Path
@@ -6,13 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines.paper import principles
+from baselines.paper import principles, published
 from baselines.paper.principles import NEWTON, PAPER, Cycle, lemma_1, lemma_2, principle_3, principle_4
-from capsule_gym.parameters import Capsule
+from baselines.tables import printed_below
+from capsule_gym import Capsule, dynamics
 
 ROOT = Path(__file__).resolve().parents[3]
 ML = 0.138 * 0.3
 WEIGHT = 0.638 * 9.81
+START = -math.pi / 3
+SWINGS = {name: math.radians(numbers["swing"].value) for name, numbers in published.RUNS.items()}
 
 
 def state(theta: float, theta_dot: float, theta_ddot: float = 0.0) -> Cycle:
@@ -75,3 +78,38 @@ def test_demands_on_the_profiles_are_those_of_the_page():
     # Both profiles meet Principle 3 in both forms.
     contact = [row["whole_cycle"] for row in rows if row["demand"].startswith("Principle 3")]
     assert len(contact) == 4 and 0.4 < min(contact) and max(contact) < 1.0
+
+
+def test_the_published_torques_are_below_the_bounds():
+    proposed, epc = principles.check_torques()
+    found = (proposed["bound"], proposed["sticking"], epc["bound"])
+    assert found == pytest.approx((0.622, 0.695, 0.8477), abs=5e-4)
+    for row in (proposed, epc):
+        assert row["published"] < row["bound"] <= row["sticking"]
+
+
+@pytest.mark.parametrize("option", ["newton", "paper"])
+@pytest.mark.parametrize("slip", [0.0, 1.0, -1.0])
+def test_torque_of_the_proof_does_not_accelerate_the_pendulum(option, slip):
+    p = Capsule(normal_force=option).plant()
+    for theta in np.linspace(-1.0, 1.2, 7):
+        torque = principles.torque_without_acceleration(np.array([theta]), 7.8, slip, p)[0]
+        assert dynamics.accelerations(theta, 7.8, 0.0, slip, torque, p)[0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_bound_of_the_proof_lies_below_every_sample_and_close():
+    theta = np.random.default_rng(0).uniform(START, SWINGS["proposed"], 20_000)
+    bound = principles.torque_at_peak(7.8, START, SWINGS["proposed"])
+    smallest = min(
+        principles.torque_without_acceleration(theta, 7.8, slip, Capsule(normal_force=option).plant()).min()
+        for slip in (0.0, 1.0, -1.0)
+        for option in ("newton", "paper")
+    )
+    assert bound <= smallest < bound + 1e-3
+
+
+def test_pages_print_the_bounds_rounded_outwards():
+    page, readme = ((ROOT / name).read_text(encoding="utf-8") for name in ("docs/paper.md", "README.md"))
+    for peak in principles.check_torques():
+        bound, sticking = (printed_below(peak[name], 3) for name in ("bound", "sticking"))
+        assert f"|**{bound} N m**|{sticking} N m|" in page and bound in readme

@@ -1,10 +1,20 @@
-"""Both profiles on the platform: exact tracking and the law (35), compared with each other and with closed forms."""
+"""The parameter selection (20) to (31) by hand; both profiles compared with each other and with closed forms."""
 
 import numpy as np
 import pytest
 
 from baselines.laws.profiles import EPC, PROPOSED
+from baselines.paper import selection
 from baselines.paper.tracking import friction_for, grid, speed_map, speed_ratio, track
+
+# Equation, given and implied value of each row, to half a unit of the last given digit, and whether one follows.
+EXPECTED = [
+    ("(21)", "0.76", "2.11", False), ("(22)", "0.88", "2.09", False), ("(22)", "1.27", "2.09", False),
+    ("(22)", "1.26", "2.09", False), ("(23)", "0.53", "1.05", False), ("(24)", "2.51", "0.133", False),
+    ("(25)", "2.91", "0.195", False), ("(25)", "0.323", "0.195", False), ("(26)", "11.64", "11.81", True),
+    ("(27)", "0.895", "0.9", True), ("(27)", "2.113", "2.122", True), ("(28)", "5.63", "1.7", False),
+    ("(29)", "2.68", "0.563", False), ("(30)", "5.80", "5.8", True), ("(31)", "6.60", "6.6", True),
+]  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -47,3 +57,11 @@ def test_no_friction_gives_both_published_speeds():
         assert speed_map(profile, mu=[mu])[0, 0] == pytest.approx(published, rel=0.01)
     assert frictions == pytest.approx([0.104, 0.189], abs=0.001)
     assert friction_for(PROPOSED, 5.0) == []
+
+
+def test_what_follows_from_the_selection():
+    for row, (equation, gives, implied, follows) in zip(selection.evaluate_selection(), EXPECTED, strict=True):
+        assert row["equation"] == equation
+        for value, printed in ((row["gives"], gives), (row["implied"], implied)):
+            assert value == pytest.approx(float(printed), abs=0.5001 * 10.0 ** -len(printed.partition(".")[2]))
+        assert row["follows"] is follows
