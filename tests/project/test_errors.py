@@ -142,7 +142,7 @@ CALLS = [
     (lambda: rollout(Simulation(2), load_policy("residual-ppo"), 9), ValueError, "policy .* 5 entries, .*takes 10"),
     (lambda: rollout(Simulation(2), load_policy("direct-ppo"), 0), ValueError, "steps must be an integer >= 1, got 0"),
     *((lambda s=s: load_set(s), ValueError, rf"^set must be one of .* got '{s[:1]}") for s in SETS),
-    (lambda: load_policy("residual-pppo"), ValueError, r"direct-ppo, .*residual-ppo, .*did you mean 'residual-ppo'\?"),
+    (lambda: load_policy("direct_ppo"), ValueError, r"direct-ppo, .*residual-ppo, .*did you mean 'direct-ppo'\?"),
     (lambda: load_policy("direct-sac/seed-9"), ValueError, r"did you mean 'direct-sac/seed-\d'\?"),
     (lambda: load_policy("adaptive"), ValueError, r"law: gym\.make\(\.\., controller='baselines:adaptive'\)"),
     (lambda: load_policy("direct-sac/../direct-ppo"), ValueError, r"got 'direct-sac/\.\./direct-ppo'"),
