@@ -21,7 +21,7 @@ from capsule_gym.config import find_task
 from capsule_gym.evaluation_sets import load_set
 from capsule_gym.export import Exported, main
 
-POLICIES = ("direct-ppo", "goal", "residual-real", "direct-real", "velocity", "dp-distilled-wide")
+POLICIES = ("direct-ppo", "direct-sac", "goal", "residual-real", "direct-real", "velocity", "dp-distilled-wide")
 ARGUMENTS = ("residual-ppo", "dp-distilled-wide", "goal --float", "residual-real --law --float", "baselines:gait")
 C99 = ("-std=c99", "-Wall", "-Wextra", "-Werror")
 M4 = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "--specs=rdimon.specs")
@@ -172,7 +172,7 @@ def test_onnx(observed: Any, single: bool):
     found = [session.run(None, {"observation": each})[0] for each in observed.observations]
     worst = np.abs(np.array(found) - observed.actions).max()
     print(f"{observed.policy.name}, ONNX in {'float' if single else 'double'}: {worst:.2g}")
-    assert worst <= (2e-6 if single else 1e-9)
+    assert worst <= ((2e-6 if observed.policy.activation == "tanh" else 1e-5) if single else 1e-9)
 
 
 @pytest.mark.parametrize("name", LAWS)
