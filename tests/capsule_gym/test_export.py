@@ -21,7 +21,7 @@ from capsule_gym.config import find_task
 from capsule_gym.evaluation_sets import load_set
 from capsule_gym.export import Exported, main
 
-POLICIES = ("direct-ppo", "goal", "residual-real", "direct-real", "velocity", "dp-distilled-wide")
+POLICIES = ("direct-ppo", "direct-sac", "goal", "residual-real", "direct-real", "velocity", "dp-distilled-wide")
 ARGUMENTS = ("residual-ppo", "dp-distilled-wide", "goal --float", "residual-real --law --float", "baselines:gait")
 C99 = ("-std=c99", "-Wall", "-Wextra", "-Werror")
 M4 = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "--specs=rdimon.specs")
@@ -160,8 +160,7 @@ def test_float_does_not_change_the_speed(library: Any, name: str):
     policy, plants = load_policy(name), load_set("paper")
     single = wrap_policy(c_policy(library(name, True)), env_kwargs=policy.env_kwargs)
     speeds = [[each["mean_speed"] for each in evaluate(act, plants, horizon=8.0)] for act in (policy, single)]
-    exact, rounded = np.mean(speeds, axis=1)
-    assert exact > 10.0 and rounded == pytest.approx(exact, abs=1e-3)
+    assert np.mean(speeds[0]) > 10.0 and np.mean(speeds[1]) == pytest.approx(np.mean(speeds[0]), abs=1e-3)
 
 
 @pytest.mark.parametrize("single", [False, True])
@@ -172,7 +171,7 @@ def test_onnx(observed: Any, single: bool):
     found = [session.run(None, {"observation": each})[0] for each in observed.observations]
     worst = np.abs(np.array(found) - observed.actions).max()
     print(f"{observed.policy.name}, ONNX in {'float' if single else 'double'}: {worst:.2g}")
-    assert worst <= (2e-6 if single else 1e-9)
+    assert worst <= ((2e-6 if observed.policy.activation == "tanh" else 1e-5) if single else 1e-9)
 
 
 @pytest.mark.parametrize("name", LAWS)

@@ -65,6 +65,8 @@ def test_slopes_of_predictions_equal_differences(log):
     # A gap is the end of a segment minus the state that the next one starts with.
     starts = len(problem.names) + np.arange(gaps.shape[1]) + gaps.shape[1] * np.arange(1, 1 + len(gaps))[:, None]
     assert (np.take_along_axis(gaps[..., 1:], starts[..., None], axis=2) == -1.0).all() and len(gaps) > 1
+    scales = problem.residuals(unknowns)[0][-gaps[..., 0].size :].reshape(gaps.shape[:2]) / gaps[..., 0]
+    assert (scales > 10.0).all() and np.ptp(scales / scales[0]) < 1e-9
     smooth = [n for n in range(len(unknowns)) if n >= len(problem.names) or problem.names[n] != "latency"]
     for n in smooth:
         ends = []
@@ -230,10 +232,9 @@ def test_a_report_shows_readings_residuals_and_correlations(fit, log, tmp_path, 
     fit.report(tmp_path / "fit.png")
     *panels, correlations, _ = saved_figures[0].axes
     for left, right, name in zip(panels[::2], panels[1::2], list(log)[2:], strict=True):
-        (t, measured), (_, predicted), (_, residual) = (each.get_xydata().T for each in (*left.lines, *right.lines))
+        (t, measured), (_, predicted), (_, error) = (each.get_xydata().T for each in (*left.lines, *right.lines))
         assert np.array_equal(t, log["t"]) and np.array_equal(measured, log[name])
-        assert np.array_equal(residual, measured - predicted, equal_nan=True)
-        assert np.nanstd(residual) < 0.5 * np.std(measured)
+        assert np.array_equal(error, measured - predicted, equal_nan=True) and np.nanstd(error) < 0.5 * measured.std()
     np.testing.assert_allclose(correlations.images[0].get_array(), np.corrcoef(fit.samples.T))
 
 

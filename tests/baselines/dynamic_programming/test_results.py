@@ -90,8 +90,7 @@ def test_results_survive_the_file(tmp_path, monkeypatch):
 
 
 def test_the_command_solves_what_is_missing_and_keeps_it(tmp_path, monkeypatch, capsys):
-    problems = [Problem(), Problem(energy_weight=2.0), Problem(mu=0.3)]
-    calls = []
+    problems, calls = [Problem(), Problem(energy_weight=2.0), Problem(mu=0.3)], []
 
     def quick(problem, shapes):
         calls.append(problem)
@@ -106,10 +105,11 @@ def test_the_command_solves_what_is_missing_and_keeps_it(tmp_path, monkeypatch, 
     arguments = ["--folder", str(tmp_path / "new")]
     assert command.main(arguments) == 130
     assert list(load_archive(tmp_path / "new").results) == [each.key for each in problems[:2]]
-    assert command.main(arguments) == 0
-    assert calls[3:] == problems[2:]
+    assert command.main(arguments) == 0 and calls[3:] == problems[2:]
     assert command.main([*arguments, "--check"]) == 0
     assert "5 trajectories repeated: 0 differ" in capsys.readouterr().out
+    monkeypatch.setattr(Archive, "check", lambda self: ["another"])
+    assert command.main([*arguments, "--check"]) == 1
     monkeypatch.undo()
     assert command.main(["--report"]) == 0
     assert "20.91" in next(line for line in capsys.readouterr().out.splitlines() if "22.53 to 22.66" in line)
