@@ -10,13 +10,13 @@ extern "C" Call CALL_AT(LEVEL);
 long long CALL_AT(LEVEL)(const char* function, const Argument* a) {
   using namespace LEVEL;
   auto is = [&](const char* name) { return !__builtin_strcmp(function, name); };
-  const Batch& batch = *(const Batch*)a[0];
-  if (is("advance")) return advance(batch, a[1], a[2], (long long)a[3] != 0);
-  if (is("step_one")) return step_one(batch, a[1]);
-  if (is("draw_episodes")) return draw_episodes(batch, a[1]);
-  if (is("begin_episodes")) return (batch.lanes == 1 ? begin_episodes<1> : begin_episodes<LANES>)(batch, a[1]), -1;
+  const Batch* batch = a[0];  // not of all functions
+  if (is("advance")) return advance(*batch, a[1], a[2], (long long)a[3] != 0);
+  if (is("step_one")) return step_one(*batch, a[1]);
+  if (is("draw_episodes")) return draw_episodes(*batch, a[1]);
+  if (is("begin_episodes")) return (batch->lanes == 1 ? begin_episodes<1> : begin_episodes<LANES>)(*batch, a[1]), -1;
   if (is("run_episodes"))
-    return (batch.lanes == 1 ? run_episodes<1> : run_episodes<LANES>)(batch, a[1], a[2], a[3], a[4]);
+    return (batch->lanes == 1 ? run_episodes<1> : run_episodes<LANES>)(*batch, a[1], a[2], a[3], a[4]);
   if (is("trajectory"))
     return ((const double*)a[1] ? trajectory<Dual> : trajectory<double>)(a[0], a[1], a[2], a[3], a[4], a[5], a[6]);
   if (is("law_torques")) return law_torques(a[0], a[1], a[2], a[3], a[4], a[5], a[6]), -1;
