@@ -24,8 +24,8 @@ DISTANCE, GAP = 0.8, 0.02
 MOST_STEPS = 15
 # The reduction of the sum of squares that ends the last fits, and the number of samples of a posterior.
 FINEST, SAMPLES = 0.03, 5000
-# Shares of the ranges at which the other quantities are fitted.
-NODES = {"static_ratio": np.linspace(0.0, 1.0, 7).tolist(), "lag": np.linspace(0.0, 1.0, 7).tolist()}
+# The quantities over which the others are fitted, and the shares of their ranges at which they are.
+PROFILED, NODES = ("static_ratio", "lag"), np.linspace(0.0, 1.0, 7).tolist()
 
 
 @lru_cache(maxsize=len(STATE))
@@ -271,14 +271,14 @@ class Problem:
         """
         from scipy.interpolate import Akima1DInterpolator
 
-        name = next((each for each in NODES if each in self.names), None)
+        name = next((each for each in PROFILED if each in self.names), None)
         if name is None:
             unknowns, _ = self.fit(unknowns, FINEST)
             return self.laplace(unknowns), unknowns
-        place, nodes = self.names.index(name), NODES[name]
+        place = self.names.index(name)
         ends, costs = {unknowns[place]: np.delete(unknowns, place)}, dict[float, float]()
-        problems = {node: self.at(name, node) for node in nodes}
-        for node in sorted(nodes, key=lambda node: abs(node - unknowns[place])):
+        problems = {node: self.at(name, node) for node in NODES}
+        for node in sorted(NODES, key=lambda node: abs(node - unknowns[place])):
             last = min(ends, key=lambda end: abs(end - node))
             guess = ends[last].copy()
             if name == "lag" and "latency" in self.names:
@@ -288,20 +288,20 @@ class Problem:
                 guess[n] = np.clip(guess[n] + (last - node) * ratio, 0.0, 1.0)
             ends[node], costs[node] = problems[node].fit(guess, FINEST)
         shares, generator = (np.arange(1000) + 0.5) / 1000.0, np.random.default_rng(0)
-        values, below = np.array([costs[node] for node in nodes]), (shares * (len(nodes) - 1)).astype(int)
+        values, below = np.array([costs[node] for node in NODES]), (shares * (len(NODES) - 1)).astype(int)
         # Where the likelihood jumps, it may be as large in between as at the better end.
         jumping = np.minimum(values[below], values[below + 1])
-        cost = Akima1DInterpolator(nodes, values)(shares) if name == "lag" else jumping
+        cost = Akima1DInterpolator(NODES, values)(shares) if name == "lag" else jumping
         density = np.exp(-0.5 * (cost - cost.min()) + shares * self.densities[place])
         drawn = generator.choice(shares, SAMPLES, p=density / density.sum())
         if name == "lag":
             best = shares[np.argmin(cost)]
-            found = Akima1DInterpolator(nodes, [ends[node] for node in nodes])(best)
-            parts = np.array([problems[node].laplace(ends[node]) for node in nodes])
-            middles, nearest = parts.mean(axis=1), np.abs(np.subtract.outer(drawn, nodes)).argmin(axis=1)
-            samples = Akima1DInterpolator(nodes, middles)(drawn) + (parts - middles[:, None])[nearest, range(SAMPLES)]
+            found = Akima1DInterpolator(NODES, [ends[node] for node in NODES])(best)
+            parts = np.array([problems[node].laplace(ends[node]) for node in NODES])
+            middles, nearest = parts.mean(axis=1), np.abs(np.subtract.outer(drawn, NODES)).argmin(axis=1)
+            samples = Akima1DInterpolator(NODES, middles)(drawn) + (parts - middles[:, None])[nearest, range(SAMPLES)]
         else:
-            best = min(nodes, key=costs.__getitem__)
+            best = min(NODES, key=costs.__getitem__)
             samples, found = problems[best].posterior(ends[best])
         found[: len(self.names) - 1] = np.clip(found[: len(self.names) - 1], 0.0, 1.0)
         return np.insert(np.clip(samples, 0.0, 1.0), place, drawn, axis=1), np.insert(found, place, best)
