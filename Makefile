@@ -108,12 +108,14 @@ bits: $(STAMP)  ## The same for all seeds, as other processors compute, and for 
 		$(BIN)/python -m tests.bits
 	$(BIN)/python -m web.episodes
 
-# In environments of their own, whose core is compiled otherwise. Python does not free everything at its end.
+# In environments of their own, whose core is compiled otherwise. Python does not free everything at its end. The library
+# of C++ must be there from the start, or the first exception in any module ends Python.
 sanitize: SANITIZED := runs/sanitize
 sanitize:  ## Run the environment's tests with a core that checks addresses and undefined behaviour
 	$(call install_editable,$(SANITIZED),-C cmake.define.SANITIZE=ON)
-	LD_PRELOAD="$$($(CXX) -print-file-name=libasan.so)" ASAN_OPTIONS=detect_leaks=0 PYTHONMALLOC=malloc \
-		UBSAN_OPTIONS=print_stacktrace=1 $(SANITIZED)/bin/python -m pytest tests/capsule_gym $(PYTEST_ARGS)
+	LD_PRELOAD="$$($(CXX) -print-file-name=libasan.so) $$($(CXX) -print-file-name=libstdc++.so)" \
+		ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 PYTHONMALLOC=malloc \
+		$(SANITIZED)/bin/python -m pytest tests/capsule_gym $(PYTEST_ARGS)
 
 core-coverage: COUNTED := runs/core-coverage
 core-coverage:  ## Run the environment's tests and fail below the minimum coverage of the C++ core
