@@ -1,11 +1,7 @@
 """Steps the installed environments with every control law; fails if they come from a checkout or need numba."""
 
 import importlib.util
-import sys
 from pathlib import Path
-
-# Nothing is imported from the folder of this file.
-sys.path.remove(str(Path(__file__).resolve().parent))
 
 import gymnasium as gym
 

@@ -3,12 +3,8 @@
 import os
 import re
 import runpy
-import sys
 import tempfile
 from pathlib import Path
-
-# Nothing is imported from the folder of this file.
-sys.path.remove(str(Path(__file__).resolve().parent))
 
 import capsule_gym
 
