@@ -73,8 +73,6 @@ def collect(student: Student, rng: np.random.Generator, expert_share: float, act
 
 def _plant_changes(student: Student, rng: np.random.Generator) -> dict[str, Any]:
     """The options of a reset: the times at which M and mu change within an episode, and their new values."""
-    if not student.change_rate:
-        return {}
     seconds, changes = student.steps * CONTROL_DT, []
     for _ in range(student.num_envs):
         times = np.sort(rng.uniform(0.0, seconds, rng.poisson(student.change_rate * seconds))).tolist()
