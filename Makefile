@@ -133,7 +133,7 @@ oldest: OLDEST := runs/oldest/bin
 oldest:  ## Run the environment's tests with the oldest supported versions
 	$(PYTHON) -m venv runs/oldest
 	$(OLDEST)/python -m pip install --disable-pip-version-check uv
-	$(OLDEST)/uv pip install --python $(OLDEST)/python --resolution lowest-direct -e ".[sb3,render]" \
+	$(OLDEST)/uv pip install --python $(OLDEST)/python --resolution lowest-direct -e ".[sb3,law,identify,export,bench]" \
 		"hypothesis>=6.100" "mpmath>=1.3" "pytest>=8.2" "scipy>=1.11"
 	$(OLDEST)/python -m pytest tests/capsule_gym
 
