@@ -24,7 +24,8 @@ from capsule_gym.layout import ROWS
 # Loops over the environments of a block. The source is generated since numba's public interface cannot make a tuple of
 # a part of an array. All rows are at constant offsets from one pointer: with a pointer for each kind of row LLVM cannot
 # exclude that they overlap, and does not vectorise the loop. Nor does it vectorise a loop that catches exceptions: only
-# after an exception each environment is called by itself, from the failed one on, and those that fail keep NaN.
+# after an exception each environment is called by itself, from the failed one on, and those that fail keep NaN. On
+# Python 3.13 numba misses exceptions in a function with two `try`.
 SOURCE = """
 @njit(**options)
 def call_each(b, u, first, last):
@@ -34,21 +35,23 @@ def call_each(b, u, first, last):
         u[j] = torque
 
 
+@njit(**options)
+def fails(b, u, first, last):
+    failed = False
+    try:
+        call_each(b, u, first, last)
+    except Exception:
+        failed = True
+    return failed
+
+
 def call_law(data, block, torques, n):
     b = carray(block, ({size},))
     u = carray(torques, ({lanes},))
-    failed = False
-    try:
-        call_each(b, u, 0, n)
-    except Exception:
-        failed = True
-    if failed:
+    if fails(b, u, 0, n):
         for j in range(n):
             if u[j] != u[j]:
-                try:
-                    call_each(b, u, j, j + 1)
-                except Exception:
-                    pass
+                fails(b, u, j, j + 1)
 """
 
 _compiled: WeakKeyDictionary[Any, dict[tuple[int, int], Any]] = WeakKeyDictionary()

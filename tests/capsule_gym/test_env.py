@@ -50,7 +50,7 @@ def test_the_checkers_are_silent_and_every_info_has_the_form_of_the_first(kwargs
     for action in np.repeat(signs, 5).astype(np.float32):
         observation, reward, terminated, _, info = env.step(action[None])
         assert space.contains(observation) and layout(info) == expected
-        assert reward == sum(info[term] for term in task.reward_terms)
+        assert reward == pytest.approx(sum(info[term] for term in task.reward_terms), abs=1e-12)
         assert info["reward_termination"] == (-env.simulation.options.termination_penalty if terminated else 0.0)
         options = {**dataclasses.asdict(env.simulation.capsule), **info.get("capsule", {})}
         light = info["normal_force"] < 0.1 * (info["M"] + options["m"]) * options["g"]
