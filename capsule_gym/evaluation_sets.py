@@ -71,7 +71,7 @@ class PlantSpec:
         return {"M": self.M, "mu": self.mu, "seed": self.seed, **given, "changes": list(self.changes)}
 
 
-NOMINAL_PLANT = PlantSpec(NOMINAL.M, NOMINAL.mu, seed=0)
+NOMINAL_PLANT = PlantSpec(M=NOMINAL.M, mu=NOMINAL.mu, seed=0)
 
 
 @dataclass(frozen=True)
