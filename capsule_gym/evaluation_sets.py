@@ -125,7 +125,7 @@ def _changed(instance: Any, names: Iterable[str]) -> dict[str, Any]:
 def _fields(where: str, value: Any, required: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Any]:
     """The JSON object, after a check that it has these fields and no others, and of M and mu where it has them."""
     if not isinstance(value, dict) or not set(required) <= set(value) <= {*required, *optional}:
-        accepted = ", ".join(required) + (f" and optionally {', '.join(optional)}" if optional else "")
+        accepted = " and optionally ".join(", ".join(names) for names in (required, optional) if names)
         raise ValueError(f"{where} must be an object with the fields {accepted}, got {short_repr(value)}")
     if "M" not in required:
         return value

@@ -54,7 +54,7 @@ def test_a_cycle_is_drawn_in_its_units_above_the_phases_of_its_contact():
     columns, grey = np.reshape(figure.axes, (5, 2)).T, [0.0, 1.0]
     units, weight = ("θ (deg)", "x' (cm/s)", "N / ((M + m) g)", "u (N m)", "θ' (rad/s)"), 0.638 * 9.81
     assert [axes.get_ylabel() for axes in columns[0]] == list(units)
-    assert texts(figure.legends[0].texts) == ["slips forward", "sticks", "slips backward"]
+    assert figure.get_supxlabel() and texts(figure.legends[0].texts) == ["slips forward", "sticks", "slips backward"]
     colours = [to_hex(limit_cycle.PHASES[sign][1]) for sign in (1, 0, -1)]
     drawings = ("one", cycle, [0.0, 0.2, 0.6, 0.8]), ("two", cycle[:201], [0.0, 0.2, 0.4])
     for column, (name, drawn, ends) in zip(columns, drawings, strict=True):

@@ -43,6 +43,7 @@ LATE = plant(changes=[{"t": 33.0, "M": 0.5, "mu": 0.01}])
         ([], r"set must be an object with the fields name, plants and optionally .*disturbances, got \[\]"),
         (plant(M="heavy"), r"set.plants\[0\]: M must be a finite number from 1e-12 to 1e\+12, got 'heavy'"),
         (plant(theta=1.58), r"theta must be an angle in rad within 1\.571 of 0, got 1\.58"),
+        (plant(capsule={"weight": 1.0}), r"\[0\].capsule must be an object with the fields m, l, .*, got .*weight"),
         (plant(colour="red"), "fields M, mu, seed and optionally theta, changes, capsule, got .*colour"),
         ({**plant(goal=2e6), "task": "goal"}, r"\[0\].goal must be a number of m within 1e\+06 of 0, got 2000000.0"),
         (ONE_GOAL, "set.plants must have a goal each, or none must have one"),

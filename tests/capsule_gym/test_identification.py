@@ -159,9 +159,7 @@ def test_the_posterior_follows_a_curve_of_lag_and_latency(monkeypatch):
         return r, jacobian[:, len(jacobian) - len(u) :]
 
     monkeypatch.setattr(Problem, "residuals", residuals)
-    problem = Problem(
-        make_small_problem().log, Capsule(), {"lag": (0.001, 0.01), "latency": (0.0, 0.02)}, False, {}, 3e-3
-    )
+    problem = Problem(make_small_problem().log, Capsule(), {"lag": (1e-3, 0.01), "latency": (0, 0.02)}, False, {}, 3e-3)
     samples, found = problem.posterior(np.array([0.9, 0.2, 0.0]))
     np.testing.assert_allclose(found, [0.5, 0.6 - 0.5 * 0.125, 0.0], atol=2e-3)
     lags = np.linspace(0.0, 1.0, 1001)

@@ -122,5 +122,6 @@ def test_curves_are_the_runs_in_the_units_of_their_axes(name, made):
             found = made["tracking"][profile]["newton"][key]
             assert f"{numbers[key].value:g}" in text_of(figure) and f"{found:.{digits}f}" in text_of(figure)
     else:
-        assert "1 of 3 runs loses contact with the floor, at 0.10 s" in text_of(figure)
+        stated = f" {max(np.abs(quantity(run)).max() for run in runs.values()):.3g}", "1 of 3 runs loses contact"
+        assert all(each in text_of(figure) for each in stated)
     assert all(axes.get_xlabel().startswith("time") for axes in figure.axes[-columns:])
