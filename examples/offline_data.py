@@ -15,7 +15,7 @@ import capsule_gym
 
 ID = "capsule_gym:CapsuleStickSlip-v0"
 BATCH = 200
-EXPERT, MEDIUM = "direct-ppo", "direct-ppo-wide"
+EXPERT, MEDIUM = "direct-ppo", "efficient"
 DESCRIPTIONS = {
     "random": "Uniform random torque; every episode fails.",
     "medium": f"The policy {MEDIUM} with Gaussian noise of standard deviation 0.3 on its action.",
