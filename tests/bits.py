@@ -10,7 +10,7 @@ import itertools
 import json
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -44,15 +44,15 @@ class Subject(NamedTuple):
     start: Callable[[Sequence[int]], Act]
 
     @property
-    def steps(self) -> int:
+    def steps(self):
         """Agent steps of a whole episode."""
         return round(HORIZON / self.env_kwargs.get("control_dt", CONTROL_DT))
 
 
-def random_actions(scale: float) -> Callable[[Sequence[int]], Act]:
+def random_actions(scale):
     """Uniform actions, the same for one environment alone and in any batch."""
 
-    def start(seeds: Sequence[int]) -> Act:
+    def start(seeds):
         draws = np.array([np.random.default_rng([seed, 2]).random(CYCLE) for seed in seeds])
         actions = (scale * (2.0 * draws - 1.0)).astype(np.float32)
         steps = itertools.count()
@@ -61,7 +61,7 @@ def random_actions(scale: float) -> Callable[[Sequence[int]], Act]:
     return start
 
 
-def subjects() -> Iterator[Subject]:
+def subjects():
     """Yields all subjects."""
     wide = {"randomization": "wide"}
     capsule = Capsule(static_ratio=1.4, backward_ratio=1.3)
@@ -95,7 +95,7 @@ def subjects() -> Iterator[Subject]:
         yield Subject(f"policy {name}", trained.env_kwargs, trained.start)
 
 
-def compute(subject: Subject) -> str:
+def compute(subject):
     """The hash of a subject; an environment stands still after its episode has ended."""
     kwargs = {**subject.env_kwargs, "max_episode_steps": subject.steps}
     env = CapsuleVectorEnv(NUM_ENVS, autoreset_mode=AutoresetMode.DISABLED, **kwargs)
@@ -112,7 +112,7 @@ def compute(subject: Subject) -> str:
 
 
 @command("python -m tests.bits")
-def main(write: bool = False, first_seeds: bool = False) -> int:
+def main(write=False, first_seeds=False):
     """Computes the bits of whole episodes; the exit status is 1 if they differ from the committed ones.
 
     Examples:
@@ -127,7 +127,7 @@ def main(write: bool = False, first_seeds: bool = False) -> int:
     if write:
         hashes = {subject.name: compute(subject) for subject in subjects()}
         write_atomically(FILE, json.dumps(hashes, indent=1) + "\n")
-    committed: dict[str, str] = json.loads(FILE.read_text(encoding="utf-8"))
+    committed = json.loads(FILE.read_text(encoding="utf-8"))
     wanted = {subject.name: subject for subject in subjects()}
     wrong = [f"{name}: unknown subject" for name in committed if name not in wanted]
     if first_seeds:

@@ -161,14 +161,14 @@ def test_the_loop_learns_what_pays_in_the_end(monkeypatch):
     assert max(abs(seen[0][1])) < 0.05 and (seen[-1][1] * [-1.0, 1.0] < -0.3).all(), seen
 
 
-def test_contenders_take_turns_and_the_tenth_percentile_counts() -> None:
-    log: list[str] = []
+def test_contenders_take_turns_and_the_tenth_percentile_counts():
+    log = []
     contenders = {name: lambda name=name: log.append(name) or float(len(log)) for name in "ab"}
     assert measurement.rates(contenders, 11) == {"a": pytest.approx(1.0 / 3.0), "b": pytest.approx(1.0 / 4.0)}
     assert log == ["a", "b"] * 11
 
 
-def test_a_ratio_below_its_floor_fails(tmp_path, monkeypatch) -> None:
+def test_a_ratio_below_its_floor_fails(tmp_path, monkeypatch):
     monkeypatch.setattr(throughput, "contenders", lambda: {"fast": list, "slow": list, "other": list})
     monkeypatch.setattr(throughput, "rates", lambda turns, _: {name: rates[name] for name in turns})
     rates = {"fast": 2.0, "slow": 1.0, "other": 1.0}
@@ -182,7 +182,7 @@ def test_a_ratio_below_its_floor_fails(tmp_path, monkeypatch) -> None:
 
 # Without the end of episodes, and with it.
 @pytest.mark.parametrize("scale", [throughput.ACTION_SCALE, 1.0])
-def test_plain_c_does_the_work_of_the_core(scale, monkeypatch) -> None:
+def test_plain_c_does_the_work_of_the_core(scale, monkeypatch):
     compiler = throughput.COMPILER or pytest.skip("no C compiler")
     monkeypatch.setattr(throughput, "ACTION_SCALE", scale)
     (core, expected), (plain, world) = throughput.from_the_start(), throughput.from_the_start(compiler)
@@ -199,7 +199,7 @@ def test_plain_c_does_the_work_of_the_core(scale, monkeypatch) -> None:
 
 
 @pytest.mark.parametrize("friction", [None, *FRICTIONS])
-def test_mujoco_has_the_same_plant_and_about_the_same_friction(friction: str | None) -> None:
+def test_mujoco_has_the_same_plant_and_about_the_same_friction(friction):
     module = pytest.importorskip("mujoco")
     torques = np.random.default_rng(0).uniform(-0.5, 0.5, 100)
     capsule = Capsule(mu=0.1 if friction else 0.0)

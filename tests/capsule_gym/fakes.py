@@ -26,16 +26,16 @@ def picky(theta, theta_dot, x, x_dot, memory, reference):
     return torque, (count + 1.0,)
 
 
-def picky_controller() -> Controller:
+def picky_controller():
     return Controller("picky", picky, np.zeros((1, 2)))
 
 
-def flatten(info: dict) -> list:
+def flatten(info):
     """The values of an info, also those inside dictionaries."""
     return [each for value in info.values() for each in (flatten(value) if isinstance(value, dict) else [value])]
 
 
-def layout(info: dict) -> dict:
+def layout(info):
     """The keys of an info with the type, dtype and shape of each value, also inside dictionaries."""
     return {
         key: layout(value) if isinstance(value, dict) else (type(value), np.asarray(value).dtype, np.shape(value))

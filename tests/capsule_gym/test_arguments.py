@@ -5,9 +5,7 @@
 
 import dataclasses
 import re
-from collections.abc import Callable
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import pytest
@@ -45,7 +43,7 @@ states = st.lists(st.floats(-1.6, 1.6) | st.floats(-2e6, 2e6), min_size=4, max_s
 changes = st.lists(st.fixed_dictionaries(dict.fromkeys(CHANGE, likely)), max_size=3)
 
 
-def taken(names: tuple[str, ...], function: Callable[..., Any], **arguments: Any) -> Any:
+def taken(names, function, **arguments):
     """Returns the result of a call; None if the call raises an error that contains one of the names."""
     try:
         return function(**arguments)
@@ -54,7 +52,7 @@ def taken(names: tuple[str, ...], function: Callable[..., Any], **arguments: Any
         return None
 
 
-def check_finite(where: str, value: Any) -> None:
+def check_finite(where, value):
     """Checks that a value is finite, also inside dictionaries and arrays of objects."""
     if isinstance(value, dict):
         for name, entry in value.items():
@@ -66,7 +64,7 @@ def check_finite(where: str, value: Any) -> None:
         assert value is None or np.isfinite(value).all(), f"{where} is not finite: {value}"
 
 
-def check_reset(env: Any, names: tuple[str, ...] = (), **arguments: Any) -> None:
+def check_reset(env, names=(), **arguments):
     """Resets the environment and checks the result, unless the arguments are refused."""
     result = taken(names, env.reset, **arguments)
     if result is not None:
@@ -74,7 +72,7 @@ def check_reset(env: Any, names: tuple[str, ...] = (), **arguments: Any) -> None
         check_finite("info", result[1])
 
 
-def names_of(kind: type) -> list[str]:
+def names_of(kind):
     return [each.name for each in dataclasses.fields(kind)]
 
 
@@ -108,7 +106,7 @@ def test_a_constant_a_range_and_a_disturbance(kind, name, value, log_mu):
 
 
 @lru_cache
-def made(batch: bool) -> Any:
+def made(batch):
     """A shared environment or batch that the tests reset again and again."""
     return CapsuleVectorEnv(3) if batch else CapsuleEnv()
 
@@ -164,7 +162,7 @@ BATCH_ARGUMENTS = {
     "threads": st.integers(1, 3), "autoreset_mode": st.sampled_from(["NEXT_STEP", "SAME_STEP", "DISABLED"]),
 }  # fmt: skip
 # Actions of an episode: noise, bang-bang, full torque, none, numbers next to the largest and the smallest.
-DRIVES: tuple[Callable[[np.random.Generator, int, int], np.ndarray], ...] = (
+DRIVES = (
     lambda rng, step, n: rng.uniform(-1.5, 1.5, (n, 1)),
     lambda rng, step, n: np.full((n, 1), 1.0 if step % 20 < 10 else -1.0),
     lambda rng, step, n: np.full((n, 1), rng.choice([-1.0, 1.0])),
@@ -203,7 +201,7 @@ JUMP = {"t": 1.0, "M": 0.5, "mu": 0.01}
 COMMAND = {"t": 0.0, "v": 0.1}
 NO_GOAL = r"^options\['goal'\] must be a finite number of m within 1e\+06 of 0, got "
 # For each environment: options of a reset.
-BAD_OPTIONS: dict[str, list[tuple[Any, type[Exception], str]]] = {
+BAD_OPTIONS = {
     "speed": [
         ({"mass": 1.0}, ValueError, "mass"),
         ([1.0], TypeError, "options must be a dict"),

@@ -102,7 +102,7 @@ def test_a_law_whose_trial_call_fails_is_named(gain, error):
         Controller("odd", law_of(gain), np.ones((1, 2)))
 
 
-def own() -> Controller:
+def own():
     return Controller("own", lambda *arguments: (0.0, arguments[4]), np.zeros((1, 2)))
 
 

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.usefixtures("no_screen")
 KEYS = pygame.K_LEFT, pygame.K_a, pygame.K_RIGHT, pygame.K_d
 
 
-def state(episode: Episode) -> dict:
+def state(episode):
     return shown_state(episode.env.simulation, 0)
 
 
@@ -83,7 +83,7 @@ def test_a_file_has_the_pictures_that_were_asked_for(tmp_path, capsys):
 
 
 def test_held_keys_apply_torque_and_cancel_each_other(monkeypatch):
-    held: set[int] = set()
+    held = set()
     monkeypatch.setattr(pygame.key, "get_pressed", lambda: {key: key in held for key in KEYS})
     episode = Episode(KEYBOARD, PAPER, PLANT)
     for keys, action in (*((key, 1.0 - index // 2 * 2.0) for index, key in enumerate(KEYS)), (KEYS, 0.0), ((), 0.0)):
@@ -99,7 +99,7 @@ def test_the_command_ends_with_its_window_and_by_an_interrupt(monkeypatch):
     assert demo.main(["keyboard", "--rival", "adaptive", "--set", "nominal"]) == 0
     assert not pygame.display.get_init()
 
-    def interrupt() -> None:
+    def interrupt():
         raise KeyboardInterrupt
 
     monkeypatch.setattr(pygame.event, "get", interrupt)

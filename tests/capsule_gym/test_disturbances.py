@@ -20,13 +20,13 @@ VARIED = Randomization(
 )
 
 
-def swing(steps: int, count: int = 1, seed: int = 0) -> np.ndarray:
+def swing(steps, count=1, seed=0):
     """Torques that swing the pendulum, and throw it over in some environments."""
     rng = np.random.default_rng(seed)
     return np.repeat(rng.uniform(-0.6, 0.6, (steps // 10 + 1, count, 1)), 10, axis=0)[:steps].astype(np.float32)
 
 
-def run(env: CapsuleEnv, actions: np.ndarray, **reset: object) -> list[dict]:
+def run(env, actions, **reset):
     """The infos of an episode with these actions, including the observations."""
     observation, info = env.reset(**reset)
     infos = [{**info, "observation": observation}]
@@ -86,7 +86,7 @@ def test_the_errors_of_readings_have_the_sizes_and_the_memory_that_are_asked_for
     size = {"theta": 0.01, "theta_dot": 0.1, "x_dot": 0.02}
     count, steps = 400, 50
 
-    def errors(kind: str, **given: object) -> np.ndarray:
+    def errors(kind, **given):
         """The errors of the sensors relative to the size that is asked for, of readings by step and environment."""
         given |= {f"{name}_{kind}": (-value, value) if kind == "bias" else value for name, value in size.items()}
         batch = CapsuleVectorEnv(count, disturbances=Disturbances(**given), randomization="paper")

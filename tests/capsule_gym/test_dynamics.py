@@ -11,22 +11,22 @@ from capsule_gym import _core, dynamics, native
 from capsule_gym.config import EnvConfig
 from capsule_gym.dynamics import step
 from capsule_gym.layout import Row
-from capsule_gym.parameters import Capsule, Plant
+from capsule_gym.parameters import Capsule
 from capsule_gym.simulation import Simulation
 
 HOLD = 0.02
 
 
-def random_torque(amplitude: float, seed: int, seconds: float = 10.0, hold: float = HOLD) -> np.ndarray:
+def random_torque(amplitude, seed, seconds=10.0, hold=HOLD):
     return np.random.default_rng(seed).uniform(-amplitude, amplitude, round(seconds / hold))
 
 
-def periodic_torque(seconds: float = 10.0, hold: float = HOLD) -> np.ndarray:
+def periodic_torque(seconds=10.0, hold=HOLD):
     t = hold * np.arange(round(seconds / hold))
     return 0.6 * np.sin(2 * math.pi * t / 0.7) + 0.3 * np.sin(4 * math.pi * t / 0.7 + 0.8)
 
 
-def energy(state: np.ndarray | tuple[np.ndarray, ...], p: Plant) -> np.ndarray:
+def energy(state, p):
     """Kinetic energy of the platform and of the ball at (x - l sin, l cos), plus gravity's and the spring's."""
     theta, theta_dot, _, x_dot = state
     ball = (x_dot - p.l * np.cos(theta) * theta_dot, -p.l * np.sin(theta) * theta_dot)
@@ -34,12 +34,12 @@ def energy(state: np.ndarray | tuple[np.ndarray, ...], p: Plant) -> np.ndarray:
     return kinetic + p.m * p.g * p.l * np.cos(theta) + 0.5 * p.k * theta**2
 
 
-def momentum(state: np.ndarray | tuple[np.ndarray, ...], p: Plant) -> np.ndarray:
+def momentum(state, p):
     theta, theta_dot, _, x_dot = state
     return p.M * x_dot + p.m * (x_dot - p.l * np.cos(theta) * theta_dot)
 
 
-def random_plant(rng: np.random.Generator) -> Capsule:
+def random_plant(rng):
     ranges = {"M": (0.3, 1.0), "m": (0.05, 0.3), "l": (0.1, 0.5), "k": (0.0, 1.0), "c": (0.0, 0.2), "mu": (0.0, 0.5)}
     ranges |= {"static_ratio": (1.0, 1.5), "backward_ratio": (0.5, 2.0)}
     normal_force = rng.choice(["newton", "paper"]).item()
@@ -55,7 +55,7 @@ class Run(NamedTuple):
     most_events: int  # in one step
 
 
-def run(torques: np.ndarray, p: Plant, hold: float, steps: int, state: tuple = START) -> Run:
+def run(torques, p, hold, steps, state=START):
     """Steps cases that differ in torque, M or mu, each torque held for `hold` seconds in equal steps."""
     shape = np.broadcast_shapes(torques.shape[1:], np.shape(p.mu))
     motion = [np.broadcast_to(value, shape) for value in state]
@@ -72,7 +72,7 @@ def run(torques: np.ndarray, p: Plant, hold: float, steps: int, state: tuple = S
     return Run(np.array(states), np.array(sums), np.array(events), most)
 
 
-def torque_for_load(ratio: np.ndarray, theta: np.ndarray, theta_dot: np.ndarray, p: Plant) -> np.ndarray:
+def torque_for_load(ratio, theta, theta_dot, p):
     """The torque at which the load on a platform at rest is `ratio` times mu N (negative: backwards).
 
     With x'' = 0, the second row of Eq. (1) gives theta'' and the first row then the torque; mu is the forward
@@ -83,7 +83,7 @@ def torque_for_load(ratio: np.ndarray, theta: np.ndarray, theta_dot: np.ndarray,
     return p.m * p.l**2 * wanted / (c + rough * s) - p.m * p.g * p.l * s + p.k * theta + p.c * theta_dot
 
 
-def losses(state: np.ndarray, slip: np.ndarray, u: np.ndarray, p: Plant) -> np.ndarray:
+def losses(state, slip, u, p):
     """Power of the damper, power of friction, and friction by the second row of Eq. (1), also in stick."""
     theta, theta_dot, _, x_dot = state
     alpha, x_ddot, normal = dynamics.accelerations(theta, theta_dot, x_dot, slip, u, p)
@@ -160,7 +160,7 @@ def test_a_load_below_the_threshold_never_moves_the_platform():
     p = Capsule().plant()._replace(mu=mu)
     theta, theta_dot, at = np.full(mu.shape, -0.6), np.zeros(mu.shape), 0.123456789
 
-    def torque(share: np.ndarray) -> np.ndarray:
+    def torque(share):
         """The torque for a load at this share of the limit, its sign such that the pendulum stays near -0.6 rad."""
         sign = np.where(theta + 0.6 + 0.5 * theta_dot > 0.0, -1.0, 1.0)
         return torque_for_load(sign * share, theta, theta_dot, p)

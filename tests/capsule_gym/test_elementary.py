@@ -22,11 +22,11 @@ def tanh(x):
 HALF_TURN = math.pi / 2
 
 
-def angles(seed: int, limit: float, count: int) -> list[float]:
+def angles(seed, limit, count):
     return np.random.default_rng(seed).uniform(-limit, limit, count).tolist()
 
 
-def quarters(turns: int) -> list[float]:
+def quarters(turns):
     """Multiples of pi / 2, where either function vanishes or the reduction changes the turn, and their neighbours."""
     exact = 0.5 * math.pi * np.arange(-4 * turns, 4 * turns + 1)
     return [*exact.tolist(), *np.nextafter(exact, math.inf).tolist(), *np.nextafter(exact, -math.inf).tolist()]
@@ -50,7 +50,7 @@ def test_every_level_gives_the_same_bits_in_every_form_of_array(level, select_le
     assert [part.shape for part in sincos(np.float64(0.5))] == [(), ()]
 
 
-def numbers(seed: int, low: float, high: float, count: int) -> list[float]:
+def numbers(seed, low, high, count):
     return np.random.default_rng(seed).uniform(low, high, count).tolist()
 
 

@@ -228,7 +228,7 @@ def test_observation_entries():
         np.testing.assert_allclose(observation, expected, rtol=1e-6, atol=1e-6)
 
 
-def first_mass() -> float:
+def first_mass():
     return gym.make("capsule_gym:CapsuleStickSlip-v0").reset(seed=4)[1]["M"]
 
 

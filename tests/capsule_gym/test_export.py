@@ -5,10 +5,8 @@ import os
 import re
 import shutil
 import subprocess
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -83,7 +81,7 @@ int main(void) {
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None and "CI" not in os.environ, reason="needs gcc")
 
 
-def run(*command: Any) -> str:
+def run(*command):
     """The output of a program that must end without an error."""
     result = subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=300, check=False)
     assert result.returncode == 0, result.stdout + result.stderr
@@ -91,10 +89,10 @@ def run(*command: Any) -> str:
 
 
 @pytest.fixture(scope="module")
-def library(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Any]:
+def library(tmp_path_factory):
     """Compiles the header of a policy or law, and loads it."""
 
-    def compile_library(name: str, single: bool) -> Any:
+    def compile_library(name, single):
         exported, folder = Exported(name), tmp_path_factory.mktemp("library")
         (folder / f"{exported.name}.h").write_text(exported.c(single=single))
         task = {"goal": "r.goal = s[4];", "velocity": "r.command = s[4];"}.get(exported.task.name, "")
@@ -108,10 +106,10 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Any]:
     return compile_library
 
 
-def c_policy(library: Any) -> Callable[[np.ndarray], np.ndarray]:
+def c_policy(library):
     """Like a `Policy`, by the C functions."""
 
-    def act(observations: np.ndarray) -> np.ndarray:
+    def act(observations):
         given, actions = np.ascontiguousarray(observations), np.empty((len(observations), 1), np.float32)
         library.act(len(given), *(each.ctypes.data_as(ctypes.c_void_p) for each in (given, actions)))
         return actions
@@ -119,11 +117,11 @@ def c_policy(library: Any) -> Callable[[np.ndarray], np.ndarray]:
     return act
 
 
-def c_law(library: Any, count: int) -> Callable[[np.ndarray], np.ndarray]:
+def c_law(library, count):
     """A law by the C functions: from theta, theta_dot, x, x_dot and goal or command, shape (count, 5), to torques."""
     memory, calls = ctypes.create_string_buffer(library.size() * count), iter(range(10**9))
 
-    def law(states: np.ndarray) -> np.ndarray:
+    def law(states):
         given, torques = np.ascontiguousarray(states), np.empty(count)
         addresses = (each.ctypes.data_as(ctypes.c_void_p) for each in (given, torques))
         library.law(count, next(calls) == 0, memory, *addresses)
@@ -133,7 +131,7 @@ def c_law(library: Any, count: int) -> Callable[[np.ndarray], np.ndarray]:
 
 
 @pytest.fixture(scope="module", params=POLICIES)
-def observed(request: pytest.FixtureRequest) -> Any:
+def observed(request):
     """A policy's actions on 10,000 observations of 100 plants, on the way of actions of which a tenth are random."""
     policy, rng = load_policy(request.param), np.random.default_rng(20)
     env = CapsuleVectorEnv(100, **policy.env_kwargs)
@@ -148,7 +146,7 @@ def observed(request: pytest.FixtureRequest) -> Any:
 
 
 @pytest.mark.parametrize("single", [False, True])
-def test_c_network(observed: Any, library: Any, single: bool):
+def test_c_network(observed, library, single):
     act = c_policy(library(observed.policy.name, single))
     errors = np.abs(np.array([act(each) for each in observed.observations]) - observed.actions)
     print(f"{observed.policy.name}, C99 in {'float' if single else 'double'}: {errors.max():.2g}")
@@ -156,7 +154,7 @@ def test_c_network(observed: Any, library: Any, single: bool):
 
 
 @pytest.mark.parametrize("name", ["direct-ppo", "residual-real"])
-def test_float_does_not_change_the_speed(library: Any, name: str):
+def test_float_does_not_change_the_speed(library, name):
     policy, plants = load_policy(name), load_set("paper")
     single = wrap_policy(c_policy(library(name, True)), env_kwargs=policy.env_kwargs)
     speeds = [[each["mean_speed"] for each in evaluate(act, plants, horizon=8.0)] for act in (policy, single)]
@@ -164,7 +162,7 @@ def test_float_does_not_change_the_speed(library: Any, name: str):
 
 
 @pytest.mark.parametrize("single", [False, True])
-def test_onnx(observed: Any, single: bool):
+def test_onnx(observed, single):
     pytest.importorskip("onnx")
     runtime = pytest.importorskip("onnxruntime")
     session = runtime.InferenceSession(Exported(observed.policy.name).onnx(single=single))
@@ -175,7 +173,7 @@ def test_onnx(observed: Any, single: bool):
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_c_law(library: Any, name: str):
+def test_c_law(library, name):
     """On 3,000 states, some of them at rest, and with changes that no plant makes."""
     exported, rng, n = Exported(f"baselines:{name}"), np.random.default_rng(21), 3000
     t = np.arange(n) * 1e-3
@@ -197,7 +195,7 @@ def test_c_law(library: Any, name: str):
 
 @pytest.mark.parametrize("target", ["-O0", "-O2", "-O3", "cortex-m4"])
 @pytest.mark.parametrize("arguments", ARGUMENTS)
-def test_program(tmp_path: Path, target: str, arguments: str):
+def test_program(tmp_path, target, arguments):
     """The test vectors of the command, compiled for this machine, and for a Cortex-M4 in QEMU."""
     emulator = "qemu-system-arm" if target == "cortex-m4" else "gcc"
     if shutil.which(emulator) is None and "CI" not in os.environ:
@@ -213,7 +211,7 @@ def test_program(tmp_path: Path, target: str, arguments: str):
     assert re.search(r": 0 of \d\d+ periods differ", output), output
 
 
-def test_loop_of_the_page(tmp_path: Path):
+def test_loop_of_the_page(tmp_path):
     """The C of docs/export.md moves the motor."""
     page = (Path(__file__).parents[2] / "docs" / "export.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"```c\n(.*?)```", page, re.DOTALL)
@@ -226,7 +224,7 @@ def test_loop_of_the_page(tmp_path: Path):
 
 
 @pytest.mark.skipif(shutil.which("qemu-system-arm") is None and "CI" not in os.environ, reason="needs qemu-system-arm")
-def test_size_and_time_on_a_cortex_m4(tmp_path: Path):
+def test_size_and_time_on_a_cortex_m4(tmp_path):
     """A policy of 64 x 64 units with its law, in float."""
     (tmp_path / "policy.h").write_text(Exported("residual-real", True).c(single=True))
     source, compiler = tmp_path / "count.c", ("arm-none-eabi-gcc", *C99, "-O2", *M4)

@@ -11,13 +11,13 @@ import pytest
 from capsule_gym.files import add_name_to_errors, replacing, to_json, write_atomically
 
 
-def lowest_free_descriptor() -> int:
+def lowest_free_descriptor():
     """The descriptor of the next file; it grows if a file stays open."""
     with open(os.devnull, "rb") as file:
         return file.fileno()
 
 
-def test_a_file_appears_whole_and_replaces_what_was_there(tmp_path: Path):
+def test_a_file_appears_whole_and_replaces_what_was_there(tmp_path):
     path = tmp_path / "result.json"
     free = lowest_free_descriptor()
     for content, written in (("one", b"one"), ("zwölf\n", b"zw\xc3\xb6lf\n"), (b"\xff", b"\xff")):
@@ -27,7 +27,7 @@ def test_a_file_appears_whole_and_replaces_what_was_there(tmp_path: Path):
     assert lowest_free_descriptor() <= free
 
 
-def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path: Path):
+def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path):
     path = tmp_path / "table.csv"
     write_atomically(path, "old")
     with pytest.raises(RuntimeError), replacing(path) as temporary:

@@ -22,7 +22,7 @@ WHITE = Disturbances(theta_noise=0.01, theta_dot_noise=0.1, x_dot_noise=0.01, x_
 STATE = {"state": [0.0, 0.0, 0.0, 0.0]}
 
 
-def make_log(disturbances: Disturbances | str, seconds: float = 20.0, **options) -> dict[str, np.ndarray]:
+def make_log(disturbances, seconds=20.0, **options):
     env = CapsuleEnv(**{**OPTIONS, "disturbances": disturbances, **options})
     return record(env, Excitation(amplitude=0.4), seconds=seconds, seed=1, options=STATE)
 
@@ -37,7 +37,7 @@ def fit(log):
     return identify(log)
 
 
-def make_problem(log: dict[str, np.ndarray]) -> tuple[Problem, np.ndarray]:
+def make_problem(log):
     """The problem of a log, and the shares of the true quantities."""
     truth = {**TRUTH, "motor_friction": 0.06, **MOTOR, "x_dot_bias": 0.01}
     ranges = {name: (0.5 * value, 1.5 * value) for name, value in truth.items()}
@@ -84,7 +84,7 @@ def test_slopes_of_predictions_equal_differences(log):
 T = 7.0 + 0.01 * np.arange(400)
 
 
-def make_small_problem(count: int = 400, **more) -> Problem:
+def make_small_problem(count=400, **more):
     t, torque = 7.0 + 0.01 * np.arange(count), np.random.default_rng(0).normal(size=count)
     columns = {"t": t, "torque": torque, "theta": 0.3 * np.sin(2.0 * t), **more}
     ranges = {"M": (0.4, 0.8), "mu": (0.01, 0.16), "latency": (0.004, 0.012)}
@@ -129,7 +129,7 @@ def test_the_fit_and_its_posterior_are_those_of_least_squares():
     problem = make_small_problem()
     problem.names, problem.densities = ["a", "b"], np.zeros(2)
 
-    def residuals(u: np.ndarray, *_, **__) -> tuple[np.ndarray, np.ndarray]:
+    def residuals(u, *_, **__):
         r = np.array([30.0 * (u[0] - 1.4) + u[2] ** 2, 40.0 * (u[1] ** 2 - 0.25), u[2] - 3.0 * u[1], u[1] * u[2] - 0.4])
         return r, np.array([[30.0, 0.0, 2.0 * u[2]], [0.0, 80.0 * u[1], 0.0], [0.0, -3.0, 1.0], [0.0, u[2], u[1]]])
 
@@ -152,7 +152,7 @@ def test_the_fit_and_its_posterior_are_those_of_least_squares():
 
 
 def test_the_posterior_follows_a_curve_of_lag_and_latency(monkeypatch):
-    def residuals(self: Problem, u: np.ndarray, *_, **__) -> tuple[np.ndarray, np.ndarray]:
+    def residuals(self, u, *_, **__):
         lag = u[0] if "lag" in self.names else (self.known["lag"] - 0.001) / 0.009
         jacobian = np.array([[150.0 * lag**2, 100.0, 0.0], [2.0, 0.0, 0.0], [0.0, 0.0, 5.0]])
         r = np.array([50.0 * lag**3 + 100.0 * u[-2] - 60.0, 2.0 * lag - 1.0, 5.0 * u[-1]])

@@ -4,7 +4,6 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ from tests.capsule_gym.fakes import EPISODE_ROWS
 SIZES = (1, 3, LANES, LANES + 1, 2 * LANES + 2)
 STEPS = 30
 ROUGH = replace(REAL, push=(0.0, 0.5), theta_resolution=0.001, torque_resolution=0.01)
-CASES: dict[str, dict[str, Any]] = {
+CASES = {
     **{f"{name}, direct": {"task": name} for name in TASKS},
     **{f"{name}, law and disturbances": {
         "task": name, "controller": "baselines:gait", "disturbances": ROUGH, "randomization": "real-wide"
@@ -28,7 +27,7 @@ CASES: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
-def episode(n: int, threads: int, **kwargs: Any) -> list[bytes]:
+def episode(n, threads, **kwargs):
     """Everything that the environments of a batch have shown, one entry per environment."""
     env = CapsuleVectorEnv(n, threads=threads, max_episode_steps=12, autoreset_mode="SAME_STEP", **kwargs)
     env.reset(seed=7)

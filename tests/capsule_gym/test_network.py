@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from capsule_gym import native
-from capsule_gym.network import Layer, pack
+from capsule_gym.network import pack
 
 # Environments in a batch; the core computes four at once, and those left over one by one.
 BATCH = 64
 
 
-def make_layers(widths: tuple[int, ...], seed: int = 0) -> list[Layer]:
+def make_layers(widths, seed=0):
     rng = np.random.default_rng(seed)
     return [
         tuple(rng.normal(0.0, *size).astype(np.float32) for size in ((1.0 / np.sqrt(i), (o, i)), (0.3, o)))
@@ -20,13 +20,13 @@ def make_layers(widths: tuple[int, ...], seed: int = 0) -> list[Layer]:
     ]
 
 
-def act(packed: np.ndarray, observations: np.ndarray) -> np.ndarray:
+def act(packed, observations):
     actions = np.empty((len(observations), 1), np.float32)
     native.call("act", packed, observations, len(observations), actions)
     return actions
 
 
-def expected(layers, observations, mean, scale, clip, relu, tanh_squashing) -> np.ndarray:
+def expected(layers, observations, mean, scale, clip, relu, tanh_squashing):
     """The same network in numpy, in numpy's order of operations."""
     values = np.clip((observations.astype(np.float64) - mean) * scale, -clip, clip)
     for n, (weights, bias) in enumerate(layers):

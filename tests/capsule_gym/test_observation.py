@@ -1,7 +1,6 @@
 """Estimates of M and mu from slip: accurate for exact physics, uncertain after jumps, constant in stick."""
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +19,7 @@ SLOWEST = 0.02
 PLANTS = [(0.35, 0.3), (0.5, 0.01), (0.75, 0.05)]
 
 
-def states(M: float, mu: float, seconds: float = 4.0, changes: Any = (), capsule: Capsule = CAPSULE) -> np.ndarray:
+def states(M, mu, seconds=4.0, changes=(), capsule=CAPSULE):
     """The states of a capsule under a torque that swings its pendulum, in float64: theta, theta', x'."""
     env = CapsuleEnv(capsule=capsule)
     _, info = env.reset(seed=0, options={"M": M, "mu": mu, "changes": list(changes)})
@@ -35,7 +34,7 @@ def states(M: float, mu: float, seconds: float = 4.0, changes: Any = (), capsule
     return np.array(rows)[:, [0, 1, 3]]
 
 
-def update(observations: np.ndarray, memories: np.ndarray, dt: float = CONTROL_DT) -> tuple[np.ndarray, np.ndarray]:
+def update(observations, memories, dt=CONTROL_DT):
     """The estimates after an observation that begins with theta, theta', x', shape (n, 4), and the memories, (n, 9).
 
     The memory of the law `gait` is that of its filter of M and mu.
@@ -47,7 +46,7 @@ def update(observations: np.ndarray, memories: np.ndarray, dt: float = CONTROL_D
     return estimates.astype(np.float32), memories
 
 
-def filtered(rows: np.ndarray, memory: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+def filtered(rows, memory=None):
     """The estimates after each observation of theta, theta', x', shape (rows, 4), and the memories, (rows, 9)."""
     found, memories = [], [np.zeros(9) if memory is None else memory]
     for row in np.float32(rows):

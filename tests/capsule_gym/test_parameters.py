@@ -9,7 +9,7 @@ import pytest
 
 from capsule_gym import CapsuleVectorEnv, dynamics
 from capsule_gym.config import EnvConfig
-from capsule_gym.parameters import RANDOMIZATIONS, Capsule, Plant, Randomization
+from capsule_gym.parameters import RANDOMIZATIONS, Capsule, Randomization
 from capsule_gym.simulation import Simulation
 
 POSITIVE = ("M", "m", "l", "g", "backward_ratio")
@@ -69,7 +69,7 @@ def test_the_plant_takes_another_mass_and_friction_and_checks_them():
                 check(M, mu)
 
 
-def largest_eigenvalue(theta: np.ndarray, p: Plant) -> float:
+def largest_eigenvalue(theta, p):
     """The largest eigenvalue, by size, of the pendulum linearised at rest at these angles, where a torque holds it."""
     found = 0.0
     for slip, mu in ((1.0, p.mu), (-1.0, p.mu * p.backward_ratio)):

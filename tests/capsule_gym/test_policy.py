@@ -19,7 +19,7 @@ from capsule_gym.policy import IMITATION, POLICY
 from tests.capsule_gym.test_network import make_layers
 
 
-def make_policy(**changes: object) -> Policy:
+def make_policy(**changes):
     rng = np.random.default_rng(5)
     words = {"name": "made", "algorithm": "ppo", "activation": "tanh", "squashing": "clip", "revision": "0123456789ab"}
     arrays = {"mean": rng.normal(size=5), "variance": rng.uniform(0.1, 2.0, 5), "layers": tuple(make_layers((5, 8, 1)))}
@@ -170,14 +170,14 @@ def test_a_truncated_file_and_one_too_large_are_refused(tmp_path):
             load_policy(path)
 
 
-def ones(*shape: int) -> np.ndarray:
+def ones(*shape):
     return np.ones(shape, np.float32)
 
 
 WIDE = {"layers.0.weight": ones(2000, 5), "layers.0.bias": ones(2000), "layers.1.weight": ones(1, 2000)}
 DEEP = {f"layers.{n}.{kind}": ones(*shape) for n in range(2, 7) for kind, shape in (("weight", (1, 1)), ("bias", (1,)))}
 # Tensors and entries of the metadata that replace those of a valid file (None removes one), and the error message.
-HOSTILE_TENSORS: list[tuple[dict[str, np.ndarray | None], str]] = [
+HOSTILE_TENSORS = [
     ({"layers.0.weight": np.full((8, 5), np.nan, np.float32)}, "layers.0.weight must be finite"),
     ({"layers.1.weight": ones(2, 8), "layers.1.bias": ones(2)}, "and one in the last"),
     ({"inputs.mean": np.zeros(6)}, "of shape (5,), one for each entry"),
@@ -185,7 +185,7 @@ HOSTILE_TENSORS: list[tuple[dict[str, np.ndarray | None], str]] = [
     ({**DEEP}, "1 to 6 layers, got 7"),
     ({**WIDE}, "1 to 1024 units"),
 ]
-HOSTILE_METADATA: list[tuple[dict[str, str | None], str]] = [
+HOSTILE_METADATA = [
     ({"format": "pt"}, "must be ('capsule_gym policy', '2'), got ('pt', '2')"),
     ({"output": "torque"}, "output must be 'action' in its metadata, got 'torque'"),
     ({"told_energy_weight": "true"}, "told_energy_weight must be 'false' in its metadata, got 'true'"),

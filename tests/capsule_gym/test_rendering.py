@@ -3,11 +3,9 @@
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from capsule_gym.parameters import Capsule
 from capsule_gym.rendering import FLOOR, HEADER, HEIGHT, WIDTH, Renderer, write_gif
@@ -16,11 +14,11 @@ pygame = pytest.importorskip("pygame")
 Image = pytest.importorskip("PIL.Image")
 
 NAMES = ("theta", "x", "x_dot", "torque", "time", "M", "mu")
-STATE: dict[str, Any] = dict(zip(NAMES, (0.3, 0.2, 0.0, 0.0, 1.0, 0.5, 0.01), strict=True))
+STATE = dict(zip(NAMES, (0.3, 0.2, 0.0, 0.0, 1.0, 0.5, 0.01), strict=True))
 STAGE = slice(HEADER + 1, FLOOR)
 
 
-def frame(capsule: Capsule | None = None, **changes: Any) -> NDArray[np.uint8]:
+def frame(capsule=None, **changes):
     """One frame from a new renderer, so that nothing carries over."""
     renderer = Renderer(capsule or Capsule(), "rgb_array", 50, 1.5)
     pixels = renderer.draw(**{**STATE, **changes})
@@ -32,14 +30,14 @@ def frame(capsule: Capsule | None = None, **changes: Any) -> NDArray[np.uint8]:
 # Frames in blocks of pixels: `python -m tests.capsule_gym.test_rendering` draws the picture anew.
 EXPECTED = Path(__file__).with_name("frames.png")
 BLOCK = 6
-SCENES: tuple[dict[str, Any], ...] = (
+SCENES = (
     {},
     {"theta": -0.7, "torque": 1.1, "x_dot": 0.35, "ghost": ("rival", 0.9, 0.45)},
     {"capsule": Capsule(l=0.39), "theta": 1.2, "torque": -0.2, "x_dot": -0.05, "x": -0.31, "mu": 0.3, "M": 0.75},
 )
 
 
-def draw_scenes() -> NDArray[np.float64]:
+def draw_scenes():
     """The scenes, as means over blocks of pixels."""
     drawn = []
     for scene in SCENES:
@@ -50,7 +48,7 @@ def draw_scenes() -> NDArray[np.float64]:
     return np.concatenate(drawn)
 
 
-def test_the_frames_are_those_that_were_looked_at() -> None:
+def test_the_frames_are_those_that_were_looked_at():
     with Image.open(EXPECTED) as picture:
         expected = np.asarray(picture.convert("RGB"), float)
     drawn = draw_scenes()
@@ -61,7 +59,7 @@ def test_the_frames_are_those_that_were_looked_at() -> None:
     np.testing.assert_allclose(*scenes, atol=1.0)
 
 
-def test_a_frame_holds_nothing_of_the_frames_before_it() -> None:
+def test_a_frame_holds_nothing_of_the_frames_before_it():
     renderer, rng = Renderer(Capsule(), "rgb_array", 50, 1.5), np.random.default_rng(0)
     for n in range(24):
         state = dict(zip(NAMES, rng.normal(0.0, (0.5, 0.4, 0.2, 0.6, 9.0, 0.2, 0.1)), strict=True))
@@ -70,7 +68,7 @@ def test_a_frame_holds_nothing_of_the_frames_before_it() -> None:
         np.testing.assert_array_equal(renderer.draw(**state), frame(**state))
 
 
-def test_frames_need_no_display_and_importing_needs_no_pygame() -> None:
+def test_frames_need_no_display_and_importing_needs_no_pygame():
     code = """
 import os, sys
 for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
@@ -92,7 +90,7 @@ renderer.close()
     assert done.stdout == "" and done.stderr == ""
 
 
-def test_a_window_shows_the_frames(no_screen) -> None:
+def test_a_window_shows_the_frames(no_screen):
     renderer = Renderer(Capsule(), "human", 200, 1.5, title="a title")
     for k in range(3):
         assert renderer.draw(**{**STATE, "time": 0.02 * k}) is None
@@ -103,7 +101,7 @@ def test_a_window_shows_the_frames(no_screen) -> None:
 
 
 @pytest.mark.parametrize("by_user", [False, True])
-def test_a_closed_window_stays_closed(no_screen, by_user) -> None:
+def test_a_closed_window_stays_closed(no_screen, by_user):
     renderer = Renderer(Capsule(), "human", 200, 1.5)
     renderer.draw(**STATE)
     pygame.event.post(pygame.event.Event(pygame.QUIT)) if by_user else renderer.close()

@@ -1,23 +1,20 @@
 """Whole episodes in one call of the core: the same bits as stepping the batch, also with jumps and failures."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pytest
 
-from capsule_gym import CapsuleEnv, CapsuleVectorEnv, Policy, load_policy
+from capsule_gym import CapsuleEnv, CapsuleVectorEnv, load_policy
 from capsule_gym.layout import LANES, Row
 from capsule_gym.network import rollout
-from capsule_gym.simulation import Simulation
 from capsule_gym.task import METRICS
 from tests.capsule_gym.fakes import EPISODE_ROWS
 from tests.capsule_gym.test_policy import make_policy
 
 
-def begun(policy: Policy, n: int, changes: list[list[dict[str, float]]] | None = None, **kwargs: Any):
+def begun(policy, n, changes=None, **kwargs):
     """A batch at the start of its episodes, without autoreset."""
     settings = {**policy.env_kwargs, **kwargs}
     env = CapsuleVectorEnv(n, autoreset_mode="DISABLED", max_episode_steps=10_000, **settings)
@@ -25,14 +22,14 @@ def begun(policy: Policy, n: int, changes: list[list[dict[str, float]]] | None =
     return env, observations
 
 
-def stepped(env: CapsuleVectorEnv, policy: Policy, observations: np.ndarray, steps: int) -> np.ndarray:
+def stepped(env, policy, observations, steps):
     act = policy.start(range(len(observations)))
     for _ in range(steps):
         observations, _, _, _, _ = env.step(act(observations))
     return observations
 
 
-def assert_same(one: Simulation, other: Simulation, rows: Sequence[int] | None = None) -> None:
+def assert_same(one, other, rows=None):
     """Asserts equal bits in all rows of the environments, or in some rows."""
     assert one.observations.tobytes() == other.observations.tobytes()
     for row in range(one.world.shape[1]) if rows is None else rows:
@@ -41,14 +38,14 @@ def assert_same(one: Simulation, other: Simulation, rows: Sequence[int] | None =
         assert values.tobytes() == other.metrics(np.arange(one.num_envs), 100)[name].tobytes(), name
 
 
-def jumps(n: int) -> list[list[dict[str, float]]]:
+def jumps(n):
     """Four, none, one or three jumps of M and mu: between steps, on a step, two in one step, and one after the end."""
     one = [{"t": 0.3, "M": 0.6, "mu": 0.1}]
     three = [{"t": 0.505, "M": 0.4, "mu": 0.02}, {"t": 0.51, "M": 0.7, "mu": 0.05}, {"t": 1.9, "M": 0.5, "mu": 0.2}]
     return [([*three, {"t": 50.0, "M": 0.5, "mu": 0.01}], [], one, three)[i % 4] for i in range(n)]
 
 
-def on_a_law() -> Policy:
+def on_a_law():
     """A policy that observes estimates of M and mu on a law, and pumps with all of them."""
     weights = np.array([[-1.0, 0.07, 0.02, 0.0, 0.01, *[0.0] * 5, 0.4, 0.05, 0.3, -0.02]], np.float32)
     env_kwargs = {"observe_estimates": True, "controller": "baselines:adaptive", "residual_limit": 3.0}

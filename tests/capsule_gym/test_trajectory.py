@@ -38,7 +38,7 @@ def test_every_constant_has_its_derivative(name):
         name, capsule = "mu", Capsule(mu=0.2, normal_force="paper")
     torques = draw(np.random.default_rng(2))[1][:40]
 
-    def end(size: float) -> np.ndarray:
+    def end(size):
         shifted = Capsule(**{**vars(capsule), name: getattr(capsule, name) + size})
         return sensitivity(START, torques, (), capsule=shifted, control_dt=0.01).states[-1]
 
@@ -54,7 +54,7 @@ def test_a_constant_without_effect_has_its_derivative(name):
     capsule = Capsule(stribeck_speed=0.1)
     torques, state = draw(np.random.default_rng(2))[1][:6], (-0.3, 0.5, 0.0, 0.2)
 
-    def end(size: float) -> np.ndarray:
+    def end(size):
         shifted = Capsule(**{**vars(capsule), name: getattr(capsule, name) + size})
         return sensitivity(state, torques, (), capsule=shifted).states[-1]
 

@@ -34,11 +34,11 @@ def make():
     table = 0.05 * np.sin(np.arange(21.0).reshape(7, 3))
     return Controller("own", law, table, (0.0, 1.0))
 """
-SCOPE: dict = {}
+SCOPE = {}
 exec(LAW, SCOPE)
 
 
-def torques(controller: Controller, n: int, disturbances: object = "none", **kwargs: object) -> np.ndarray:
+def torques(controller, n, disturbances="none", **kwargs):
     """The torques of the law in an episode, alone or in a batch, shape (steps, n)."""
     env = CapsuleVectorEnv(n, controller=controller, disturbances=disturbances, residual_limit=0.5, **kwargs)
     env.reset(seed=3)
@@ -74,7 +74,7 @@ def test_python_gives_the_torques_of_numba_up_to_rounding(n, disturbances, monke
 
 def test_an_edited_helper_is_noticed_by_the_next_controller(either_way):
     compiled = sys.modules["numba"] is not None
-    scope: dict = {"wrapped": numba.njit if compiled else lambda function: function}
+    scope = {"wrapped": numba.njit if compiled else lambda function: function}
 
     def law(theta, theta_dot, x, x_dot, memory, reference):
         return helper(theta), memory
@@ -177,7 +177,7 @@ def test_an_exception_ends_a_rollout(either_way):
 @pytest.mark.parametrize("controls", ["both", "agent"])
 def test_a_failed_law_is_called_again_with_the_same_arguments(controls, monkeypatch):
     """Compiled code swallows exceptions: the one that reaches the caller is that of a second call."""
-    seen: list[tuple] = []
+    seen = []
 
     def law(theta, theta_dot, x, x_dot, memory, reference):
         if memory[0] >= 30.0:

@@ -45,10 +45,10 @@ class WithMetrics(gym.Wrapper):
         return *result, terminated, truncated, info
 
 
-def singles(n: int, horizon: int, mode: AutoresetMode, **kwargs) -> SyncVectorEnv:
+def singles(n, horizon, mode, **kwargs):
     """Gymnasium's own vectorisation of single environments: the reference for every convention."""
 
-    def make() -> gym.Env:
+    def make():
         return WithMetrics(gym.make(ENV_ID, max_episode_steps=horizon, disable_env_checker=True, **kwargs))
 
     return SyncVectorEnv([make] * n, autoreset_mode=mode)
@@ -174,7 +174,7 @@ def test_disabled_autoreset_stands_still_until_the_mask_names_it():
     assert not env.step(np.zeros((3, 1), np.float32))[2].any()
 
 
-def flat(value) -> list:
+def flat(value):
     """All values of nested infos, in bytes."""
     if isinstance(value, dict):
         return [entry for key in value for entry in (key, *flat(value[key]))]
@@ -183,7 +183,7 @@ def flat(value) -> list:
     return [np.asarray(value).tobytes()]
 
 
-def play(env, seed: int, steps: int) -> list:
+def play(env, seed, steps):
     """The results of steps, and of the resets of a single environment between them, and the metrics, in bytes."""
     rng, seen = np.random.default_rng(seed), []
     for _ in range(steps):
@@ -287,7 +287,7 @@ def test_an_interrupted_step_waits_for_its_other_threads():
     assert len(done) == 1
 
 
-def digest(env: CapsuleVectorEnv) -> str:
+def digest(env):
     actions = np.full((env.num_envs, 1), 0.5, np.float32)
     return hashlib.sha256(b"".join(env.step(actions)[0].tobytes() for _ in range(20))).hexdigest()
 

@@ -9,7 +9,6 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -48,7 +47,7 @@ CLEANRL = {
 }
 
 
-def run(command: str, folder: Path) -> str:
+def run(command, folder):
     """Runs a command as a user with the installed package does, and returns its output."""
     variables = {"MINARI_DATASETS_PATH": str(folder), "OMP_NUM_THREADS": "1", "SDL_VIDEODRIVER": "dummy"}
     variables["PYTHONPATH"] = os.pathsep.join([str(ROOT), str(folder)])
@@ -59,7 +58,7 @@ def run(command: str, folder: Path) -> str:
 
 
 @pytest.mark.parametrize("name", PROGRAMS)
-def test_program_runs(name: str, tmp_path: Path) -> None:
+def test_program_runs(name, tmp_path):
     module, command, printed = PROGRAMS[name]
     if module != "stable_baselines3" and "EXAMPLES" not in os.environ:
         pytest.skip("EXAMPLES is not set")
@@ -67,11 +66,11 @@ def test_program_runs(name: str, tmp_path: Path) -> None:
     assert re.search(printed, run(command, tmp_path))
 
 
-def test_skrl_records_the_last_observation_of_an_episode(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_skrl_records_the_last_observation_of_an_episode(monkeypatch):
     pytest.importorskip("skrl")
     from examples import skrl_ppo
 
-    recorded: list[dict[str, Any]] = []
+    recorded = []
     monkeypatch.setattr(skrl_ppo.PPO, "record_transition", lambda agent, **transition: recorded.append(transition))
     batch = gym.make_vec(ID, num_envs=2, max_episode_steps=1, autoreset_mode="SAME_STEP")
     batch.reset(seed=0)
@@ -82,7 +81,7 @@ def test_skrl_records_the_last_observation_of_an_episode(monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize("script", CLEANRL)
-def test_cleanrl_runs_as_it_is(script: str, tmp_path: Path) -> None:
+def test_cleanrl_runs_as_it_is(script, tmp_path):
     # CleanRL is a checkout, not a package.
     path = Path(os.environ.get("CLEANRL", ""), "cleanrl", f"{script}.py").resolve()
     if not path.is_file():
@@ -92,7 +91,7 @@ def test_cleanrl_runs_as_it_is(script: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("default")
-def test_d3rlpy_learns_from_the_data(tmp_path: Path) -> None:
+def test_d3rlpy_learns_from_the_data(tmp_path):
     if "EXAMPLES" not in os.environ:
         pytest.skip("EXAMPLES is not set")
     pytest.importorskip("d3rlpy")
@@ -102,7 +101,7 @@ def test_d3rlpy_learns_from_the_data(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("quality", ["random", "medium", "expert", "mixed"])
 @pytest.mark.filterwarnings("default")
-def test_the_data_are_the_episodes_of_their_actions(quality: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_data_are_the_episodes_of_their_actions(quality, monkeypatch):
     minari = pytest.importorskip("minari")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(EXAMPLES / "data"))
     dataset = minari.load_dataset(f"capsule/{quality}-v0")

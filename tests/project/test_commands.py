@@ -34,7 +34,7 @@ for name in sys.argv[1:]:
 """
 
 
-def commands() -> list[str]:
+def commands():
     """Every module that can be run, as `python -m` takes it."""
     found = {"train"}
     for package in ("capsule_gym", "baselines", "agents", "benchmarks", "tests", "web"):
@@ -47,7 +47,7 @@ def commands() -> list[str]:
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
-def test_help_shows_examples_and_needs_nothing_heavy() -> None:
+def test_help_shows_examples_and_needs_nothing_heavy():
     names = commands()
     done = subprocess.run([sys.executable, "-c", HELP, *names], cwd=ROOT, capture_output=True, text=True, check=True)
     shown = list(map(json.loads, done.stdout.splitlines()))

@@ -9,7 +9,6 @@ import io
 import re
 import runpy
 import shlex
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -31,7 +30,7 @@ TABLE = "<table>\n<tr>\n<th>policy</th>\n<th>senses</th>\n</tr>\n{}</table>"
 ROW = "<tr>\n<td>{}</td>\n<td>stick</td>\n</tr>\n"
 
 
-def texts(path: Path) -> Iterator[tuple[int, str]]:
+def texts(path):
     """The prose of a file with the number of lines before it: a page itself, or the docstrings of a module."""
     text = path.read_text(encoding="utf-8")
     if path.suffix == ".md":
@@ -43,7 +42,7 @@ def texts(path: Path) -> Iterator[tuple[int, str]]:
             yield literal.lineno - 1, "\n".join(text.splitlines()[literal.lineno - 1 : literal.end_lineno])
 
 
-def blocks() -> Iterator[tuple[str, int, str, str]]:
+def blocks():
     """File, number of lines before it, language and code of every fenced block."""
     for path in (*PAGES, *MODULES):
         for first, text in texts(path):
@@ -65,7 +64,7 @@ COMMANDS = [
 WITH_EXAMPLES = [path for path in MODULES if any(">>> " in text for _, text in texts(path))]
 
 
-def test_every_block_is_in_a_language_that_is_checked() -> None:
+def test_every_block_is_in_a_language_that_is_checked():
     assert {block[:2]: block[2] for block in BLOCKS if block[2] not in KNOWN} == {}
     for path in PAGES:
         fences = re.findall(r"^ *(?:```|~~~)", path.read_text(encoding="utf-8"), re.MULTILINE)
@@ -73,7 +72,7 @@ def test_every_block_is_in_a_language_that_is_checked() -> None:
 
 
 @pytest.mark.parametrize(("name", "line", "language", "code"), PYTHON)
-def test_block_runs(name: str, line: int, language: str, code: str, tmp_path: Path, monkeypatch) -> None:
+def test_block_runs(name, line, language, code, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     monkeypatch.setenv("MPLBACKEND", "agg")
@@ -84,14 +83,14 @@ def test_block_runs(name: str, line: int, language: str, code: str, tmp_path: Pa
 
 
 @pytest.mark.parametrize("path", WITH_EXAMPLES, ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_examples_give_what_they_show(path: Path) -> None:
+def test_examples_give_what_they_show(path):
     module = importlib.import_module(".".join(path.relative_to(ROOT).with_suffix("").parts))
     found = doctest.testmod(module, optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
     assert found.attempted and not found.failed
 
 
 @cache
-def help_of(name: str, *words: str) -> str:
+def help_of(name, *words):
     """The output of `--help` of a module after these words."""
     spec = importlib.util.find_spec(name)
     assert spec is not None, f"there is no module {name}"
@@ -103,7 +102,7 @@ def help_of(name: str, *words: str) -> str:
 
 
 @pytest.mark.parametrize("line", COMMANDS)
-def test_commands_and_their_options_exist(line: str) -> None:
+def test_commands_and_their_options_exist(line):
     # Takes the body of a loop, without environment variables.
     line = re.sub(r"^for \w+ in .*?; do (.*?)[;&] *done.*$", r"\1", line)
     words = shlex.split(re.sub(r"^(\w+=\S* )+", "", line), comments=True)
@@ -128,7 +127,7 @@ def test_commands_and_their_options_exist(line: str) -> None:
         assert (ROOT / rest[0]).exists()
 
 
-def test_rankings_and_scenes_link_to_the_live_page() -> None:
+def test_rankings_and_scenes_link_to_the_live_page():
     pytest.importorskip("mkdocs")
     hooks = SimpleNamespace(**runpy.run_path(str(ROOT / "docs" / "hooks.py")))
     page = SimpleNamespace(file=SimpleNamespace(src_uri="leaderboard.md"), url="leaderboard/")

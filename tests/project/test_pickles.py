@@ -7,7 +7,6 @@ import json
 import pickle
 import sys
 import zipfile
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +15,6 @@ import numpy as np
 import pytest
 
 from agents.study import train_job
-from agents.training.config import Config
 from agents.training.presets import row_settings
 from baselines.dynamic_programming.archive import ARCHIVE, ARRAYS
 from tests.agents.training.small import small
@@ -35,7 +33,7 @@ class Touch:
 PICKLE = pickle.dumps(Touch())
 
 
-def write_model(path: Path) -> None:
+def write_model(path):
     """Writes a Stable-Baselines3 model whose parts are all such pickles."""
     with zipfile.ZipFile(path, "w") as parts:
         data = {"policy_class": {":type:": "type", ":serialized:": base64.b64encode(PICKLE).decode()}}
@@ -44,7 +42,7 @@ def write_model(path: Path) -> None:
             parts.writestr(name, PICKLE)
 
 
-def write_run(folder: Path, algo: str, config: Config | None = None) -> None:
+def write_run(folder, algo, config=None):
     """Writes the folder of a run whose files are such pickles, except the configuration."""
     (folder / "best").mkdir(parents=True)
     settings = (config or small("direct", algo)).to_dict()
@@ -59,7 +57,7 @@ def write_run(folder: Path, algo: str, config: Config | None = None) -> None:
 
 
 @pytest.fixture
-def hostile(tmp_path, monkeypatch) -> Path:
+def hostile(tmp_path, monkeypatch):
     """A working folder with every kind of file and folder that a command may read."""
     monkeypatch.chdir(tmp_path)
     write_run(tmp_path / "run", "ppo")
@@ -94,7 +92,7 @@ READERS = {
 TRUSTING = (["agents.study", "direct-ppo", "--runs", "study", "--seeds", "0", "--resume"], ["train", "--resume", "run"])
 
 
-def main_of(command: str) -> Callable[[list[str]], int]:
+def main_of(command):
     """The `main` function of a command."""
     module = importlib.import_module(command)
     return (module if hasattr(module, "main") else importlib.import_module(f"{command}.__main__")).main

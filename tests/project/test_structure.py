@@ -4,14 +4,13 @@ import dataclasses
 import importlib
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 from tests.project.test_pages import MODULES, ROOT
 
 
-def test_another_package_baselines_is_named(tmp_path: Path) -> None:
+def test_another_package_baselines_is_named(tmp_path):
     (tmp_path / "baselines").mkdir()
     (tmp_path / "baselines" / "__init__.py").touch()
     # Loaded by its path, and without the finders of an editable installation, which know where `baselines.laws` is.
@@ -26,7 +25,7 @@ def test_another_package_baselines_is_named(tmp_path: Path) -> None:
     assert str(tmp_path) in done.stderr and "uninstall that one" in done.stderr
 
 
-def test_settings_and_results_cannot_be_changed() -> None:
+def test_settings_and_results_cannot_be_changed():
     """Copies, caches and threads share them."""
     # `backend` needs scikit-build-core, which only the build of a wheel has.
     names = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in MODULES if path.name != "backend.py"]
@@ -36,7 +35,7 @@ def test_settings_and_results_cannot_be_changed() -> None:
     assert {name for _, name in changing} == {"Archive", "Problem", "Progress"} and len(changing) == 3
 
 
-def test_no_tracked_file_is_large_or_names_a_path_of_a_machine() -> None:
+def test_no_tracked_file_is_large_or_names_a_path_of_a_machine():
     if not (ROOT / ".git").exists():
         pytest.skip("not a git checkout")
     command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]

@@ -5,9 +5,7 @@ import os
 import re
 import shutil
 import subprocess
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,13 +14,12 @@ from capsule_gym import CapsuleEnv, Disturbances, load_policy
 from capsule_gym.evaluation_sets import SET_NAMES, load_set
 from web import build, data, episodes
 
-Node = Callable[..., Any]
 ROOT = Path(__file__).resolve().parents[2]
 COMMITTED = json.loads(episodes.FILE.read_text(encoding="utf-8"))
 
 
 @pytest.fixture(scope="session")
-def node(site: Path) -> Node:
+def node(site):
     """Runs JavaScript with the module as `live`, and returns the value passed to `show`.
 
     node is optional on a user's machine and required in CI.
@@ -30,7 +27,7 @@ def node(site: Path) -> Node:
     if shutil.which("node") is None and "CI" not in os.environ:
         pytest.skip("needs node")
 
-    def run(code: str, *arguments: str, module: Path = site / "capsule.mjs") -> Any:
+    def run(code, *arguments, module=site / "capsule.mjs"):
         script = (
             f"import * as live from {json.dumps(module.as_uri())};\n"
             "let shown = null;\nconst show = (value) => (shown = value);\n"
@@ -46,12 +43,12 @@ def node(site: Path) -> Node:
 
 
 @pytest.mark.parametrize("name", ["residual-real", "gait-predictive, disturbed"])
-def test_committed_episodes_are_pythons(name: str) -> None:
+def test_committed_episodes_are_pythons(name):
     committed = next(episode for episode in COMMITTED if episode["name"] == name)
     assert episodes.compute(committed) == committed
 
 
-def test_episodes_are_written_and_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_episodes_are_written_and_compared(tmp_path, monkeypatch, capsys):
     names = ("adaptive", "goal-pulses")
     for name, value in {
         "FILE": tmp_path / "episodes.json", "RECORDINGS": tmp_path / "recordings.npz", "SEEDS": 2, "EPISODE_STEPS": 30,
@@ -73,7 +70,7 @@ def test_episodes_are_written_and_compared(tmp_path: Path, monkeypatch: pytest.M
     ]  # fmt: skip
 
 
-def test_a_single_bit_fails_the_check(node: Node, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_single_bit_fails_the_check(node, tmp_path, monkeypatch):
     committed = {key: value for key, value in COMMITTED[0].items() if key not in ("set", "plant")}
     plant = data.describe_set(load_set(COMMITTED[0]["set"]))["plants"][COMMITTED[0]["plant"]]
     del plant["seed"]
@@ -85,7 +82,7 @@ def test_a_single_bit_fails_the_check(node: Node, tmp_path: Path, monkeypatch: p
     assert node("show(await live.check());", module=module) is False
 
 
-def test_a_policy_of_ones_own_gives_the_bits_of_the_one_that_came_with_the_module(node: Node, tmp_path: Path) -> None:
+def test_a_policy_of_ones_own_gives_the_bits_of_the_one_that_came_with_the_module(node, tmp_path):
     described = data.describe_policy("mine", load_policy("residual-ppo"))
     (tmp_path / "mine.json").write_text(json.dumps({**described, "network": described["network"].tolist()}), "utf-8")
     code = """
@@ -116,14 +113,14 @@ def test_a_policy_of_ones_own_gives_the_bits_of_the_one_that_came_with_the_modul
 
 
 @pytest.mark.parametrize("name", episodes.RECORDED)
-def test_recordings_are_what_the_policies_do(name: str) -> None:
+def test_recordings_are_what_the_policies_do(name):
     known = np.load(episodes.RECORDINGS)
     assert [key for key in known if key.startswith(name)] == [f"{name} {each}" for each in SET_NAMES]
     for each, n in (("wide", 17), ("drift", 4)):
         assert episodes.record(name, [load_set(each).plants[n]])[0].tolist() == known[f"{name} {each}"][n].tolist()
 
 
-def test_a_restored_episode_goes_on_as_it_did(node: Node) -> None:
+def test_a_restored_episode_goes_on_as_it_did(node):
     code = """
         const episode = await live.drive("residual-real", { changes: [{ t: 3, M: 0.4, mu: 0.1 }] });
         const run = (steps) => { for (let n = 0; n < steps; n++) episode.tick(); return bytes(episode.world); };
@@ -137,7 +134,7 @@ def test_a_restored_episode_goes_on_as_it_did(node: Node) -> None:
     assert node(code) == [100, True, True, 0.4]
 
 
-def test_an_episode_ends_as_pythons(node: Node) -> None:
+def test_an_episode_ends_as_pythons(node):
     env = CapsuleEnv()
     env.reset(options={"M": 0.5, "mu": 0.01})
     steps, terminated = 0, False
@@ -162,7 +159,7 @@ def test_an_episode_ends_as_pythons(node: Node) -> None:
 DISTURBED = {"latency": [0.002, 0.011], "theta_noise": 0.01, "x_dot_bias": [-0.02, 0.02], "lag": 0.004, "push": 2.0}
 
 
-def test_disturbances_are_drawn_and_set_as_in_python(node: Node) -> None:
+def test_disturbances_are_drawn_and_set_as_in_python(node):
     given = {**DISTURBED, "theta_dot_resolution": 0.01, "unmeasured": ["theta_dot"], "controls": "agent"}
     ranges = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
     env = CapsuleEnv(controller="baselines:adaptive", disturbances=Disturbances(**ranges))
@@ -197,7 +194,7 @@ def test_disturbances_are_drawn_and_set_as_in_python(node: Node) -> None:
         ("velocity", {"commands": [{"t": 0.0, "v": 0.05}, {"t": 4.0, "v": -0.08}]}, {"x_dot_bias": 0.02}),
     ],
 )
-def test_tasks_have_pythons_observations_and_metrics(node: Node, task: str, options: Any, disturbances: Any) -> None:
+def test_tasks_have_pythons_observations_and_metrics(node, task, options, disturbances):
     env = CapsuleEnv(task=task, controller=f"baselines:{task}_pulses", disturbances=Disturbances(**disturbances))
     observation, info = env.reset(seed=3, options={"M": 0.5, "mu": 0.2, **options})
     for _ in range(300):
@@ -215,7 +212,7 @@ def test_tasks_have_pythons_observations_and_metrics(node: Node, task: str, opti
     assert {name: found[3][name] for name in own} == own and len(own) >= 14
 
 
-def test_types_declare_what_there_is(node: Node) -> None:
+def test_types_declare_what_there_is(node):
     types = (ROOT / "web/capsule.d.mts").read_text(encoding="utf-8")
     declared = re.findall(r"^export (?:class|function|const) (\w+)", types, re.MULTILINE)
     assert sorted(declared) == node("show(Object.keys(live).sort());")
@@ -236,7 +233,7 @@ BAD = {
 }
 
 
-def test_bad_input_is_named(node: Node) -> None:
+def test_bad_input_is_named(node):
     code = "try {{ {}; errors.push(null); }} catch (caught) {{ errors.push(`${{caught.name}}: ${{caught.message}}`); }}"
     script = f"""
         const capsule = await live.load("direct");
@@ -251,7 +248,7 @@ def test_bad_input_is_named(node: Node) -> None:
         assert error.startswith(f"{kind}: ") and re.search(said, error), (call, error)
 
 
-def test_the_documented_examples_run(node: Node) -> None:
+def test_the_documented_examples_run(node):
     page = (ROOT / "docs" / "live.md").read_text(encoding="utf-8")
     examples = re.findall(r"^```js\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
     assert examples

@@ -3,16 +3,12 @@
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import Any
 from urllib.parse import parse_qs
 
 import pytest
 
 from web import episodes
 
-Open = Callable[..., Any]
 COMMITTED = json.loads(episodes.FILE.read_text(encoding="utf-8"))
 # .ci/run installs the first browser if none is present.
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
@@ -26,7 +22,7 @@ SIZE = {"width": 1280, "height": 800}
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
+def browser():
     """A headless browser. It is optional on a user's machine and required in CI."""
     executable = next(filter(None, map(shutil.which, BROWSERS)), None)
     if executable is None and "CI" not in os.environ:
@@ -41,13 +37,13 @@ def browser() -> Iterator[Any]:
 
 
 @pytest.fixture
-def open_page(browser: Any, site: Path) -> Iterator[Open]:
+def open_page(browser, site):
     """Opens the page with a hash; at the end, checks that no page wrote to the console or requested another file."""
     live = (site / "index.html").as_uri()
-    contexts: list[Any] = []
-    said: list[str] = []
+    contexts = []
+    said = []
 
-    def opened(scene: str = "", **settings: Any) -> Any:
+    def opened(scene="", **settings):
         context = browser.new_context(**{"viewport": SIZE, **settings})
         contexts.append(context)
         page = context.new_page()
@@ -65,38 +61,38 @@ def open_page(browser: Any, site: Path) -> Iterator[Open]:
     assert said == []
 
 
-def figure(page: Any, name: str) -> float:
+def figure(page, name):
     """One of the numbers above the stage."""
     return float(page.locator(f"#figure-{name}").text_content().replace(MINUS, "-"))
 
 
-def reaches(page: Any, time: float) -> None:
+def reaches(page, time):
     """Waits until the page shows that time or a later one."""
     page.wait_for_function("time => Number(document.getElementById('figure-time').textContent) >= time", arg=time)
 
 
-def shows(page: Any, name: str, text: str, patience: int = PATIENCE) -> None:
+def shows(page, name, text, patience=PATIENCE):
     """Waits until an element contains that text."""
     holds = "([id, text]) => document.getElementById(id).textContent.includes(text)"
     page.wait_for_function(holds, arg=[name, text], timeout=patience)
 
 
-def link(page: Any) -> dict[str, str]:
+def link(page):
     """The parameters behind the # of the address."""
     return {key: values[0] for key, values in parse_qs(page.evaluate("location.hash.slice(1)")).items()}
 
 
-def measures(page: Any) -> list[str]:
+def measures(page):
     """The table of measures, row by row."""
     return page.locator("#rows tr").all_inner_texts()
 
 
-def playing(page: Any) -> bool:
+def playing(page):
     """Whether the scene is playing."""
     return page.locator("#play").get_attribute("aria-label") == "Pause"
 
 
-def test_page_fits_any_width_and_every_control_has_a_name(open_page: Open) -> None:
+def test_page_fits_any_width_and_every_control_has_a_name(open_page):
     page = open_page("#driver=yourself&rival=adaptive&view=lane", color_scheme="dark")
     for width in (360, 1280, 2560):
         page.set_viewport_size({"width": width, "height": 800})
@@ -116,7 +112,7 @@ def test_page_fits_any_width_and_every_control_has_a_name(open_page: Open) -> No
     assert nameless == []
 
 
-def test_plays_pauses_steps_and_scrubs_by_mouse_and_keyboard(open_page: Open) -> None:
+def test_plays_pauses_steps_and_scrubs_by_mouse_and_keyboard(open_page):
     page = open_page(LAW)
     assert playing(page)
     reaches(page, 0.3)
@@ -141,7 +137,7 @@ def test_plays_pauses_steps_and_scrubs_by_mouse_and_keyboard(open_page: Open) ->
         shows(page, "figure-time", time)
 
 
-def test_every_driver_drives_and_is_the_rival(open_page: Open) -> None:
+def test_every_driver_drives_and_is_the_rival(open_page):
     page = open_page(PAUSED)
     for control in ("driver", "rival"):
         for value in page.locator(f"#{control} option").evaluate_all("options => options.map((one) => one.value)"):
@@ -154,7 +150,7 @@ def test_every_driver_drives_and_is_the_rival(open_page: Open) -> None:
             assert link(page).get(control, "") == value
 
 
-def test_every_task_has_drivers_measures_and_sets_of_its_own(open_page: Open) -> None:
+def test_every_task_has_drivers_measures_and_sets_of_its_own(open_page):
     page = open_page(PAUSED)
     tasks = ("goal", "15.00", "Goal reached"), ("velocity", "20.00", "Velocity error"), ("speed", "33.00", "")
     for task, end, row in tasks:
@@ -169,7 +165,7 @@ def test_every_task_has_drivers_measures_and_sets_of_its_own(open_page: Open) ->
         assert page.locator("#trouble").is_hidden(), page.locator("#trouble").text_content()
 
 
-def test_plant_jumps_while_it_runs(open_page: Open) -> None:
+def test_plant_jumps_while_it_runs(open_page):
     page = open_page(LAW)
     reaches(page, 0.5)
     page.fill("#mu-number", "0.2")
@@ -206,12 +202,12 @@ WRONG = [
 
 
 @pytest.mark.parametrize("scene", SCENES)
-def test_links_hold_the_whole_scene(open_page: Open, scene: str) -> None:
+def test_links_hold_the_whole_scene(open_page, scene):
     page = open_page(scene)
     page.wait_for_function("scene => location.hash === scene", arg=scene)
 
 
-def test_what_is_wrong_in_a_link_is_shown(open_page: Open) -> None:
+def test_what_is_wrong_in_a_link_is_shown(open_page):
     page = open_page(PAUSED)
     # The previous scene may write its own address before the page reads the new one.
     follow = "scene => { location.hash = scene; history.replaceState(null, '', '#driver=epc'); }"
@@ -221,7 +217,7 @@ def test_what_is_wrong_in_a_link_is_shown(open_page: Open) -> None:
         assert page.locator("#trouble").is_visible()
 
 
-def test_check_replays_the_committed_episodes(open_page: Open) -> None:
+def test_check_replays_the_committed_episodes(open_page):
     page = open_page(PAUSED)
     page.press("#check", "Enter")
     shows(page, "verdict", "equal, bit for bit", 5 * PATIENCE)

@@ -7,7 +7,6 @@ import math
 import os
 import shutil
 import subprocess
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -29,7 +28,7 @@ console.log(JSON.stringify(Buffer.from(found.buffer).toString("hex")));
 """
 
 
-def fused(folder: Path, triples: np.ndarray) -> np.ndarray:
+def fused(folder, triples):
     """The multiply-adds of triples, computed by node."""
     if shutil.which("node") is None and "CI" not in os.environ:
         pytest.skip("needs node")
@@ -41,11 +40,11 @@ def fused(folder: Path, triples: np.ndarray) -> np.ndarray:
     return np.array(np.frombuffer(bytes.fromhex(json.loads(done.stdout))))
 
 
-def draw_triples() -> np.ndarray:
+def draw_triples():
     """Zeros, infinities; ordinary numbers; sums that cancel, or lie halfway between two numbers; any size."""
     rng, count = np.random.default_rng(3), 4000
 
-    def sized(low: int, high: int, places: int = 52) -> np.ndarray:
+    def sized(low, high, places=52):
         fraction = 1.0 + np.floor(rng.random(count) * 2.0**places) / 2.0**places
         return rng.choice([-1.0, 1.0], count) * fraction * 2.0 ** rng.integers(low, high, count)
 
@@ -58,7 +57,7 @@ def draw_triples() -> np.ndarray:
     return np.hstack([ordinary, cancel, halves, any_size, np.array([*special]).T]).T.copy()
 
 
-def test_products_and_sums_are_rounded_once(tmp_path: Path) -> None:
+def test_products_and_sums_are_rounded_once(tmp_path):
     exact, triples = ctypes.CDLL(ctypes.util.find_library("m")).fma, draw_triples()
     exact.restype, exact.argtypes = ctypes.c_double, [ctypes.c_double] * 3
     expected, found = np.array([exact(*triple) for triple in triples.tolist()]), fused(tmp_path, triples)
@@ -67,7 +66,7 @@ def test_products_and_sums_are_rounded_once(tmp_path: Path) -> None:
     assert triples[found.view(np.uint64) != expected.view(np.uint64)].tolist() == []
 
 
-def test_another_folder_and_cache_give_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_folder_and_cache_give_the_same_bytes(tmp_path, monkeypatch):
     first = build.compile_wasm()
     shutil.copytree(build.CORE, tmp_path / "core")
     for name in ("ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR"):

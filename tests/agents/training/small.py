@@ -5,14 +5,12 @@ import dataclasses
 import itertools
 import signal
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
 from stable_baselines3.common.save_util import load_from_zip_file
 
 from agents.training.callbacks import TrainingCallback
-from agents.training.config import Config
 from agents.training.loop import begin, train
 from agents.training.presets import PRESETS
 from capsule_gym import load_policy
@@ -23,12 +21,12 @@ SMALL = {"num_envs": 8, "batch_size": 64, "hidden": 8, "evaluation_episodes": 2,
 CLOCKS = ("core_seconds", "time/fps", "time/time_elapsed", "time/iterations")
 
 
-def small(task: str, algo: str, **changes: Any) -> Config:
+def small(task, algo, **changes):
     extra = {"n_steps": 32, "n_epochs": 2} if algo == "ppo" else {"learning_starts": 300, "buffer_size": 2000}
     return dataclasses.replace(PRESETS[task, algo], **{**SMALL, **extra, **changes})
 
 
-def finished(folder: Path, config: Config) -> Path:
+def finished(folder, config):
     """A complete run."""
     begin(folder, config)
     assert train(folder)
@@ -39,11 +37,11 @@ class Killed(BaseException):
     """Ends a training in the middle of a rollout."""
 
 
-def train_until(run: Path, steps: int, monkeypatch: pytest.MonkeyPatch, *, killed: bool) -> None:
+def train_until(run, steps, monkeypatch, *, killed):
     """Trains, and kills the training after so many agent steps or sends it Ctrl-C."""
     step = TrainingCallback._on_step
 
-    def stopped(self: TrainingCallback) -> bool:
+    def stopped(self):
         if self.num_timesteps >= steps and not self.stop.requested:
             if killed:
                 raise Killed
@@ -59,13 +57,13 @@ def train_until(run: Path, steps: int, monkeypatch: pytest.MonkeyPatch, *, kille
             assert not train(run)
 
 
-def parameters(archive: Path) -> dict[str, Any]:
+def parameters(archive):
     """Networks and optimisers of an archive, loaded without unpickling."""
     _, states, variables = load_from_zip_file(archive, load_data=False, device="cpu")
     return {"states": states, "variables": variables}
 
 
-def network(folder: Path) -> bytes:
+def network(folder):
     """The policy's parameters in a folder as bytes, without the name of the run; empty if the folder has no policy."""
     if not (folder / POLICY).is_file():
         return b""
@@ -73,7 +71,7 @@ def network(folder: Path) -> bytes:
     return b"".join(array.tobytes() for array in (policy.mean, policy.variance, *itertools.chain(*policy.layers)))
 
 
-def same(a: Any, b: Any) -> bool:
+def same(a, b):
     """Whether two nested containers hold the same bits."""
     if isinstance(a, torch.Tensor):
         return torch.equal(a, b)
@@ -84,16 +82,16 @@ def same(a: Any, b: Any) -> bool:
     return bool(a == b)
 
 
-def rows(path: Path) -> list[dict[str, str]]:
+def rows(path):
     """The complete lines of a CSV file, without empty fields and times."""
     with path.open(newline="") as file:
         lines = [row for row in csv.DictReader(file) if None not in row.values()]
     return [{name: value for name, value in row.items() if value and name not in CLOCKS} for row in lines]
 
 
-def log(run: Path) -> dict[int, dict[str, str]]:
+def log(run):
     """The lines of a run's log by agent steps; a resumed process writes the lines after its first step again."""
-    found: dict[int, dict[str, str]] = {}
+    found = {}
     for path in sorted((run / "logs").glob("progress-*.csv")):
         start = int(path.stem.removeprefix("progress-"))
         found = {steps: row for steps, row in found.items() if steps <= start}
@@ -101,7 +99,7 @@ def log(run: Path) -> dict[int, dict[str, str]]:
     return found
 
 
-def differences(run: Path, other: Path) -> list[str]:
+def differences(run, other):
     """The files in which two finished runs differ."""
     found = []
     for folder in (Path(), Path("best")):

@@ -4,14 +4,12 @@ import dataclasses
 import math
 import pickle
 import sys
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from sb3_contrib import TQC
 from stable_baselines3 import PPO, SAC, TD3
-from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
@@ -30,7 +28,7 @@ AGREEMENT = 2e-6
 PLANTS = EvaluationSet("two", (PlantSpec(M=0.5, mu=0.01, seed=0), PlantSpec(M=0.46, mu=0.01, seed=1)))
 
 
-def agent(kind: type[BaseAlgorithm], **policy_kwargs: Any) -> BaseAlgorithm:
+def agent(kind, **policy_kwargs):
     """An agent with weights large enough to reach the bounds of the actions, and with nontrivial statistics."""
     rng = np.random.default_rng(1)
     env = VecNormalize(CapsuleSB3VecEnv(2, seed=0), clip_obs=3.0)
@@ -126,7 +124,7 @@ def test_training_has_commands_sensors_and_a_limit_of_its_own():
     ranges = {"command_range": (0.15, 0.16), "latency_range": (0.0, 0.001)}
     limits = {"residual_limit": 1.0, "training_limit": 1.2}
     config = small("direct", "ppo", env="CapsuleVelocity-v0", disturbances="real", **limits, **ranges)
-    venv: Any = make_env(config, 0).venv
+    venv = make_env(config, 0).venv
     commands = venv.batch.reset(seed=0)[1]["command"]
     assert 0.15 <= commands.min() < commands.max() <= 0.16
     assert venv.batch.simulation.options.residual_limit == 1.2

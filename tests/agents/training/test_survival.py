@@ -11,8 +11,6 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -25,13 +23,13 @@ import train as command_line
 from agents.training import callbacks, checkpoint, loop
 from agents.training.algorithms import make_env
 from agents.training.checkpoint import locked
-from agents.training.config import Config, RunError, read_config
+from agents.training.config import RunError, read_config
 from agents.training.loop import begin, train
 from agents.training.signals import INTERRUPTED, Stop
 from tests.agents.training.small import differences, finished, parameters, same, train_until
 from tests.agents.training.small import small as make_config
 
-OFF_POLICY: dict[str, Any] = {"learning_starts": 150, "buffer_size": 600, "gradient_steps": 1, "total_steps": 800}
+OFF_POLICY = {"learning_starts": 150, "buffer_size": 600, "gradient_steps": 1, "total_steps": 800}
 OWN = {
     "ppo": {"n_steps": 16, "n_epochs": 1, "total_steps": 800, "episode_seconds": 0.2, "randomization": "wide"},
     "sac": {**OFF_POLICY, "n_steps": 3, "action_noise": 0.2, "noise_time": 0.25},
@@ -39,16 +37,16 @@ OWN = {
 }
 
 
-def small(algo: str, **changes: Any) -> Config:
+def small(algo, **changes):
     shared = {"evaluation_episodes": 1, "evaluate_every": 200}
     return make_config("residual", algo, **{**shared, **OWN[algo], **changes})
 
 
-def steps_of(run: Path) -> int:
+def steps_of(run):
     return max((int(path.name.split("-")[1]) for path in run.glob("checkpoint-*")), default=0)
 
 
-def scalars(run: Path) -> dict[int, float]:
+def scalars(run):
     events = EventAccumulator(str(run / "logs"))
     events.Reload()
     return {event.step: event.value for event in events.Scalars("evaluation/score")}
@@ -62,7 +60,7 @@ def _short_runs_write_a_log():
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory) -> dict[str, Path]:
+def whole(tmp_path_factory):
     """An undisturbed run of each algorithm."""
     return {algo: finished(tmp_path_factory.mktemp("whole") / algo, small(algo)) for algo in OWN}
 
@@ -102,7 +100,7 @@ def test_evaluations_leave_the_training_alone(tmp_path, whole):
     assert same(parameters(run / "model.zip"), parameters(whole["ppo"] / "model.zip"))
 
 
-def flip(path: Path) -> None:
+def flip(path):
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1
     path.write_bytes(content)
@@ -136,7 +134,7 @@ def test_without_a_whole_checkpoint_every_damaged_one_is_named(tmp_path, whole, 
     assert all(str(path) in str(error.value) for path in paths)
 
 
-def change(run: Path, name: str, value: object) -> None:
+def change(run, name, value):
     content = json.loads((run / "config.json").read_text())
     content["hyperparameters"][name] = value
     (run / "config.json").write_text(json.dumps(content))
@@ -209,7 +207,7 @@ def test_what_cannot_be_trained_makes_no_folder(tmp_path, capsys, arguments):
 
 
 def test_a_folder_that_got_no_configuration_can_be_started_again(tmp_path, monkeypatch):
-    def full(path: Path, text: str) -> None:
+    def full(path, text):
         raise OSError(28, "No space left on device", str(path))
 
     with monkeypatch.context() as patch:
@@ -260,7 +258,7 @@ CONTEXT = multiprocessing.get_context("forkserver")
 CONTEXT.set_forkserver_preload(["agents.training.loop", "train"])
 
 
-def run_command(words: list[str], output: Path, largest: int) -> None:
+def run_command(words, output, largest):
     """In the child: runs train.py; no file may grow beyond the largest size."""
     command_line.QUIET_EXIT.install()
     os.dup2(os.open(output, os.O_WRONLY | os.O_CREAT), 2)
@@ -268,7 +266,7 @@ def run_command(words: list[str], output: Path, largest: int) -> None:
     sys.exit(command_line.main(words))
 
 
-def resumed(run: Path, largest: int = resource.RLIM_INFINITY) -> Any:
+def resumed(run, largest=resource.RLIM_INFINITY):
     """A process that resumes a run."""
     words = ["--resume", str(run), "--no-comparison"]
     process = CONTEXT.Process(target=run_command, args=(words, run.with_name("error"), largest))

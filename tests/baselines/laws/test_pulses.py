@@ -11,7 +11,7 @@ from capsule_gym.parameters import NOMINAL
 PAPER = {"capsule": Capsule(), "randomization": "paper"}
 
 
-def run(name: str, steps: int, floor: dict | None = None, **options) -> tuple[CapsuleVectorEnv, list[dict]]:
+def run(name, steps, floor=None, **options):
     policy, count = TASK_SCRIPTED[name], 100
     env = CapsuleVectorEnv(count, autoreset_mode="DISABLED", **policy.env_kwargs, **(floor or {}))
     observations, first = env.reset(seed=3, options=options or None)

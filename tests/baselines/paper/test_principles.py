@@ -18,7 +18,7 @@ START = -math.pi / 3
 SWINGS = {name: math.radians(numbers["swing"].value) for name, numbers in published.RUNS.items()}
 
 
-def state(theta: float, theta_dot: float, theta_ddot: float = 0.0) -> Cycle:
+def state(theta, theta_dot, theta_ddot=0.0):
     """A single state of the pendulum."""
     return Cycle(np.zeros(1), np.zeros(1, np.int64), *(np.array([value]) for value in (theta, theta_dot, theta_ddot)))
 
