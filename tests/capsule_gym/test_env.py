@@ -40,6 +40,7 @@ def test_the_checkers_are_silent_and_every_info_has_the_form_of_the_first(kwargs
         env = gym.make(env_id, **kwargs).unwrapped
         check_env(env)
         check_sb3(gym.make(env_id, **kwargs))
+    assert steps * env.simulation.options.control_dt == {"speed": 33.0, "goal": 15.0, "velocity": 20.0}[task.name]
     space, seen, ended, costs = env.observation_space, [], 0, set()
     expected = layout(env.reset(seed=0)[1])
     assert all(np.issubdtype(dtype, np.number) or dtype == np.bool_ for _, dtype, _ in flatten(expected))

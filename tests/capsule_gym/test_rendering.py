@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capsule_gym.parameters import Capsule
+from capsule_gym import Capsule, CapsuleEnv
 from capsule_gym.rendering import FLOOR, HEADER, HEIGHT, WIDTH, Renderer, write_gif
 
 pygame = pytest.importorskip("pygame")
@@ -74,7 +74,7 @@ import os, sys
 for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
     os.environ.pop(name, None)
 before = dict(os.environ)
-from capsule_gym.parameters import Capsule
+from capsule_gym import Capsule, CapsuleEnv
 from capsule_gym.rendering import Renderer
 assert "pygame" not in sys.modules
 renderer = Renderer(Capsule(), "rgb_array", 50, 1.5)
@@ -98,6 +98,19 @@ def test_a_window_shows_the_frames(no_screen):
     assert window.get_size() == (WIDTH, HEIGHT) and pygame.display.get_caption()[0] == "a title"
     shown = pygame.surfarray.array3d(window).swapaxes(0, 1)
     np.testing.assert_array_equal(shown[STAGE, 250:700], frame(time=0.04)[STAGE, 250:700])
+
+
+def test_an_environment_draws_every_step_in_its_window(no_screen):
+    env = CapsuleEnv(render_mode="human")
+    env.reset(seed=0)
+    shown = []
+    for _ in range(3):
+        env.step(np.ones(1, np.float32))
+        shown.append(pygame.surfarray.array3d(pygame.display.get_surface()))
+    assert (shown[0] != shown[1]).any() and (shown[1] != shown[2]).any()
+    env.close()
+    with pytest.warns(UserWarning, match=r"draws nothing without a render_mode"):
+        assert CapsuleEnv().render() is None
 
 
 @pytest.mark.parametrize("by_user", [False, True])

@@ -166,6 +166,18 @@ def test_an_exception_and_a_torque_that_is_not_finite_reach_the_caller(law, erro
     assert (env.reset()[1]["law_torque"] == 0.1).all()
 
 
+@pytest.mark.parametrize(("law", "error"), [(picky, ValueError), (failing, OwnError)])
+def test_a_single_environment_reports_them_and_goes_on_after_a_reset(law, error, either_way):
+    env, action = CapsuleEnv(controller=Controller(law.__name__, law, np.zeros((1, 2)))), np.zeros(1, np.float32)
+    env.reset(seed=0, options={"state": [-1.0, 0.0, 5.5, 0.0]})
+    env.step(action)
+    for _ in range(2):
+        with pytest.raises(error, match="too far" if error is OwnError else f"{NOT_FINITE} 0"):
+            env.step(action)
+    env.reset(seed=0)
+    assert env.step(action)[4]["law_torque"] == 0.1
+
+
 def test_an_exception_ends_a_rollout(either_way):
     env = CapsuleVectorEnv(3, controller=Controller("failing", failing, np.zeros((1, 2))), autoreset_mode="DISABLED")
     env.reset(seed=0, options={"state": [-1.0, 0.0, 5.5, 0.0]})

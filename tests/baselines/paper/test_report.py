@@ -47,8 +47,12 @@ def test_verdicts(made):
 
 def test_command_prints_every_published_number(made, monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(report, "compute", lambda: made)
-    assert paper.main([]) == 0
+    monkeypatch.setattr(figures, "FIGURES", {"one": lambda: drawing.new_figure(1.0)})
+    folder = tmp_path / "new" / "figures"
+    assert paper.main(["--figures", str(folder)]) == 0
     text = capsys.readouterr().out
+    assert text.endswith(f"\n2 files drawn to {folder}\n")
+    assert {path.name for path in folder.iterdir()} == {"one.png", "one.svg"}
     numbers = [*published.PROPOSED.values(), *published.EPC.values(), *published.BASE_PARAMETERS]
     numbers += [published.SWING_DIFFERENCE, published.ADAPTIVE_PEAK_VELOCITY, published.NATURAL_FREQUENCY]
     printed = "7.8 68.75 0.642 0.5367 11.0 85.85 0.629 0.6246 "
