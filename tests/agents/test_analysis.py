@@ -79,7 +79,7 @@ def test_the_curves_of_a_row_are_those_of_its_runs_and_its_table_their_end():
     steps = np.arange(1.0, 9.0) * 1e5
     runs = {seed: (steps, 10.0 + seed - 1e6 / steps) for seed in range(3)}
     figure = statistics.draw_learning({"three": runs, **dict.fromkeys("abcdef", runs)})
-    drawn, empty = figure.axes[:8:7]
+    drawn, _, _, above, _, _, _, empty = figure.axes
     assert drawn.get_title() == "three" and not empty.get_visible() and figure.get_supylabel().endswith("(cm/s)")
     assert drawn.get_xlim()[0] == drawn.get_ylim()[0] == 0.0
     curves = [(x / 1e6, y) for x, y in runs.values()]
@@ -89,6 +89,7 @@ def test_the_curves_of_a_row_are_those_of_its_runs_and_its_table_their_end():
     assert (band[:, 1].min(), band[band[:, 0] == 0.8][:, 1].max()) == pytest.approx((first.low, last.high))
     other = statistics.draw_learning({"goal": runs}, "time to the goal (s)")
     assert other.axes[0].get_yscale() == "log" and other.get_supylabel() == "time to the goal (s)"
+    assert other.axes[0].yaxis.get_major_formatter()(20.0) == "20" and above.xaxis.get_tick_params()["labelbottom"]
     cells = table(statistics.table({"three": runs, "none": {}}))
     assert cells[0][2:] == ["steps", "mean speed (cm/s) at the end", "steps to 90 % of that"]
     # 11 - 10 / n reaches 90 % of 9.75 at n = 5.

@@ -18,7 +18,7 @@ def test_command_line(world, tiny_file, capsys):
     printed = capsys.readouterr().out
     assert "learnt on the set tiny (3 episodes, " in printed
     assert "adaptive" in printed
-    assert "for other training runs and other plants" in printed
+    assert "the intervals of 95 % are\nfor other training runs and other plants" in printed
     # Strict JSON has no infinite numbers.
     result = json.loads(out.read_text(), parse_constant=lambda name: pytest.fail(name))
     assert set(result) == {"policy", "set", "set_hash", "versions", "episodes", "summary"}
