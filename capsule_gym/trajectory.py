@@ -51,7 +51,6 @@ def simulate(
     count, width = len(inputs) - len(_core.TRAJECTORY), _core.DIRECTIONS
     directions = 0 if partials is None else partials.shape[1]
     states, slopes = np.empty((count + 1, 5)), np.empty((count + 1, 4, directions))
-    ended = -1
     for first in range(0, max(directions, 1), width):
         seeds, found = np.zeros((len(inputs), width)), np.empty((count + 1, 4, width))
         if partials is not None:

@@ -81,7 +81,7 @@ def test_options_of_the_next_reset_reach_each_environment_and_only_that_reset():
 def test_a_privileged_critic_observes_the_plant_and_the_true_state(kwargs, entries):
     ours = CapsuleSB3VecEnv(70, seed=4, privileged=True, max_episode_steps=10, **kwargs)
     native = CapsuleVectorEnv(70, autoreset_mode="SAME_STEP", max_episode_steps=10, **kwargs)
-    assert ours.observation_space["critic"].shape == (entries,)
+    assert ours.observation_space["critic"] == gym.spaces.Box(-np.inf, np.inf, (entries,), np.float32)
 
     def check(found, observations, info, rows):
         assert found["policy"].tobytes() == observations.tobytes()
