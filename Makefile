@@ -135,7 +135,7 @@ oldest:  ## Run the environment's tests with the oldest supported versions
 	$(PYTHON) -m venv runs/oldest
 	$(OLDEST)/python -m pip install --disable-pip-version-check uv
 	$(OLDEST)/uv pip install --python $(OLDEST)/python --resolution lowest-direct -e ".[sb3,law,identify,export,bench]" \
-		"hypothesis>=6.100" "mpmath>=1.3" "pyparsing<3.3" "pytest>=8.2" "scipy>=1.11"
+		"hypothesis>=6.100" "mpmath>=1.3" "pyparsing>=3.1,<3.3" "pytest>=8.2" "scipy>=1.11"
 	$(OLDEST)/python -m pytest tests/capsule_gym
 
 check: lint types docs leaderboard-check regression fuzz bits  ## All checks but the tests
