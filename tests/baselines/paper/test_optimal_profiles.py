@@ -27,6 +27,7 @@ def test_assessment_agrees_with_the_reference_table():
     bounds = ("principle_1", "principle_2_velocity", "principle_2_acceleration")
     assert [found.shares[name] for name in bounds] == pytest.approx([1.0] * 3)
     assert found.excess == 0.0 < assess(Problem(1.0), TABLE_1, V1, P2).excess
+    assert 0.97 < found.shares["torque"] / assess(Problem(1.5), TABLE_1, V1, P2, reserve=True).shares["torque"] < 1.0
 
 
 def test_worst_plant_lies_at_a_corner_of_the_ranges(monkeypatch):
