@@ -186,7 +186,7 @@ def test_intervals_contain_the_truth(fit):
     for name, (low, high) in fit.intervals(0.999).items():
         truth = {**TRUTH, "motor_friction": 0.06, **MOTOR, "x_dot_bias": 0.01}.get(name, 0.0)
         assert low <= truth <= high, name
-    assert 0.8 < fit.chi2 < 1.2
+    assert 0.8 < fit.chi2 < 1.2 and fit.minima[0] == pytest.approx(3 * 2000, rel=0.05)  # the number of readings
     for name in ("m", "l", "k", "c", "M", "mu"):
         assert fit.estimates[name] == pytest.approx(TRUTH[name], rel=0.06), name
     assert fit.estimates["latency"] + fit.estimates["lag"] == pytest.approx(0.012, abs=1e-3)
