@@ -85,8 +85,7 @@ def subjects():
     for name in (name for name, law in LAWS.items() if law().task is None):
         yield Subject(f"law {name}", {"controller": f"baselines:{name}"}, random_actions(0.05))
     # On light platforms the guard acts earlier.
-    light = {"controller": "baselines:gait", "randomization": "broad"}
-    yield Subject("law gait broad", light, random_actions(0.05))
+    yield Subject("law gait broad", {"controller": "baselines:gait", "randomization": "broad"}, random_actions(0.05))
     for policy in SCRIPTED.values():
         if "controller" not in policy.env_kwargs:
             yield Subject(f"scripted {policy.name}", {**wide, **policy.env_kwargs}, policy.start)
@@ -112,7 +111,7 @@ def compute(subject):
 
 
 @command("python -m tests.bits")
-def main(write=False, first_seeds=False):
+def main(write: bool = False, first_seeds: bool = False) -> int:
     """Computes the bits of whole episodes; the exit status is 1 if they differ from the committed ones.
 
     Examples:
@@ -125,8 +124,7 @@ def main(write=False, first_seeds=False):
             them.
     """
     if write:
-        hashes = {subject.name: compute(subject) for subject in subjects()}
-        write_atomically(FILE, json.dumps(hashes, indent=1) + "\n")
+        write_atomically(FILE, json.dumps({subject.name: compute(subject) for subject in subjects()}, indent=1) + "\n")
     committed = json.loads(FILE.read_text(encoding="utf-8"))
     wanted = {subject.name: subject for subject in subjects()}
     wrong = [f"{name}: unknown subject" for name in committed if name not in wanted]

@@ -41,8 +41,7 @@ def test_command_line_keeps_existing_results(world, tiny_file, capsys):
 
 def test_a_control_law_of_another_package_must_be_trusted(world, tiny_file, capsys):
     fields = {"layers": ((np.zeros((1, 10), np.float32), np.zeros(1, np.float32)),), "mean": np.zeros(10)}
-    law = {"controller": "tests.agents.fakes:quiet"}
-    write_run(world / "run", 2, **fields, variance=np.ones(10), env_kwargs=law)
+    write_run(world / "run", 2, **fields, variance=np.ones(10), env_kwargs={"controller": "tests.agents.fakes:quiet"})
     # The second error is about the reference, so the policy was accepted.
     for words, message in (([], "'tests.agents.fakes:quiet', which"), (["--trust-controller"], "got 'nobody'")):
         with pytest.raises(SystemExit):

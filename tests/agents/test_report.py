@@ -62,8 +62,7 @@ def test_a_run_worse_than_its_row_names_a_likely_reason(tmp_path, changes, theta
     (tmp_path / "config.json").write_text(json.dumps(content))
     lines = [f"{step},{speed}" for step, speed in enumerate(speeds)]
     (tmp_path / "evaluations.csv").write_text("\n".join(["steps,mean_speed_cm_s", *lines]))
-    worst = row.score(name, "mean_speed").mean(axis=1).min()
-    speed = worst + (1e-6 if reason is None else -1e-6)
+    speed = row.score(name, "mean_speed").mean(axis=1).min() + (1e-6 if reason is None else -1e-6)
     episodes = [{"mean_speed": speed, "failed": failed}] * 3
     text = report.compare_to_row(tmp_path, episodes, load_set(name), theta + 0.5 * np.sin(np.arange(100.0)))
     assert f"Published row direct-ppo: mean of {len(row.header['training_seeds'])} seeds" in text

@@ -34,8 +34,7 @@ def drive(start, count, steps):
     for _ in range(steps):
         taken.append(act(observations))
         observations, *_ = env.step(taken[-1])
-    metrics = env.episode_metrics()
-    return np.array(taken), metrics
+    return np.array(taken), env.episode_metrics()
 
 
 @pytest.mark.parametrize(("start", "steps", "distance"), [(mpc.start, 150, 0.22), (lqr.start, 500, 0.9)])

@@ -41,15 +41,13 @@ def make_problem(log):
     """The problem of a log, and the shares of the true quantities."""
     truth = {**TRUTH, "motor_friction": 0.06, **MOTOR, "x_dot_bias": 0.01}
     ranges = {name: (0.5 * value, 1.5 * value) for name, value in truth.items()}
-    known = dict.fromkeys(OTHERS, 0.0)
-    problem = Problem(read_log(log), Capsule(), ranges, False, known, 2e-3)
+    problem = Problem(read_log(log), Capsule(), ranges, False, dict.fromkeys(OTHERS, 0.0), 2e-3)
     return problem, np.where([name in PLANT for name in ranges], math.log(2.0) / math.log(3.0), 0.5)
 
 
 @pytest.mark.parametrize("physics_dt", [2e-3, 1e-3])
 def test_predictions_are_the_environments_readings(physics_dt):
-    noiseless = Disturbances(x_dot_bias=0.01, **MOTOR)
-    log = make_log(noiseless, 3.0, physics_dt=physics_dt)
+    log = make_log(Disturbances(x_dot_bias=0.01, **MOTOR), 3.0, physics_dt=physics_dt)
     problem, shares = make_problem(log)
     problem = Problem(problem.log, problem.capsule, problem.ranges, False, problem.known, physics_dt)
     problem.segments = [(problem.lead, len(log["t"]))]

@@ -94,8 +94,7 @@ def test_nothing_is_learnt_in_stick_and_where_it_turns(x_dot, next_x_dot):
     # The first pair may belong to a slip that began earlier.
     _, (one, next_one) = filtered(np.array([[0.1, 2.0, x_dot], [0.4, -3.0, next_x_dot]]), known)
     np.testing.assert_array_equal(next_one[1:6], one[1:6])
-    last = (-3.0 * math.cos(0.4), -3.0 * math.sin(0.4), next_x_dot)
-    np.testing.assert_allclose(next_one[6:], last, rtol=1e-6)
+    np.testing.assert_allclose(next_one[6:], (-3.0 * math.cos(0.4), -3.0 * math.sin(0.4), next_x_dot), rtol=1e-6)
 
 
 @pytest.mark.parametrize("scale", [1.0, 30.0, 1e4])
@@ -133,8 +132,7 @@ def test_an_environment_shows_the_estimates_of_a_filter_of_its_observations(coun
         estimates, memory = update(observations, memory, dt)
         np.testing.assert_array_equal(observations[:, first : first + 4], estimates)
         assert env.observation_space.contains(observations)
-        actions = rng.uniform(-1.0, 1.0, (count, 1)).astype(np.float32)
-        observations, _, terminated, truncated, _ = env.step(actions)
+        observations, _, terminated, truncated, _ = env.step(rng.uniform(-1.0, 1.0, (count, 1)).astype(np.float32))
         memory[terminated | truncated] = 0.0
         ends += (terminated | truncated).sum()
     assert ends >= 3 * count and (count == 1 or np.ptp(estimates[:, 0]) > 0.0)

@@ -16,8 +16,7 @@ from tests.capsule_gym.test_policy import make_policy
 
 def begun(policy, n, changes=None, **kwargs):
     """A batch at the start of its episodes, without autoreset."""
-    settings = {**policy.env_kwargs, **kwargs}
-    env = CapsuleVectorEnv(n, autoreset_mode="DISABLED", max_episode_steps=10_000, **settings)
+    env = CapsuleVectorEnv(n, autoreset_mode="DISABLED", max_episode_steps=10_000, **{**policy.env_kwargs, **kwargs})
     observations, _ = env.reset(seed=3, options={} if changes is None else {"changes": changes})
     return env, observations
 

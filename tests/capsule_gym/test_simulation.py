@@ -123,8 +123,7 @@ def test_a_range_is_drawn_as_its_formula_says():
         found = draw_plant(uniform, Capsule(M=0.7), random_stream(seed, 0, Stream.parameters))
         assert found == (0.7, 0.1 + (0.4 - 0.1) * shares[1])
     assert plant_at(plant_ranges(wide, Capsule()), 0.0, 0.0) == (0.35, 0.005)
-    same = Randomization(mu=(0.1, 0.1), log_mu=True)
-    assert plant_at(plant_ranges(same, Capsule(M=0.7)), 0.5, 0.5) == (0.7, 0.1)
+    assert plant_at(plant_ranges(Randomization(mu=(0.1, 0.1), log_mu=True), Capsule(M=0.7)), 0.5, 0.5) == (0.7, 0.1)
 
 
 def test_rows_must_name_environments():

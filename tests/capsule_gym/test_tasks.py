@@ -32,8 +32,7 @@ def test_what_an_episode_draws_are_numpys_numbers_and_a_reset_may_set_it(name):
                 assert draw.low <= (abs(value) if draw.signed else value) <= draw.high
     options, shown, value = GIVEN[name]
     assert CapsuleEnv(task=name).reset(seed=0, options=options)[1][shown] == value
-    several = {key: [given] * 5 for key, given in options.items()}
-    assert (batch.reset(options=several)[1][shown] == value).all()
+    assert (batch.reset(options={key: [given] * 5 for key, given in options.items()})[1][shown] == value).all()
     # The plant and the first angle are the same draws as those of the speed task.
     masses = [CapsuleEnv(task=each, randomization="paper").reset(seed=3)[1]["M"] for each in (name, "speed")]
     assert masses[0] == masses[1]

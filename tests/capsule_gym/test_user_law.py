@@ -224,8 +224,7 @@ def scaled(gain, theta, theta_dot, x, x_dot, memory, reference, offset=0.0):
 
 
 def test_a_partial_is_a_law_that_numba_compiles():
-    law = partial(partial(scaled, 0.5), offset=0.25)
-    env = CapsuleEnv(controller=Controller("scaled", law, np.zeros((1, 2))))
+    env = CapsuleEnv(controller=Controller("scaled", partial(partial(scaled, 0.5), offset=0.25), np.zeros((1, 2))))
     _, info = env.reset(seed=0)
     assert info["law_torque"] == 0.5 * info["state"][0] + 0.25
     assert None not in user_law._compiled[env.simulation.controller].values()

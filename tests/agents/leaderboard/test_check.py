@@ -50,6 +50,17 @@ def test_check_names_stale_pages(written, name):
     assert checked(written) == []
 
 
+def test_the_chart_is_stale_if_a_drawn_number_changes(written):
+    before = (written / CHART).read_text()
+
+    def slow_down(row):
+        row.scores["real"][0] -= 1.0
+
+    edit_row(written, "pd", slow_down)
+    (written / CHART).write_text(before)
+    assert checked(written) == [f"{CHART} differs from the results"]
+
+
 @pytest.mark.parametrize("name", ["learnt", "rocking"])
 def test_check_compares_the_last_bit_of_every_episode(written, name):
     def nudge(row):

@@ -93,8 +93,7 @@ def log(run):
     """The lines of a run's log by agent steps; a resumed process writes the lines after its first step again."""
     found = {}
     for path in sorted((run / "logs").glob("progress-*.csv")):
-        start = int(path.stem.removeprefix("progress-"))
-        found = {steps: row for steps, row in found.items() if steps <= start}
+        found = {steps: row for steps, row in found.items() if steps <= int(path.stem.removeprefix("progress-"))}
         found |= {int(row["time/total_timesteps"]): row for row in rows(path)}
     return found
 

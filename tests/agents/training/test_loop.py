@@ -84,8 +84,7 @@ def test_a_run_in_another_environment_is_judged_by_its_task(tmp_path, monkeypatc
     lines = rows(run / "evaluations.csv")
     assert {column, f"baseline_{column}", "failed"} < set(lines[-1])
     assert float(lines[-1][f"baseline_{column}"]) < float(lines[-1][column])
-    shown = CRITERIA[task].weights
-    assert {f"evaluation/{name}" for name in shown} < set(log(run)[768])
+    assert {f"evaluation/{name}" for name in CRITERIA[task].weights} < set(log(run)[768])
     plants = validation_plants(config)
     assert plants.task == task and min(plant.mu for plant in plants.plants) >= 0.05
     if config.wrapper:

@@ -58,8 +58,7 @@ def test_speeds_between_the_plants():
 
 
 def test_static_friction_that_is_planned_with_makes_the_optimum_faster():
-    grids = [find_grid(Capsule(static_ratio=ratio)) for ratio in (1.0, 1.3, 1.2)]
-    assert grids == [GRID, STICKY_GRID, None]
+    assert [find_grid(Capsule(static_ratio=ratio)) for ratio in (1.0, 1.3, 1.2)] == [GRID, STICKY_GRID, None]
     plants, capsule = tuple(PlantSpec(M, mu, seed=0) for M, mu in ((0.4, 0.25), (0.6, 0.4))), STICKY_GRID.capsule
     found = []
     for grid in (GRID, STICKY_GRID):

@@ -19,8 +19,7 @@ def torque(controller, theta, theta_dot, x_dot):
 
 
 def test_the_law_without_guard_is_a_polynomial_of_the_state():
-    rng = np.random.default_rng(0)
-    states = rng.uniform(-1.0, 1.0, (200, 3)) * (1.2, 8.0, 0.6)
+    states = np.random.default_rng(0).uniform(-1.0, 1.0, (200, 3)) * (1.2, 8.0, 0.6)
     states[::5, 2] = 0.0
     a, b, c = (states / (1.0, 5.0, 0.3)).T
     *coefficients, step = FREE[:-2]

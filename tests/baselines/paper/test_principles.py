@@ -82,8 +82,7 @@ def test_demands_on_the_profiles_are_those_of_the_page():
 
 def test_the_published_torques_are_below_the_bounds():
     proposed, epc = principles.check_torques()
-    found = (proposed["bound"], proposed["sticking"], epc["bound"])
-    assert found == pytest.approx((0.622, 0.695, 0.8477), abs=5e-4)
+    assert (proposed["bound"], proposed["sticking"], epc["bound"]) == pytest.approx((0.622, 0.695, 0.8477), abs=5e-4)
     for row in (proposed, epc):
         assert row["published"] < row["bound"] <= row["sticking"]
 
