@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from gymnasium.vector import AutoresetMode
 
 from capsule_gym import __version__, _core
 from capsule_gym.checks import require
 from capsule_gym.command_line import Positional, arg, check_output, command
 from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.controller import CoreLaw, find_controller
+from capsule_gym.env import CapsuleEnv
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, load_set
 from capsule_gym.files import write_atomically
 from capsule_gym.layout import Row
@@ -24,7 +24,6 @@ from capsule_gym.parameters import Disturbances
 from capsule_gym.policy import load_policy
 from capsule_gym.simulation import Simulation
 from capsule_gym.trace import c_number, c_table, record, to_c
-from capsule_gym.vector_env import CapsuleVectorEnv
 
 PROG = "python -m capsule_gym.export"
 INTERVALS = 100  # control intervals of the test vectors; a law alone has a quarter
@@ -115,30 +114,30 @@ class Exported:
         disturbed = Disturbances.named(self.options.disturbances)
         chosen = load_set("real" if disturbed else {"speed": "paper"}.get(self.task.name, self.task.name))
         plant = chosen.plants[0]
-        kwargs = {**chosen.env_kwargs, **self.env_kwargs, **EPISODE_SETTINGS, "autoreset_mode": AutoresetMode.DISABLED}
+        kwargs = {**chosen.env_kwargs, **self.env_kwargs, **EPISODE_SETTINGS}
         if disturbed:
             kwargs["disturbances"] = "none" if disturbed.controls == "law" else replace(disturbed, controls="both")
         # The same episode in steps of the law's period shows what each call of the law reads.
         periods = self.settings.law_steps if self.law else 1
-        count = INTERVALS if self.policy else INTERVALS // 4
-        slow = CapsuleVectorEnv(1, **kwargs)
-        kwargs |= {"control_dt": self.options.control_dt / periods, "max_episode_steps": count * periods}
-        fast = CapsuleVectorEnv(1, **kwargs)
+        slow = CapsuleEnv(**kwargs)
+        fast = CapsuleEnv(**{**kwargs, "control_dt": self.options.control_dt / periods})
         for env in (slow, fast):
-            observation, _ = env.reset(seed=[plant.seed], options={k: [v] for k, v in plant.reset_options().items()})
-        act = self.policy.start([plant.seed]) if self.policy else lambda _: np.zeros((1, 1), np.float32)
+            observation, _ = env.reset(seed=plant.seed, options=plant.reset_options())
+        act = self.policy or (lambda _: np.zeros(1, np.float32))
         computed = ("action", *(("theta_d", "theta_d_dot", "phase", "law_torque") if self.law else ()))
         columns = [name for name in self.reading if name not in computed]
         shown, actions = list[dict[str, float]](), list[float]()
-        for _ in range(count):
+        for _ in range(INTERVALS if self.policy else INTERVALS // 4):
             action = act(observation)
-            actions.append(float(action[0, 0]))
+            actions.append(float(action[0]))
             for _ in range(periods):
                 shown.append(_read(fast.simulation))
-                fast.step(action)
-            observation, _, ended, _, _ = slow.step(action)
-            if ended.any():
+                _, _, ended, _, _ = fast.step(action)
+                if ended:
+                    break
+            if ended:
                 break
+            observation, *_ = slow.step(action)
         return self._render(
             "policy_test.c.jinja",
             single,
