@@ -6,6 +6,7 @@ The loops of the network are in `policy.h.jinja`; everything else is recorded fr
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -25,7 +26,6 @@ from capsule_gym.policy import load_policy
 from capsule_gym.simulation import Simulation
 from capsule_gym.trace import c_number, c_table, record, to_c
 
-PROG = "python -m capsule_gym.export"
 INTERVALS = 100  # control intervals of the test vectors; a law alone has a quarter
 
 
@@ -159,10 +159,7 @@ class Exported:
             raise ImportError('--c needs jinja2: pip install "capsule-gym[export]"') from error
         options: dict[str, Any] = {"trim_blocks": True, "lstrip_blocks": True, "undefined": StrictUndefined}
         environment = Environment(loader=FileSystemLoader(Path(__file__).parent), keep_trailing_newline=True, **options)
-        environment.filters |= {
-            "number": lambda value, kind=single: c_number(value, kind),
-            "table": lambda value, kind=single: c_table(value, kind),
-        }
+        environment.filters |= {"number": partial(c_number, single=single), "table": partial(c_table, single=single)}
         text: str = environment.get_template(template).render({**vars(self), **values, "single": single})
         return text.replace("NAME", self.name).replace("REAL", "float" if single else "double")
 
@@ -231,7 +228,7 @@ def _read(simulation: Simulation) -> dict[str, float]:
     return {**shown, "phase": clock / len(simulation.reference)}
 
 
-@command(PROG, ImportError, OSError, TypeError, ValueError)
+@command("python -m capsule_gym.export", ImportError, OSError, TypeError, ValueError)
 def main(
     policy: Positional[str],
     c: Path | None = None,
