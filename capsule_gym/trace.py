@@ -10,7 +10,7 @@ import numpy as np
 from capsule_gym import _core, native
 
 # An operation, and the places of its operands in the list; for a "constant" its value.
-Row = tuple[str, float, float, float]
+Row = tuple[Any, ...]
 # The operations in C: parentheses make every form an operand. NAME stands for the prefix of a header's functions.
 C_FORMS = {
     **{"add": "({} + {})", "subtract": "({} - {})", "multiply": "({} * {})", "divide": "({} / {})"},
@@ -20,7 +20,6 @@ C_FORMS = {
     **{"copysign": "NAME_copysign({}, {})", "power_of_two": "NAME_power_of_two({})", "sincos": "NAME_sincos({})"},
     **{"sine": "{}.sine", "cosine": "{}.cosine", "exp": "NAME_exp({})", "tanh": "NAME_tanh({})"},
 }
-OPERANDS = {"output": 1, **{operation: form.count("{}") for operation, form in C_FORMS.items()}}
 CONDITIONS = ("less", "less_equal", "equal", "both", "either", "inverse")
 LONGEST_FORM = 100  # characters
 
@@ -35,21 +34,6 @@ def record(function: str, constants: Iterable[float] = (), number: int = 0) -> l
     """
     given = np.array([*constants, 0.0])
     return _core.trace(function, number, native.address(given))
-
-
-def operands(row: Row) -> list[int]:
-    """The places of the operands of an operation."""
-    return [int(place) for place in row[1 : 1 + OPERANDS.get(row[0], 0)]]
-
-
-def count_uses(rows: Sequence[Row], wanted: Sequence[bool]) -> Counter[int]:
-    """How often each row is an operand in what the wanted outputs need; these outputs count as used."""
-    outputs = [place for place, row in enumerate(rows) if row[0] == "output"]
-    uses = Counter(place for place, wants in zip(outputs, wanted, strict=True) if wants)
-    for place in range(len(rows) - 1, -1, -1):
-        if uses[place]:
-            uses.update(operands(rows[place]))
-    return uses
 
 
 def c_number(value: float, single: bool) -> str:
@@ -78,25 +62,27 @@ def to_c(rows: Sequence[Row], inputs: Iterable[str], outputs: Sequence[str | Non
             the end.
         single: compute in float.
     """
-    uses, given, forms = count_uses(rows, [target is not None for target in outputs]), iter(inputs), dict[int, str]()
-    lines, targets, assignments = list[str](), iter(outputs), list[str]()
-    for place, row in enumerate(rows):
-        operation = row[0]
-        expression = next(given) if operation == "input" else ""
-        target = next(targets) if operation == "output" else None
-        if not uses[place]:
-            continue
-        if operation == "output":
-            assignments.append(f"  {target} = {forms[int(row[1])]};")
-            continue
-        if operation == "constant":
-            expression = c_number(row[1], single)
-            expression = f"({expression})" if expression.startswith("-") else expression
-        elif operation != "input":
-            expression = C_FORMS[operation].format(*(forms[operand] for operand in operands(row)))
-            if uses[place] > 1 or operation == "sincos" or len(expression) > LONGEST_FORM:
+    ends = [place for place, row in enumerate(rows) if row[0] == "output"]
+    targets = {place: target for place, target in zip(ends, outputs, strict=True) if target is not None}
+    # How often each row is an operand in what the outputs need; the outputs count as used.
+    uses = Counter(targets.keys())
+    for place, (operation, *operands) in reversed(list(enumerate(rows))):
+        if uses[place] and operation != "constant":
+            uses.update(operands)
+    given, forms, lines, assignments = iter(inputs), dict[int, str](), list[str](), list[str]()
+    for place, (operation, *operands) in enumerate(rows):
+        if operation == "input":
+            forms[place] = next(given)
+        elif operation == "constant":
+            number = c_number(operands[0], single)
+            forms[place] = f"({number})" if number.startswith("-") else number
+        elif place in targets:
+            assignments.append(f"  {targets[place]} = {forms[operands[0]]};")
+        elif uses[place]:
+            form = C_FORMS[operation].format(*(forms[operand] for operand in operands))
+            if uses[place] > 1 or operation == "sincos" or len(form) > LONGEST_FORM:
                 kind = "int" if operation in CONDITIONS else "NAME_pair" if operation == "sincos" else "REAL"
-                lines.append(f"  const {kind} t{len(lines)} = {expression};")
-                expression = f"t{len(lines) - 1}"
-        forms[place] = expression
+                lines.append(f"  const {kind} t{len(lines)} = {form};")
+                form = f"t{len(lines) - 1}"
+            forms[place] = form
     return "\n".join([*lines, *assignments])

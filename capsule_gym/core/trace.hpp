@@ -1,43 +1,45 @@
 // A number type that records what is computed with it, from which Python writes the core's functions in other languages
 // (capsule_gym/trace.py).
 //
-// A recording is a list of rows for Python: the name of an operation, and the places of its operands in the list. A
-// branch, `when`, is always taken; assignments in it select between the new value and the old one.
+// A recording is a list of rows for Python: the name of an operation, and the places of its operands in the list, or a
+// constant's value. A branch, `when`, is always taken; assignments in it select between the new value and the old one.
 #pragma once
 #include <Python.h>
 
 #include "functions.hpp"
 
 namespace LEVEL {
+struct Condition { long long place; };
 inline struct {
   PyObject* rows;
-  double taken;  // place of the condition of the present branch, or -1
+  Condition taken;  // of the present branch; the place is -1 outside of branches
 } recording;
 
-inline double record(const char* operation, double a = 0.0, double b = 0.0, double c = 0.0) {
-  PyObject* row = Py_BuildValue("(sddd)", operation, a, b, c);
+inline Condition append(PyObject* row) {
   PyList_Append(recording.rows, row);
   Py_XDECREF(row);
-  return (double)PyList_Size(recording.rows) - 1.0;
+  return {PyList_Size(recording.rows) - 1};
+}
+template <class... Operands> Condition record(const char* operation, const Operands&... operands) {
+  constexpr const char* FORMATS[] = {"(s)", "(sL)", "(sLL)", "(sLLL)"};
+  return append(Py_BuildValue(FORMATS[sizeof...(operands)], operation, operands.place...));
 }
 
-struct Condition { double place; };
 struct Trace {
-  double place;
+  long long place;
   Trace() = default;
   Trace(const Trace&) = default;
-  Trace(double value) : place(record("constant", value)) {}
+  Trace(double value) : Trace(append(Py_BuildValue("(sd)", "constant", value))) {}
   explicit Trace(Condition recorded) : place(recorded.place) {}
   Trace& operator=(const Trace& value) {
-    double taken = recording.taken;
-    place = taken < 0.0 ? value.place : record("select", taken, value.place, place);
+    Condition taken = recording.taken;
+    place = taken.place < 0 ? value.place : record("select", taken, value, *this).place;
     return *this;
   }
 };
 
-#define RESULT(name, ...) (Condition{record(#name __VA_OPT__(, ) __VA_ARGS__)})
-#define UNARY(R, T, function, name) inline R function(T a) { return R RESULT(name, a.place); }
-#define BINARY(R, T, function, name) inline R function(T a, T b) { return R RESULT(name, a.place, b.place); }
+#define UNARY(R, T, function, name) inline R function(T a) { return R(record(#name, a)); }
+#define BINARY(R, T, function, name) inline R function(T a, T b) { return R(record(#name, a, b)); }
 BINARY(Trace, Trace, operator+, add) BINARY(Trace, Trace, operator-, subtract) BINARY(Trace, Trace, operator*, multiply)
 BINARY(Trace, Trace, operator/, divide) UNARY(Trace, Trace, operator-, negate)
 BINARY(Condition, Trace, operator<, less) BINARY(Condition, Trace, operator<=, less_equal)
@@ -48,18 +50,16 @@ UNARY(Trace, Trace, power_of_two, power_of_two) UNARY(Trace, Trace, exp, exp) UN
 inline Condition operator>(Trace a, Trace b) { return b < a; }
 inline Condition operator>=(Trace a, Trace b) { return b <= a; }
 inline Condition operator!=(Trace a, Trace b) { return !(a == b); }
-inline Trace fma(Trace a, Trace b, Trace c) { return Trace RESULT(fma, a.place, b.place, c.place); }
-inline Trace select(Condition condition, Trace a, Trace b) {
-  return Trace RESULT(select, condition.place, a.place, b.place);
-}
+inline Trace fma(Trace a, Trace b, Trace c) { return Trace(record("fma", a, b, c)); }
+inline Trace select(Condition condition, Trace a, Trace b) { return Trace(record("select", condition, a, b)); }
 inline SinCos<Trace> sincos(Trace angle) {
-  double both = record("sincos", angle.place);
-  return {Trace RESULT(sine, both), Trace RESULT(cosine, both)};
+  auto both = record("sincos", angle);
+  return {Trace(record("sine", both)), Trace(record("cosine", both))};
 }
 
 struct Taken {
-  double before = recording.taken;
-  explicit Taken(Condition c) { recording.taken = before < 0.0 ? c.place : record("both", before, c.place); }
+  Condition before = recording.taken;
+  explicit Taken(Condition c) { recording.taken = before.place < 0 ? c : record("both", before, c); }
   Taken(const Taken&) = delete;
   ~Taken() { recording.taken = before; }
   operator bool() const { return true; }
@@ -69,17 +69,17 @@ inline Taken when(Condition condition) { return Taken(condition); }
 // A struct of inputs, and the output of a struct.
 template <class S> S given() {
   S inputs = {};
-  for (int i = 0; i < WIDTH<S>; i++) ((Trace*)&inputs)[i] = Trace RESULT(input);
+  for (int i = 0; i < WIDTH<S>; i++) ((Trace*)&inputs)[i] = Trace(record("input"));
   return inputs;
 }
 template <class S> void give(const S& outputs) {
-  for (int i = 0; i < WIDTH<S>; i++) record("output", ((const Trace*)&outputs)[i].place);
+  for (int i = 0; i < WIDTH<S>; i++) record("output", ((const Trace*)&outputs)[i]);
 }
 
 // Records a function, of a law or task with its number, and of the constants or settings. Returns the rows, or nullptr
 // with Python's exception.
 inline PyObject* trace(const char* function, long long number, const double* constants) {
-  recording = {PyList_New(0), -1.0};
+  recording = {PyList_New(0), {-1}};
   auto is = [&](const char* name) { return !__builtin_strcmp(function, name); };
   const auto& settings = *(const Settings*)constants;
   if (is("sincos")) give(sincos<Trace>(given<Trace>()));
