@@ -6,17 +6,15 @@ sensor are a bias, white noise and a Gauss-Markov drift, whose sizes follow from
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from capsule_gym import _core
-from capsule_gym.parameters import CONSTANTS, REAL, Capsule
-from capsule_gym.trajectory import STATE, constant_inputs, simulate
+from capsule_gym.parameters import REAL, Capsule
+from capsule_gym.trajectory import PLANT, STATE, constant_inputs, simulate
 
-PLANT = ("M", "mu", *CONSTANTS)
 # Standard deviations of noise and drift before they are estimated; the position's are this project's choice.
 NOISE = {name: (getattr(REAL, f"{name}_noise", 0.01), getattr(REAL, f"{name}_drift", 0.01)) for name in STATE}
 # Distance between the starts of segments, s, and the standard deviation of a gap over that of a reading.
@@ -49,6 +47,10 @@ class Problem:
     log_mu: bool
     known: dict[str, float]
     physics_dt: float
+    # Deviation of the noise, deviation of the drift and its time constant (s), by sensor.
+    noise: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    # The first reading of each segment, and the one behind its last.
+    segments: list[tuple[int, int]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         t = self.log["t"]
@@ -69,9 +71,7 @@ class Problem:
         # Readings before the first of a segment, which begins earlier by the longest latency.
         self.lead = math.ceil((latest + self.h) / self.period - 1e-9)
         self.commands = np.repeat(self.log["torque"], self.steps)
-        self.noise = {name: (*NOISE[name], 0.05) for name in self.sensors}
-        # The first reading of each segment, and the one behind its last.
-        self.segments: list[tuple[int, int]] = []
+        self.noise = self.noise or {name: (*NOISE[name], 0.05) for name in self.sensors}
 
     def values(self, shares: np.ndarray) -> tuple[dict[str, float], np.ndarray]:
         """The quantities in SI units, and the derivatives of the unknown ones by their shares."""
@@ -131,8 +131,7 @@ class Problem:
         # The motor's torque, as `Disturbed::drive` computes it, and its derivative by the lag.
         motor = lfilter([share], [1.0, share - 1.0], self.commands)
         motor_slope = lfilter([1.0], [1.0, share - 1.0], fall * (self.commands - np.append(0.0, motor[:-1])))
-        first_state, places = len(inputs), {name: n for n, name in enumerate(_core.TRAJECTORY)}
-        directions = [n for n, name in enumerate(self.names) if name in places or name == "lag"]
+        directions = [n for n, name in enumerate(self.names) if name in PLANT or name == "lag"]
         out = np.full((len(self.log["t"]), len(self.sensors), 1 + len(unknowns) * slopes), np.nan)
         gaps = np.zeros((len(self.segments) - 1, width, out.shape[2]))
         shown = [STATE.index(name) for name in self.sensors]
@@ -145,10 +144,10 @@ class Problem:
             partials = np.zeros((len(given), len(directions) + width))
             for column, which in enumerate(directions):
                 if (name := self.names[which]) == "lag":
-                    partials[first_state + 4 :, column] = motor_slope[begin:end] * scale[which]
+                    partials[len(inputs) + 4 :, column] = motor_slope[begin:end] * scale[which]
                 else:
-                    partials[places[name], column] = scale[which]
-            partials[first_state + np.array(self.components), len(directions) + np.arange(width)] = 1.0
+                    partials[PLANT.index(name), column] = scale[which]
+            partials[len(inputs) + np.array(self.components), len(directions) + np.arange(width)] = 1.0
             grid, rates, _ = simulate(given, partials if slopes else None, 1, self.h)
             own = count + n * width + np.arange(width)
             columns = np.append(0, 1 + np.append(directions, own).astype(int)) if slopes else [0]
@@ -258,9 +257,7 @@ class Problem:
         """The problem in which a quantity is known, with the value at this share of its range."""
         value = self.values(np.full(len(self.names), share))[0][name]
         ranges = {other: limits for other, limits in self.ranges.items() if other != name}
-        problem = replace(self, ranges=ranges, known={**self.known, name: value})
-        problem.noise, problem.segments = self.noise, self.segments
-        return problem
+        return replace(self, ranges=ranges, known={**self.known, name: value})
 
     def posterior(self, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Samples of the shares, shape (samples, shares), and the unknowns of the largest likelihood, from those given.
