@@ -105,11 +105,11 @@ def write_options(drawn: np.ndarray, options: dict[str, Sequence[Any]], task: Ta
         first += len(names)
 
 
-def check_state(state: Any, count: int) -> np.ndarray:
+def check_state(name: str, state: Any, count: int) -> np.ndarray:
     """The states of `count` episodes as float64, shape (count, 4), from one for each or one for all."""
     _, *rest = LARGEST_STATE
     accepted = "|theta| < pi/2, |theta_dot| <= {:g} rad/s, |x| <= {:g} m and |x_dot| <= {:g} m/s".format(*rest)
-    message = f"options['state'] must be [theta, theta_dot, x, x_dot] with {accepted}, got {short_repr(state)}"
+    message = f"{name} must be [theta, theta_dot, x, x_dot] with {accepted}, got {short_repr(state)}"
     try:
         array = np.asarray(state, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:

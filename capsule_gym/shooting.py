@@ -148,7 +148,7 @@ class Problem:
                 else:
                     partials[PLANT.index(name), column] = scale[which]
             partials[len(inputs) + np.array(self.components), len(directions) + np.arange(width)] = 1.0
-            grid, rates, _ = simulate(given, partials if slopes else None, 1, self.h)
+            grid, rates, _ = simulate(given, partials if slopes else partials[:, :0], 1, self.h)
             own = count + n * width + np.arange(width)
             columns = np.append(0, 1 + np.append(directions, own).astype(int)) if slopes else [0]
             whole = np.concatenate([grid[:, :4, None], rates], axis=2)

@@ -275,7 +275,7 @@ class Simulation:
                 self._check_plant(*plant, replace(self.capsule, **dict(zip(CONSTANTS, constants, strict=False))))
             starts[Row.M], starts[Row.mu] = masses, frictions
         if state is not None:
-            starts[: Row.M] = resets.check_state(state, count).T
+            starts[: Row.M] = resets.check_state("options['state']", state, count).T
 
         # Nothing above changes the environments, so a reset that raises an error leaves them unchanged.
         if changes or len(self._changes):

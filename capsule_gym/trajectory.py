@@ -6,12 +6,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from capsule_gym import _core
-from capsule_gym.checks import nearest, short_repr
+from capsule_gym.checks import nearest, require, short_repr
 from capsule_gym.config import DIRECT_PHYSICS_DT, LARGEST_TORQUE, EnvConfig
 from capsule_gym.native import call, ordered
 from capsule_gym.parameters import NOMINAL, Capsule
+from capsule_gym.resets import check_state
 from capsule_gym.settings import check_step, make_settings
-from capsule_gym.task import CONTROL_DT, LARGEST_STATE
+from capsule_gym.task import CONTROL_DT
 
 STATE = ("theta", "theta_dot", "x", "x_dot")
 # The constants by which a trajectory can be differentiated, in the order of the inputs, which begin with them.
@@ -34,13 +35,13 @@ class Sensitivity(NamedTuple):
 
 
 def simulate(
-    inputs: np.ndarray, partials: np.ndarray | None, steps: int, physics_dt: float
+    inputs: np.ndarray, partials: np.ndarray, steps: int, physics_dt: float
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """A trajectory and its derivatives along several directions, without checks.
 
     Args:
         inputs: the numbers of `_core.TRAJECTORY` and n torques, N m.
-        partials: the derivatives of the inputs along the directions, shape (inputs, directions), or None.
+        partials: the derivatives of the inputs along the directions, shape (inputs, directions).
         steps: integrator steps of the interval in which a torque acts.
         physics_dt: the integrator's step, s.
 
@@ -48,16 +49,14 @@ def simulate(
         States and number of events so far, shape (n + 1, 5); their derivatives, shape (n + 1, 4, directions); the first
         interval in which an episode would have terminated, or -1.
     """
-    count, width = len(inputs) - len(_core.TRAJECTORY), _core.DIRECTIONS
-    directions = 0 if partials is None else partials.shape[1]
+    count, directions, width = len(inputs) - len(_core.TRAJECTORY), partials.shape[1], _core.DIRECTIONS
     states, slopes = np.empty((count + 1, 5)), np.empty((count + 1, 4, directions))
     for first in range(0, max(directions, 1), width):
+        part = partials[:, first : first + width]
         seeds, found = np.zeros((len(inputs), width)), np.empty((count + 1, 4, width))
-        if partials is not None:
-            part = partials[:, first : first + width]
-            seeds[:, : part.shape[1]] = part
+        seeds[:, : part.shape[1]] = part
         ended = call("trajectory", inputs, seeds if directions else 0, count, steps, physics_dt, states, found)
-        slopes[..., first : first + width] = found[..., : directions - first]
+        slopes[..., first : first + width] = found[..., : part.shape[1]]
     return states, slopes, ended
 
 
@@ -95,12 +94,16 @@ def sensitivity(
         >>> found.states.shape, found.derivatives["mu"].shape
         ((6, 4), (6, 4))
     """
-    if not isinstance(capsule, Capsule):
-        raise TypeError(f"capsule must be a Capsule, got {short_repr(capsule)}")
+    require(isinstance(capsule, Capsule), "capsule", "a Capsule", capsule, TypeError)
     settings = make_settings(EnvConfig(capsule=capsule, control_dt=control_dt, physics_dt=physics_dt), None)
     check_step(capsule, capsule.M, capsule.mu, settings)
-    start = _array("state", state, f"[theta, theta_dot, x, x_dot] within +-{LARGEST_STATE}", LARGEST_STATE)
-    commands = _array("torques", torques, f"a sequence of numbers within +-{LARGEST_TORQUE:g} N m", LARGEST_TORQUE)
+    (start,) = check_state("state", state, 1)
+    accepted = f"a sequence of numbers within +-{LARGEST_TORQUE:g} N m"
+    try:
+        commands = np.asarray(torques, np.float64)
+    except (TypeError, ValueError):
+        raise TypeError(f"torques must be {accepted}, got {short_repr(torques)}") from None
+    require(commands.ndim == 1 and bool((np.abs(commands) <= LARGEST_TORQUE).all()), "torques", accepted, torques)
     known = (*PLANT, "torque", "torques", "state")
     if isinstance(wrt, str) or not all(isinstance(name, str) for name in wrt):
         raise TypeError(f"wrt must be a sequence of names out of {known}, got {short_repr(wrt)}")
@@ -117,7 +120,7 @@ def sensitivity(
         "state": identity[:, first - 4 : first],
         **{name: identity[:, n : n + 1] for n, name in enumerate(PLANT)},
     }
-    partials = np.hstack([directions[name] for name in wrt]) if wrt else None
+    partials = np.hstack([identity[:, :0], *(directions[name] for name in wrt)])
     steps = settings.physics_steps * settings.law_steps
     states, slopes, ended = simulate(inputs, partials, steps, settings.physics_dt)
     if ended >= 0:
@@ -125,24 +128,12 @@ def sensitivity(
             f"torques must keep |theta| < pi/2 and the platform on the floor, got an episode that would terminate in "
             f"torques[{ended}], between {ended * control_dt:g} and {(ended + 1) * control_dt:g} s"
         )
-    ends = np.cumsum([directions[name].shape[1] for name in wrt])[:-1]
-    found = dict(zip(wrt, np.split(slopes, ends, axis=-1), strict=True)) if wrt else {}
-    whole = {name: part if name in ("torques", "state") else part[..., 0] for name, part in found.items()}
-    return Sensitivity(states[:, :4], whole, states[:, 4].astype(np.int64))
+    ends = np.cumsum([directions[name].shape[1] for name in wrt], dtype=int)
+    parts = zip(wrt, np.split(slopes, ends, axis=-1), strict=False)  # nothing is behind the last end
+    derivatives = {name: part if name in ("torques", "state") else part[..., 0] for name, part in parts}
+    return Sensitivity(states[:, :4], derivatives, states[:, 4].astype(np.int64))
 
 
 def constant_inputs(capsule: Capsule) -> np.ndarray:
     """The constants among the inputs of a trajectory."""
     return ordered(_core.TRAJECTORY[:-4], {**vars(capsule), "paper": float(capsule.normal_force == "paper")})
-
-
-def _array(name: str, value: Any, accepted: str, limit: Any) -> np.ndarray:
-    """A vector of float64 within +-limit, of the limit's length if it is a sequence."""
-    try:
-        array = np.asarray(value, np.float64)
-    except (TypeError, ValueError) as error:
-        raise TypeError(f"{name} must be {accepted}, got {short_repr(value)}") from error
-    fits = array.ndim == 1 and (np.ndim(limit) == 0 or len(array) == len(limit))
-    if not fits or not (np.abs(array) <= limit).all():
-        raise ValueError(f"{name} must be {accepted}, got {short_repr(value)}")
-    return array
