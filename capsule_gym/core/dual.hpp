@@ -41,12 +41,6 @@ struct Dual {
     double s = sine, c = cosine;
     return {make(s, PARTIAL(a.d[i] * c)), make(c, PARTIAL(a.d[i] * -s))};
   }
-  // The same with a constant, whose derivatives are not worth their multiplications.
-  friend INLINE Dual operator+(const Dual& a, double b) { return make(a.v + b, PARTIAL(a.d[i])); }
-  friend INLINE Dual operator+(double a, const Dual& b) { return b + a; }
-  friend INLINE Dual operator-(const Dual& a, double b) { return make(a.v - b, PARTIAL(a.d[i])); }
-  friend INLINE Dual operator*(const Dual& a, double b) { return make(a.v * b, PARTIAL(a.d[i] * b)); }
-  friend INLINE Dual operator*(double a, const Dual& b) { return b * a; }
 #undef PARTIAL
 
 #define COMPARISON(symbol) \
