@@ -4,7 +4,6 @@ The loops of the network are in `policy.h.jinja`; everything else is recorded fr
 """
 
 import re
-from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -24,7 +23,7 @@ from capsule_gym.layout import Row
 from capsule_gym.parameters import Disturbances
 from capsule_gym.policy import load_policy
 from capsule_gym.simulation import Simulation
-from capsule_gym.trace import c_number, c_table, record, to_c
+from capsule_gym.trace import c_number, c_table, to_c
 
 INTERVALS = 100  # control intervals of the test vectors; a law alone has a quarter
 
@@ -67,10 +66,6 @@ class Exported:
     def c(self, *, single: bool = False) -> str:
         """The C99 header, which computes in float or in double; in double it has the bits of this package."""
         task, law = self.task, self.law
-
-        def code(function: str, inputs: Iterable[str], outputs: Sequence[str | None], *constants: Any) -> str:
-            return to_c(record(function, *constants), inputs, outputs, single)
-
         # The task's memory but for what an episode draws. Goal and command are given; a new command ends the last one.
         kept = task.rows - len(task.draws)
         given = {"goal": "reading->goal", "displacement": "(reading->goal - reading->x)"}
@@ -94,7 +89,7 @@ class Exported:
         return self._render(
             "policy.h.jinja",
             single,
-            code=code,
+            code=partial(to_c, single=single),
             memory=[*(f"{name}[{size}]" for size, name in memory if size), "x"],
             task_inputs=task_inputs,
             task_outputs=[f"memory->{cell}" if cell else None for cell in cells],

@@ -1,4 +1,4 @@
-"""Functions of the core as lists of operations, which become code in C (`capsule_gym/core/trace.hpp`)."""
+"""Functions of the core in C, from the lists of operations that `capsule_gym/core/trace.hpp` records."""
 
 import math
 from collections import Counter
@@ -9,8 +9,6 @@ import numpy as np
 
 from capsule_gym import _core, native
 
-# An operation, and the places of its operands in the list; for a "constant" its value.
-Row = tuple[Any, ...]
 # The operations in C: parentheses make every form an operand. NAME stands for the prefix of a header's functions.
 C_FORMS = {
     **{"add": "({} + {})", "subtract": "({} - {})", "multiply": "({} * {})", "divide": "({} / {})"},
@@ -22,18 +20,6 @@ C_FORMS = {
 }
 CONDITIONS = ("less", "less_equal", "equal", "both", "either", "inverse")
 LONGEST_FORM = 100  # characters
-
-
-def record(function: str, constants: Iterable[float] = (), number: int = 0) -> list[Row]:
-    """Records a function of the core.
-
-    Args:
-        function: its name in `core/trace.hpp`.
-        constants: of a law, or the settings.
-        number: of the law or task.
-    """
-    given = np.array([*constants, 0.0])
-    return _core.trace(function, number, native.address(given))
 
 
 def c_number(value: float, single: bool) -> str:
@@ -52,16 +38,29 @@ def c_table(values: Sequence[Any] | np.ndarray, single: bool) -> str:
     return "{" + ",\n".join(c_table(row, single) for row in values) + "}"
 
 
-def to_c(rows: Sequence[Row], inputs: Iterable[str], outputs: Sequence[str | None], single: bool) -> str:
+def to_c(
+    function: str,
+    inputs: Iterable[str],
+    outputs: Sequence[str | None],
+    constants: Iterable[float] = (),
+    number: int = 0,
+    *,
+    single: bool,
+) -> str:
     """Statements of C99 that compute a function; in double precision every operation is rounded as in the core.
 
     Args:
-        rows: the recorded function.
+        function: its name in `core/trace.hpp`.
         inputs: an expression for each input, in order.
         outputs: what each output is assigned to, in order; None for an output that is not needed. All are assigned at
             the end.
+        constants: of a law, or the settings.
+        number: of the law or task.
         single: compute in float.
     """
+    array = np.array([*constants, 0.0])
+    # An operation, and the places of its operands in the list; for a "constant" its value.
+    rows: list[tuple[Any, ...]] = _core.trace(function, number, native.address(array))
     ends = [place for place, row in enumerate(rows) if row[0] == "output"]
     targets = {place: target for place, target in zip(ends, outputs, strict=True) if target is not None}
     # How often each row is an operand in what the outputs need; the outputs count as used.
@@ -74,8 +73,8 @@ def to_c(rows: Sequence[Row], inputs: Iterable[str], outputs: Sequence[str | Non
         if operation == "input":
             forms[place] = next(given)
         elif operation == "constant":
-            number = c_number(operands[0], single)
-            forms[place] = f"({number})" if number.startswith("-") else number
+            text = c_number(operands[0], single)
+            forms[place] = f"({text})" if text.startswith("-") else text
         elif place in targets:
             assignments.append(f"  {targets[place]} = {forms[operands[0]]};")
         elif uses[place]:
