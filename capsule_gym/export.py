@@ -68,20 +68,16 @@ class Exported:
         task, law = self.task, self.law
         # The task's memory but for what an episode draws. Goal and command are given; a new command ends the last one.
         kept = task.rows - len(task.draws)
-        given = {"goal": "reading->goal", "displacement": "(reading->goal - reading->x)"}
-        given |= dict.fromkeys(("v_0", "v_1"), "reading->command")
+        given = dict.fromkeys(task.fields[kept:], "0") | dict.fromkeys(("v_0", "v_1"), "reading->command")
+        given |= {"goal": "reading->goal", "displacement": "(reading->goal - reading->x)"}
         given |= {"lasts": "(reading->command == before.task[0] ? HUGE_VAL : 0)"}
-        cells = [f"task[{n}]" if n < kept else None for n in range(task.rows)]
-        task_inputs = [
-            given.get(name, f"before.{cell}" if cell else "0") for name, cell in zip(task.fields, cells, strict=True)
-        ]
+        task_inputs = [given.get(name, f"before.task[{n}]") for n, name in enumerate(task.fields)]
         observed = [*task_inputs, "reading->x", "before.x", "before.begun"]
         observed += [f"reading->{name}" if name in self.reading else "0" for name in _core.OBSERVED]
         filtered = [f"estimates[{n}]" for n in range(_core.CELLS)]
         estimates = [f"memory->{cell}" for cell in filtered]
-        memory = [(kept, "task"), (_core.CELLS * self.settings.with_estimates, "estimates")]
-        memory += [(len(law.memory) if law else 0, "law")]
         law_cells = [f"law[{n}]" for n in range(len(law.memory) if law else 0)]
+        memory = {"task": kept, "estimates": _core.CELLS * self.settings.with_estimates, "law": len(law_cells)}
         law_inputs = [f"before.{cell}" for cell in law_cells]
         law_inputs += [f"reading->{name}" for name in ("theta", "theta_dot", "x", "x_dot")]
         law_inputs += [f"row[{n}]" for n in range(law.reference.shape[1] if law else 0)]
@@ -90,9 +86,9 @@ class Exported:
             "policy.h.jinja",
             single,
             code=partial(to_c, single=single),
-            memory=[*(f"{name}[{size}]" for size, name in memory if size), "x"],
+            memory=[*(f"{name}[{size}]" for name, size in memory.items() if size), "x"],
             task_inputs=task_inputs,
-            task_outputs=[f"memory->{cell}" if cell else None for cell in cells],
+            task_outputs=[f"memory->task[{n}]" if n < kept else None for n in range(task.rows)],
             observed=observed + estimates,
             filter_inputs=[*(f"before.{cell}" for cell in filtered), *(f"(REAL)observation[{n}]" for n in range(3))],
             estimates=estimates,
@@ -193,9 +189,9 @@ class Exported:
         x = add("Clip", x, -policy.clip, policy.clip, dtype=first)
         for n, (weights, bias) in enumerate(policy.layers):
             x = add("Gemm", x, weights, bias, dtype=real if n else first, transB=1)
-            if n < len(policy.layers) - 1 or policy.squashing == "tanh":
-                last = n == len(policy.layers) - 1
-                x = add("Relu" if policy.activation == "relu" and not last else "Tanh", x)
+            function = policy.activation if n < len(policy.layers) - 1 else policy.squashing
+            if function != "clip":
+                x = add(function.capitalize(), x)
             if n == 0 and first is not real:
                 x = cast(x, real)
         action = add("Clip", x, -1.0, 1.0)
