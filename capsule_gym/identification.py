@@ -95,8 +95,7 @@ class Fit:
 
     def randomization(self, level: float = 0.95) -> Randomization:
         """The intervals of the plant's constants, from which a training can draw its plants."""
-        found = self.intervals(level)
-        ranges: dict[str, Any] = {name: found[name] for name in PLANT if name in found}
+        ranges: dict[str, Any] = {name: ends for name, ends in self.intervals(level).items() if name in PLANT}
         return Randomization(**ranges)
 
     def env_kwargs(self, level: float = 0.95) -> dict[str, Any]:

@@ -1,7 +1,6 @@
 """Logs of a rig: recording, reading and their checks."""
 
 import csv
-import io
 import math
 import os
 from collections.abc import Callable, Mapping
@@ -29,8 +28,7 @@ SHORTEST = 2.0
 def read_log(log: Any) -> dict[str, np.ndarray]:
     """The columns of a log, float64, with NaN where a reading is missing, after all checks of `identify`."""
     if isinstance(log, (str, os.PathLike)):
-        text = Path(log).read_text(encoding="utf-8")
-        rows = list(csv.DictReader(io.StringIO(text)))
+        rows = list(csv.DictReader(Path(log).read_text(encoding="utf-8").splitlines()))
         log = {name: [row[name] or "nan" for row in rows] for name in (rows[0] if rows else {})}
     require(isinstance(log, Mapping), "log", "the path of a CSV file or a mapping of columns", log, TypeError)
     columns: dict[str, np.ndarray] = {}
@@ -139,8 +137,9 @@ def record(
     require(direct, "env", "an environment with direct torque, without a controller", env)
     require(path is None or not os.path.exists(path), "path", "that of a new file", path)
     settings, dt = plain.simulation.settings, plain.simulation.options.control_dt
+    scale, limit = settings.residual_limit, settings.torque_limit
     steps = check_count("the number of steps in seconds", round(seconds / dt))
-    policy = Excitation(torque_limit=settings.residual_limit, control_dt=dt) if policy is None else policy
+    policy = Excitation(torque_limit=scale, control_dt=dt) if policy is None else policy
     act = policy.start([0]) if hasattr(policy, "start") else policy
     observation, info = env.reset(seed=seed, options=options)
     disturbed = Disturbances.named(plain.simulation.options.disturbances)
@@ -149,9 +148,7 @@ def record(
     for step in range(steps):
         action = np.clip(act(observation), -1.0, 1.0)
         reading = dict(zip(STATE, (info["state"] if disturbed is None else info["reading"]).tolist(), strict=True))
-        torque = float(
-            np.clip(settings.residual_limit * float(action[0]), -settings.torque_limit, settings.torque_limit)
-        )
+        torque = float(np.clip(scale * float(action[0]), -limit, limit))
         rows.append([step * dt, torque, *(reading[name] for name in sensors)])
         observation, _, terminated, truncated, info = env.step(action)
         if terminated or truncated:

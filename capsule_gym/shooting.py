@@ -75,11 +75,9 @@ class Problem:
 
     def values(self, shares: np.ndarray) -> tuple[dict[str, float], np.ndarray]:
         """The quantities in SI units, and the derivatives of the unknown ones by their shares."""
-        logarithmic = self.growths > 0.0
-        found = np.where(
-            logarithmic, self.low * np.exp(self.growths * shares), self.low + shares * (self.high - self.low)
-        )
-        slopes = np.where(logarithmic, found * self.growths, self.high - self.low)
+        logarithmic, widths = self.growths > 0.0, self.high - self.low
+        found = np.where(logarithmic, self.low * np.exp(self.growths * shares), self.low + shares * widths)
+        slopes = np.where(logarithmic, found * self.growths, widths)
         return {**self.known, **dict(zip(self.names, found.tolist(), strict=True))}, slopes
 
     def cut(self, seconds: float) -> np.ndarray:
@@ -89,9 +87,8 @@ class Problem:
             Shape (segments * components,).
         """
         size, stride = (max(2, round(each / self.period)) for each in (seconds, DISTANCE))
-        count = len(self.log["t"])
-        self.segments = [(first, min(first + size, count)) for first in range(self.lead, count - size // 2, stride)]
         t, columns = self.log["t"], []
+        self.segments = [(first, min(first + size, len(t))) for first in range(self.lead, len(t) - size // 2, stride)]
         for name in STATE:
             other = {"theta_dot": "theta", "x_dot": "x"}.get(name)
             if name in self.log:
