@@ -12,7 +12,7 @@ import numpy as np
 
 from capsule_gym.checks import check_number, nearest
 from capsule_gym.config import DIRECT_PHYSICS_DT
-from capsule_gym.parameters import NOMINAL, SENSORS, Capsule, Disturbances, Randomization
+from capsule_gym.parameters import SENSORS, Capsule, Disturbances, Randomization
 from capsule_gym.recording import UNITS, read_log
 from capsule_gym.shooting import DISTANCE, Problem
 from capsule_gym.trajectory import PLANT
@@ -176,8 +176,7 @@ def identify(
         low, high = Disturbances.limits(name) if name in OTHERS else (-math.inf, math.inf)
         known[name] = check_number(f"known[{name!r}]", value, f"a finite number from {low:g} to {high:g}", low, high)
     constants: dict[str, Any] = {name: value for name, value in known.items() if name in PLANT}
-    capsule = replace(NOMINAL, **constants)
-    prior.corners(capsule)
+    prior.corners(Capsule(**constants))
     ranges = {}
     for name in QUANTITIES:
         given = getattr(prior, name, None) or RANGES.get(name)
@@ -185,7 +184,7 @@ def identify(
             ranges[name] = given
     if not ranges:
         raise ValueError(f"known and prior must leave a quantity to estimate, got known={known} and prior={prior}")
-    problem = Problem(columns, capsule, ranges, prior.log_mu, {**dict.fromkeys(OTHERS, 0.0), **known}, physics_dt)
+    problem = Problem(columns, ranges, prior.log_mu, {**dict.fromkeys(OTHERS, 0.0), **known}, physics_dt)
     # With an unknown static ratio, at which the likelihood jumps, a search would end anywhere.
     smooth = problem.at("static_ratio", RATIO) if "static_ratio" in ranges else problem
     states = smooth.cut(SHORT)
@@ -215,7 +214,7 @@ def identify(
     fit = Fit(
         estimates=estimates,
         samples=samples,
-        capsule=replace(capsule, **constants),
+        capsule=Capsule(**constants),
         disturbances=Disturbances(
             **sizes, **{name: values[name] for name in OTHERS}, drift_time=time, unmeasured=unmeasured
         ),

@@ -42,7 +42,6 @@ class Problem:
     """The least-squares problem of a log: unknowns are the shares of the ranges, then the states of the segments."""
 
     log: dict[str, np.ndarray]
-    capsule: Capsule
     ranges: dict[str, tuple[float, float]]
     log_mu: bool
     known: dict[str, float]
@@ -119,8 +118,8 @@ class Problem:
 
         count, width = len(self.names), len(self.components)
         (values, scale), states = self.values(unknowns[:count]), unknowns[count:].reshape(-1, width)
-        constants = {name: values[name] for name in PLANT if name in values}
-        inputs = constant_inputs(Capsule(**{**vars(self.capsule), **constants}))
+        constants: dict[str, Any] = {name: values[name] for name in PLANT if name in values}
+        inputs = constant_inputs(Capsule(**constants))
         share, fall = 1.0, 0.0
         if (lag := values["lag"]) > 0.0:
             share = 1.0 - math.exp(-self.h / lag)

@@ -41,7 +41,7 @@ def make_problem(log):
     """The problem of a log, and the shares of the true quantities."""
     truth = {**TRUTH, "motor_friction": 0.06, **MOTOR, "x_dot_bias": 0.01}
     ranges = {name: (0.5 * value, 1.5 * value) for name, value in truth.items()}
-    problem = Problem(read_log(log), Capsule(), ranges, False, dict.fromkeys(OTHERS, 0.0), 2e-3)
+    problem = Problem(read_log(log), ranges, False, dict.fromkeys(OTHERS, 0.0), 2e-3)
     return problem, np.where([name in PLANT for name in ranges], math.log(2.0) / math.log(3.0), 0.5)
 
 
@@ -49,7 +49,7 @@ def make_problem(log):
 def test_predictions_are_the_environments_readings(physics_dt):
     log = make_log(Disturbances(x_dot_bias=0.01, **MOTOR), 3.0, physics_dt=physics_dt)
     problem, shares = make_problem(log)
-    problem = Problem(problem.log, problem.capsule, problem.ranges, False, problem.known, physics_dt)
+    problem = Problem(problem.log, problem.ranges, False, problem.known, physics_dt)
     problem.segments = [(problem.lead, len(log["t"]))]
     predicted, _ = problem.predict(np.append(shares, [0.0, 0.0, 0.0]), slopes=False)
     for n, name in enumerate(problem.sensors):
@@ -86,7 +86,7 @@ def make_small_problem(count=400, **more):
     t, torque = 7.0 + 0.01 * np.arange(count), np.random.default_rng(0).normal(size=count)
     columns = {"t": t, "torque": torque, "theta": 0.3 * np.sin(2.0 * t), **more}
     ranges = {"M": (0.4, 0.8), "mu": (0.01, 0.16), "latency": (0.004, 0.012)}
-    return Problem(columns, Capsule(), ranges, True, {"lag": 0.0}, 3e-3)
+    return Problem(columns, ranges, True, {"lag": 0.0}, 3e-3)
 
 
 def test_quantities_segments_and_first_states_by_hand():
@@ -157,7 +157,7 @@ def test_the_posterior_follows_a_curve_of_lag_and_latency(monkeypatch):
         return r, jacobian[:, len(jacobian) - len(u) :]
 
     monkeypatch.setattr(Problem, "residuals", residuals)
-    problem = Problem(make_small_problem().log, Capsule(), {"lag": (1e-3, 0.01), "latency": (0, 0.02)}, False, {}, 3e-3)
+    problem = Problem(make_small_problem().log, {"lag": (1e-3, 0.01), "latency": (0, 0.02)}, False, {}, 3e-3)
     samples, found = problem.posterior(np.array([0.9, 0.2, 0.0]))
     np.testing.assert_allclose(found, [0.5, 0.6 - 0.5 * 0.125, 0.0], atol=2e-3)
     lags = np.linspace(0.0, 1.0, 1001)
