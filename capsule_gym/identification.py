@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from operator import itemgetter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,8 +14,10 @@ from capsule_gym.checks import check_number, nearest
 from capsule_gym.config import DIRECT_PHYSICS_DT
 from capsule_gym.parameters import SENSORS, Capsule, Disturbances, Randomization
 from capsule_gym.recording import UNITS, read_log
-from capsule_gym.shooting import DISTANCE, Problem
 from capsule_gym.trajectory import PLANT
+
+if TYPE_CHECKING:
+    from capsule_gym.shooting import Problem
 
 # Ranges of what a `Randomization` may leave open, SI units.
 RANGES = {
@@ -58,7 +60,7 @@ class Fit:
     chi2: float
     minima: tuple[float, ...]
     widths: dict[str, float]
-    _problem: Problem = field(repr=False)
+    _problem: "Problem" = field(repr=False)
     _found: np.ndarray = field(repr=False)
 
     @property
@@ -168,6 +170,8 @@ def identify(
         UserWarning: if the model does not explain the log, if the log does not determine a constant of the prior, or if
             an estimate lies at the end of its range.
     """
+    from capsule_gym.shooting import DISTANCE, Problem  # needs scipy
+
     columns, prior, known = read_log(log), Randomization.named(prior), dict(known or {})
     physics_dt = check_number("physics_dt", physics_dt, "a number of s from 1e-5 to 0.01", 1e-5, 0.01)
     for name, value in known.items():

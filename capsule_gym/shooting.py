@@ -11,6 +11,10 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import Akima1DInterpolator, CubicHermiteSpline
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_banded
+from scipy.optimize import minimize
+from scipy.signal import lfilter
 
 from capsule_gym.parameters import REAL, Capsule
 from capsule_gym.trajectory import PLANT, STATE, constant_inputs, simulate
@@ -99,8 +103,6 @@ class Problem:
 
     def whiten(self, name: str, errors: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Innovations of a sensor's errors over their standard deviation: the Kalman filter of drift and noise."""
-        from scipy.linalg import solve_banded
-
         kept, gain, size = _gains(*self.noise[name], self.period, rows.tobytes())
         bands = np.vstack([np.ones(len(rows)), np.append(-kept * (1.0 - gain[:-1]), 0.0)])
         inputs = np.zeros_like(errors)
@@ -113,9 +115,6 @@ class Problem:
 
         Also the gaps between segments, shape (gaps, components, 1 + unknowns).
         """
-        from scipy.interpolate import CubicHermiteSpline
-        from scipy.signal import lfilter
-
         count, width = len(self.names), len(self.components)
         (values, scale), states = self.values(unknowns[:count]), unknowns[count:].reshape(-1, width)
         constants: dict[str, Any] = {name: values[name] for name in PLANT if name in values}
@@ -193,8 +192,6 @@ class Problem:
         The method of Levenberg and Marquardt on the normal equations: `scipy.optimize.least_squares` decomposes the
         Jacobian of all readings in every step, which takes ten times as long.
         """
-        from scipy.linalg import LinAlgError, cho_factor, cho_solve
-
         count, damping = len(self.names), 1e-3
         for _ in range(MOST_STEPS):
             r, jacobian = self.residuals(unknowns)
@@ -225,8 +222,6 @@ class Problem:
 
     def estimate_noise(self, unknowns: np.ndarray) -> None:
         """Sizes of white noise and drift, and the drift's time constant, by Whittle's likelihood of the residuals."""
-        from scipy.optimize import minimize
-
         predicted, _ = self.predict(unknowns, slopes=False)
         powers = []
         for n, name in enumerate(self.sensors):
@@ -262,8 +257,6 @@ class Problem:
         fitted. With the static ratio it jumps; the others are those of its best value. Lag and latency act alike along
         a curve; the others are interpolated between several lags.
         """
-        from scipy.interpolate import Akima1DInterpolator
-
         name = next((each for each in PROFILED if each in self.names), None)
         if name is None:
             unknowns, _ = self.fit(unknowns, FINEST)
