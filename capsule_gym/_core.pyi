@@ -5,7 +5,6 @@ SETTINGS: list[str]
 PLANT: list[str]
 TRAJECTORY: list[str]
 OBSERVED: list[str]
-FUSED: str
 LAWS: dict[str, tuple[str, int, int]]
 TASKS: dict[str, str]
 ESTIMATES: dict[str, tuple[float, float]]

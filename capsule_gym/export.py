@@ -81,7 +81,6 @@ class Exported:
         law_inputs = [f"before.{cell}" for cell in law_cells]
         law_inputs += [f"reading->{name}" for name in ("theta", "theta_dot", "x", "x_dot")]
         law_inputs += [f"row[{n}]" for n in range(law.reference.shape[1] if law else 0)]
-        fused = re.sub(r"\b(fused|moderate)\b", r"NAME_\1", _core.FUSED.replace("__builtin_", ""))
         return self._render(
             "policy.h.jinja",
             single,
@@ -95,7 +94,6 @@ class Exported:
             law_inputs=law_inputs + (task_inputs if law and law.task else []),
             law_outputs=["torque", *(f"memory->{cell}" for cell in law_cells)],
             widest=max([len(self.policy.mean), *(len(bias) for _, bias in self.policy.layers)]) if self.policy else 0,
-            fused=re.sub(r"(?<=[;{}]) (?!\})", "\n  ", fused),
             description=self.policy.description if self.policy else f"control law {self.options.controller}",
             version=__version__,
         )

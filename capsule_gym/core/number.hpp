@@ -43,11 +43,9 @@ typedef unsigned long long Word;
 // --- one environment ---
 
 #if defined(__wasm__)
-// WebAssembly has no fused instruction.
-#define CAPSULE_C(...) __VA_ARGS__
-#include "fused.h"
-#undef CAPSULE_C
-INLINE double fma(double a, double b, double c) { return fused(a, b, c); }
+// WebAssembly has no fused instruction. Exported policies in C contain the same file, in which NAME is their own.
+#include "../fused.h"
+INLINE double fma(double a, double b, double c) { return NAME_fused(a, b, c); }
 #else
 INLINE double fma(double a, double b, double c) { return __builtin_fma(a, b, c); }
 #endif

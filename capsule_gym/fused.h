@@ -1,20 +1,19 @@
-// a * b + c, rounded once, where the processor has no fused instruction. C99 and C++: `CAPSULE_C` inserts or quotes it.
+// a * b + c, rounded once, where the processor has no instruction for it.
 //
 // Exact products and sums, the last but one rounded to odd (Boldo and Melquiond, "Emulation of a FMA and correctly
 // rounded sums", 2008). The errors of p = a b and of the sums are exact by the splits of Veltkamp and Dekker and by
 // Knuth's sums. Where a size is not between 2^-623 and 2^577, an intermediate result could over- or underflow. The sum
 // is rounded to odd without a branch, since no processor predicts it; `const`: equal calls are made once.
-CAPSULE_C(
-static inline int moderate(double x) {
+static inline int NAME_moderate(double x) {
   unsigned long long word;
   __builtin_memcpy(&word, &x, 8);
   return (word >> 52 & 2047) - 400 < 1200;
 }
 
-static __attribute__((noinline, const, unused)) double fused(double a, double b, double c) {
+static __attribute__((noinline, const, unused)) double NAME_fused(double a, double b, double c) {
   double p = a * b;
-  if (!(moderate(a) & moderate(b) & moderate(c) & moderate(p))) {
-    if (a == 0.0 || b == 0.0 || (c == 0.0 && moderate(p))) return p + c;
+  if (!(NAME_moderate(a) & NAME_moderate(b) & NAME_moderate(c) & NAME_moderate(p))) {
+    if (a == 0.0 || b == 0.0 || (c == 0.0 && NAME_moderate(p))) return p + c;
     return __builtin_fma(a, b, c);
   }
   double a_h = a * 134217729.0, b_h = b * 134217729.0;
@@ -30,4 +29,3 @@ static __attribute__((noinline, const, unused)) double fused(double a, double b,
   __builtin_memcpy(&z, &word, sizeof(z));
   return v + z;
 }
-)
