@@ -194,15 +194,12 @@ class Exported:
                 x = cast(x, real)
         action = add("Clip", x, -1.0, 1.0)
         nodes.append(helper.make_node("Cast", [action], ["action"], to=TensorProto.FLOAT))
-        inputs, outputs = (
-            [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["n", width])]
-            for name, width in (("observation", policy.entries), ("action", 1))
-        )
+        tensor = partial(helper.make_tensor_value_info, elem_type=TensorProto.FLOAT)
+        inputs, outputs = [tensor("observation", shape=["n", policy.entries])], [tensor("action", shape=["n", 1])]
         graph = helper.make_graph(nodes, policy.name, inputs, outputs, initializers, doc_string=policy.description)
         model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
         checker.check_model(model)
-        content: bytes = model.SerializeToString()
-        return content
+        return model.SerializeToString()
 
 
 def _read(simulation: Simulation) -> dict[str, float]:
