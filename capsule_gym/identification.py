@@ -210,18 +210,14 @@ def identify(
     estimates = dict(zip(problem.names, samples.mean(axis=0).tolist(), strict=True))
     values = {**problem.known, **estimates}
     constants = {name: values[name] for name in PLANT if name in values}
-    sizes: dict[str, Any] = {}
+    errors: dict[str, Any] = {name: values[name] for name in OTHERS}
     for name in set(SENSORS) & set(columns):
-        sizes[f"{name}_noise"], sizes[f"{name}_drift"], _ = problem.noise[name]
-    time = problem.noise[problem.sensors[0]][2]
-    unmeasured = tuple(name for name in SENSORS if name not in columns)
+        errors[f"{name}_noise"], errors[f"{name}_drift"], errors["drift_time"] = problem.noise[name]
     fit = Fit(
         estimates=estimates,
         samples=samples,
         capsule=Capsule(**constants),
-        disturbances=Disturbances(
-            **sizes, **{name: values[name] for name in OTHERS}, drift_time=time, unmeasured=unmeasured
-        ),
+        disturbances=Disturbances(**errors, unmeasured=tuple(name for name in SENSORS if name not in columns)),
         chi2=problem.statistic(found),
         minima=tuple(round(float(cost), 1) for _, cost in fits),
         widths=dict(zip(problem.names, (math.sqrt(12.0) * shares.std(axis=0)).tolist(), strict=True)),
