@@ -104,7 +104,12 @@ def sensitivity(
     except (TypeError, ValueError):
         raise TypeError(f"torques must be {accepted}, got {short_repr(torques)}") from None
     require(commands.ndim == 1 and bool((np.abs(commands) <= LARGEST_TORQUE).all()), "torques", accepted, torques)
-    known = (*PLANT, "torque", "torques", "state")
+    inputs = np.concatenate([constant_inputs(capsule), start, commands])
+    identity, first = np.eye(len(inputs)), len(_core.TRAJECTORY)
+    directions = {name: identity[:, n : n + 1] for n, name in enumerate(PLANT)}
+    directions["torque"] = np.where(np.arange(len(inputs)) < first, 0.0, inputs)[:, None]
+    directions |= {"torques": identity[:, first:], "state": identity[:, first - 4 : first]}
+    known = tuple(directions)
     if isinstance(wrt, str) or not all(isinstance(name, str) for name in wrt):
         raise TypeError(f"wrt must be a sequence of names out of {known}, got {short_repr(wrt)}")
     for name in wrt:
@@ -112,14 +117,6 @@ def sensitivity(
             raise ValueError(f"wrt must contain names out of {known}, got {name!r}{nearest(name, known)}")
         if name == "stribeck_speed" and capsule.stribeck_speed == 0.0:
             raise ValueError("wrt may contain 'stribeck_speed' only where capsule.stribeck_speed > 0, got 0.0")
-    inputs = np.concatenate([constant_inputs(capsule), start, commands])
-    identity, first = np.eye(len(inputs)), len(_core.TRAJECTORY)
-    directions = {
-        "torque": np.where(np.arange(len(inputs)) < first, 0.0, inputs)[:, None],
-        "torques": identity[:, first:],
-        "state": identity[:, first - 4 : first],
-        **{name: identity[:, n : n + 1] for n, name in enumerate(PLANT)},
-    }
     partials = np.hstack([identity[:, :0], *(directions[name] for name in wrt)])
     steps = settings.physics_steps * settings.law_steps
     states, slopes, ended = simulate(inputs, partials, steps, settings.physics_dt)
