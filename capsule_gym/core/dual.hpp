@@ -37,9 +37,8 @@ struct Dual {
   }
   // The whole turns that the function of a double subtracts have no derivative.
   friend INLINE SinCos<Dual> sincos(const Dual& a) {
-    auto [sine, cosine] = sincos(a.v);
-    double s = sine, c = cosine;
-    return {make(s, PARTIAL(a.d[i] * c)), make(c, PARTIAL(a.d[i] * -s))};
+    auto value = sincos(a.v);
+    return {make(value.sin, PARTIAL(a.d[i] * value.cos)), make(value.cos, PARTIAL(a.d[i] * -value.sin))};
   }
 #undef PARTIAL
 
