@@ -34,7 +34,7 @@ CELLS: int
 PLAIN_LAW: int
 BATCH: list[str]
 
-def select_level(name: str) -> None: ...
+def select_level(place: int) -> None: ...  # in LEVELS
 
 # Both call a function of capsule_gym/core/level.cpp: the result is the index of an environment whose law has failed, or
 # -1; of functions over arrays it is the number of their results. `call` releases the lock.
