@@ -45,7 +45,7 @@ inline long long evaluate(const char* name, const double* in, double* out, long 
   FUNCTION(tanh, 1, tanh(a[0]))
   FUNCTION(log, 1, log(a[0]))
   FUNCTION(normals, 1, normals(scramble(bits_of(a[0]))))
-  FUNCTION(plant_at, 7, plant_at(a, a[5], a[6]))
+  FUNCTION(number_at, 4, number_at(a[0], a[1], a[2], a[3]))
   FUNCTION(goal_rate, 2, Goal::rate(a[0], a[1]))
 #undef FUNCTION
   return UNKNOWN;

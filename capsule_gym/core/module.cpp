@@ -153,7 +153,7 @@ int fill(PyObject* module) {
   REAL(ROUNDING)
 #define WHOLE(name) put(own, #name, PyLong_FromLongLong(name));
   WHOLE(LANES) WHOLE(HISTORY_ROWS) WHOLE(MOST_CELLS) WHOLE(PADDING) WHOLE(COMMANDS) WHOLE(CELLS) WHOLE(DIRECTIONS)
-  WHOLE(MOST_RESULTS)
+  WHOLE(MOST_RESULTS) WHOLE(CENTRED) WHOLE(LOGARITHMIC)
   put(own, "PLAIN_LAW", PyLong_FromVoidPtr((void*)&call_plain));
   using I = Identification;
   put(own, "ESTIMATES", Py_BuildValue("{s(dd)s(dd)s(dd)s(dd)}", "M_estimate", I::LOW_M, I::HIGH_M, "log_mu_estimate",
