@@ -4,6 +4,7 @@ ROWS: list[str]
 SETTINGS: list[str]
 PLANT: list[str]
 TRAJECTORY: list[str]
+CONSTANTS: list[str]
 OBSERVED: list[str]
 FUSED: str
 LAWS: dict[str, tuple[str, int, int]]

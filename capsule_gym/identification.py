@@ -14,7 +14,8 @@ from capsule_gym.checks import check_number, nearest
 from capsule_gym.config import DIRECT_PHYSICS_DT
 from capsule_gym.parameters import NOMINAL, SENSORS, Capsule, Disturbances, Randomization
 from capsule_gym.recording import UNITS, read_log
-from capsule_gym.shooting import DISTANCE, PLANT, Problem
+from capsule_gym.shooting import DISTANCE, Problem
+from capsule_gym.trajectory import PLANT
 
 # Ranges of what a `Randomization` may leave open, SI units.
 RANGES = {

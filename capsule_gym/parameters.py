@@ -49,10 +49,7 @@ class Plant(NamedTuple):
 
 
 # The constants that a `Randomization` draws besides M and mu, in the order of their draws.
-CONSTANTS = (
-    *("m", "l", "g", "k", "c", "static_ratio", "backward_ratio"),
-    *("viscous", "stribeck_speed", "slope", "motor_friction"),
-)
+CONSTANTS = tuple(_core.CONSTANTS)
 # The smallest values of those that are not 0.
 SMALLEST_OF = {**dict.fromkeys(("M", "m", "l", "g", "backward_ratio"), SMALLEST), "static_ratio": 1.0}
 

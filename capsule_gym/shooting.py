@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 
 from capsule_gym import _core
-from capsule_gym.parameters import CONSTANTS, REAL, Capsule
-from capsule_gym.trajectory import STATE, constant_inputs, simulate
+from capsule_gym.parameters import REAL, Capsule
+from capsule_gym.trajectory import PLANT, STATE, constant_inputs, simulate
 
-PLANT = ("M", "mu", *CONSTANTS)
 # Standard deviations of noise and drift before they are estimated; the position's are this project's choice.
 NOISE = {name: (getattr(REAL, f"{name}_noise", 0.01), getattr(REAL, f"{name}_drift", 0.01)) for name in STATE}
 # Distance between the starts of segments, s, and the standard deviation of a gap over that of a reading.

@@ -9,13 +9,13 @@ from capsule_gym import _core
 from capsule_gym.checks import nearest, short_repr
 from capsule_gym.config import DIRECT_PHYSICS_DT, LARGEST_TORQUE, EnvConfig
 from capsule_gym.native import call, ordered
-from capsule_gym.parameters import NOMINAL, Capsule
+from capsule_gym.parameters import CONSTANTS, NOMINAL, Capsule
 from capsule_gym.settings import check_step, make_settings
 from capsule_gym.task import CONTROL_DT, LARGEST_STATE
 
 STATE = ("theta", "theta_dot", "x", "x_dot")
 # The constants by which a trajectory can be differentiated, in the order of the inputs.
-_CONSTANTS = tuple(_core.TRAJECTORY[:-5])
+PLANT = ("M", "mu", *CONSTANTS)
 
 
 class Sensitivity(NamedTuple):
@@ -101,7 +101,7 @@ def sensitivity(
     check_step(capsule, capsule.M, capsule.mu, settings)
     start = _array("state", state, f"[theta, theta_dot, x, x_dot] within +-{LARGEST_STATE}", LARGEST_STATE)
     commands = _array("torques", torques, f"a sequence of numbers within +-{LARGEST_TORQUE:g} N m", LARGEST_TORQUE)
-    known = (*_CONSTANTS, "torque", "torques", "state")
+    known = (*PLANT, "torque", "torques", "state")
     if isinstance(wrt, str) or not all(isinstance(name, str) for name in wrt):
         raise TypeError(f"wrt must be a sequence of names out of {known}, got {short_repr(wrt)}")
     for name in wrt:
@@ -115,7 +115,7 @@ def sensitivity(
         "torque": np.where(np.arange(len(inputs)) < first, 0.0, inputs)[:, None],
         "torques": identity[:, first:],
         "state": identity[:, first - 4 : first],
-        **{name: identity[:, n : n + 1] for n, name in enumerate(_CONSTANTS)},
+        **{name: identity[:, n : n + 1] for n, name in enumerate(PLANT)},
     }
     partials = np.hstack([directions[name] for name in wrt]) if wrt else None
     steps = settings.physics_steps * settings.law_steps
