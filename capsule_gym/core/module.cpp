@@ -12,7 +12,9 @@
 #include "trace.hpp"
 #include "trajectory.hpp"
 
-extern "C" Call capsule_call_portable, capsule_call_v3, capsule_call_v4;
+namespace portable { Call call; }
+namespace v3 { Call call; }
+namespace v4 { Call call; }
 
 namespace {
 // --- the levels of instructions, the best first ---
@@ -22,7 +24,7 @@ struct Level {
   Call* call;
 };
 #if defined(__x86_64__)
-constexpr Level LEVELS[] = {{"v4", capsule_call_v4}, {"v3", capsule_call_v3}, {"portable", capsule_call_portable}};
+constexpr Level LEVELS[] = {{"v4", v4::call}, {"v3", v3::call}, {"portable", portable::call}};
 
 // The place of the best level that the processor runs. The processor itself answers: zig's runtime lacks what
 // `__builtin_cpu_supports` reads, and says no to everything.
@@ -39,7 +41,7 @@ int best_level() {
   return (enabled & 0xe6) == 0xe6 && (b & V4) == V4 ? 0 : 1;
 }
 #else
-constexpr Level LEVELS[] = {{"portable", capsule_call_portable}};
+constexpr Level LEVELS[] = {{"portable", portable::call}};
 int best_level() { return 0; }
 #endif
 
