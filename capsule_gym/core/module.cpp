@@ -76,14 +76,6 @@ template <bool releases> PyObject* call(PyObject*, PyObject* const* args, Py_ssi
   return PyErr_Occurred() ? nullptr : PyLong_FromLongLong(broken);
 }
 
-// trace(function, number, constants) -> list of rows: see trace.hpp; the constants by the address of an array
-PyObject* trace(PyObject*, PyObject* args) {
-  const char* function;
-  long long number, constants;
-  if (!PyArg_ParseTuple(args, "sLL", &function, &number, &constants)) return nullptr;
-  return portable::trace(function, number, (const double*)constants);
-}
-
 // A law that Python calls: a function of theta, theta_dot, x, x_dot, the cells of the memory, and the numbers of the
 // reference, which returns a tuple of the torque and the next cells. `numbers` counts cells and reference.
 struct PlainLaw {
@@ -168,7 +160,7 @@ PyMethodDef METHODS[] = {
     {"select_level", select_level, METH_O, nullptr},
     {"call", (PyCFunction)(void*)call<true>, METH_FASTCALL, nullptr},
     {"call_locked", (PyCFunction)(void*)call<false>, METH_FASTCALL, nullptr},
-    {"trace", trace, METH_VARARGS, nullptr},
+    {"trace", portable::trace, METH_VARARGS, nullptr},
     {nullptr, nullptr, 0, nullptr}};
 PyModuleDef_Slot SLOTS[] = {{Py_mod_exec, (void*)fill}, {0, nullptr}};
 PyModuleDef MODULE = {PyModuleDef_HEAD_INIT, "_core", nullptr, 0, METHODS, SLOTS, nullptr, nullptr, nullptr};
