@@ -26,10 +26,8 @@ MOTOR_SLOPE: float
 ROUNDING: float
 ERROR_BOUND: float
 HOLD: float
-TOLERANCE: float
 TIME_TOLERANCE: float
 SPEED_BOUND: float
-SETTLING: float
 MEASURED: float
 
 PADDING: int
