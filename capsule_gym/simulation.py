@@ -344,7 +344,7 @@ class Simulation:
         if raised:
             raise raised[0]
         names = "theta", "theta_dot", "x", "x_dot"
-        prefix = "read_" if self.settings.history and self.settings.law_reads else ""
+        prefix = "read_" if self.settings.law_reads else ""
         state = {name: float(column[getattr(Row, prefix + name)]) for name in names}
         assert self.controller is not None
         law, reads_task = self.controller.law, self.controller.task is not None

@@ -72,8 +72,8 @@ template <class T, int N> struct Step {
       call_law(begin ? 0.0 : 1.0);
     }
     if (!begin) finish_step<Task>();
-    observe<Task>(batch, b, n, line, q.agent_reads != 0.0 && varied ? read_task : task,
-                  disturbed.entry((int)q.history), observations, begin);
+    observe<Task>(batch, b, n, line, q.agent_reads != 0.0 ? read_task : task, disturbed.entry((int)q.history),
+                  observations, begin);
   }
 
   // Clips the action; returns whether an environment takes part.
