@@ -4,6 +4,7 @@ ROWS: list[str]
 SETTINGS: list[str]
 PLANT: list[str]
 TRAJECTORY: list[str]
+CONSTANTS: list[str]
 OBSERVED: list[str]
 LAWS: dict[str, tuple[str, int, int]]
 TASKS: dict[str, str]
@@ -14,6 +15,8 @@ MOST_CELLS: int
 COMMANDS: int
 DIRECTIONS: int
 MOST_RESULTS: int
+CENTRED: int
+LOGARITHMIC: int
 THETA_LIMIT: float
 THETA_DOT_BOUND: float
 X_DOT_BOUND: float
@@ -22,10 +25,8 @@ MOTOR_SLOPE: float
 ROUNDING: float
 ERROR_BOUND: float
 HOLD: float
-TOLERANCE: float
 TIME_TOLERANCE: float
 SPEED_BOUND: float
-SETTLING: float
 MEASURED: float
 
 PADDING: int
@@ -33,7 +34,7 @@ CELLS: int
 PLAIN_LAW: int
 BATCH: list[str]
 
-def select_level(name: str) -> None: ...
+def select_level(place: int) -> None: ...  # in LEVELS
 
 # Both call a function of capsule_gym/core/level.cpp: the result is the index of an environment whose law has failed, or
 # -1; of functions over arrays it is the number of their results. `call` releases the lock.

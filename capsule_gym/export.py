@@ -204,7 +204,7 @@ class Exported:
 
 def _read(simulation: Simulation) -> dict[str, float]:
     """What an exported policy reads of the single environment of a simulation."""
-    read = "read_" if simulation.settings.history and simulation.settings.agent_reads else ""
+    read = "read_" if simulation.settings.agent_reads else ""
     column = simulation.columns(np.array([0]))[:, 0]
     shown = {name: column[getattr(Row, read + name)] for name in ("theta", "theta_dot", "x", "x_dot")}
     shown |= {name: column[getattr(Row, name)] for name in ("law_torque", "M", "mu")}

@@ -17,7 +17,7 @@ from capsule_gym.checks import short_repr
 LEVEL = os.environ.get("CAPSULE_GYM_LEVEL", _core.LEVELS[0])
 if LEVEL not in _core.LEVELS:
     raise ImportError(f"CAPSULE_GYM_LEVEL must be one of {_core.LEVELS} on this processor, got {short_repr(LEVEL)}")
-_core.select_level(LEVEL)
+_core.select_level(_core.LEVELS.index(LEVEL))
 
 # Float64 in a cache line.
 LINE = 8

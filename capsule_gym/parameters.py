@@ -7,6 +7,7 @@ from typing import Any, Literal, NamedTuple
 
 from capsule_gym import _core
 from capsule_gym.checks import check_choice, check_flag, check_name, check_number, check_pair, require
+from capsule_gym.native import evaluate
 
 NormalForce = Literal["newton", "paper"]
 
@@ -49,10 +50,7 @@ class Plant(NamedTuple):
 
 
 # The constants that a `Randomization` draws besides M and mu, in the order of their draws.
-CONSTANTS = (
-    *("m", "l", "g", "k", "c", "static_ratio", "backward_ratio"),
-    *("viscous", "stribeck_speed", "slope", "motor_friction"),
-)
+CONSTANTS = tuple(_core.CONSTANTS)
 # The smallest values of those that are not 0.
 SMALLEST_OF = {**dict.fromkeys(("M", "m", "l", "g", "backward_ratio"), SMALLEST), "static_ratio": 1.0}
 
@@ -187,17 +185,11 @@ class Capsule:
     def plant(self, M: float | None = None, mu: float | None = None) -> Plant:
         """The constants as the core reads them, with another M in kg or mu if one is given."""
         capsule = replace(self, M=self.M if M is None else M, mu=self.mu if mu is None else mu)
-        derived = {
-            "mass_ratio": capsule.m / (capsule.M + capsule.m),
-            "pivot_torque_on_contact": (paper := float(self.normal_force == "paper")),
-            "extended": float(any((paper, self.viscous, self.stribeck_speed, self.slope, self.motor_friction))),
-            "g": self.g * math.cos(self.slope),
-            "downhill": self.g * math.sin(self.slope),
-            "stribeck_excess": self.static_ratio - 1.0 if self.stribeck_speed else 0.0,
-            "stribeck_rate": 1.0 / self.stribeck_speed if self.stribeck_speed else 0.0,
-            "push": 0.0,
-        }
-        return Plant(**{name: derived.get(name, getattr(capsule, name, 0.0)) for name in Plant._fields})
+        paper = float(self.normal_force == "paper")
+        extended = float(any((paper, self.viscous, self.stribeck_speed, self.slope, self.motor_friction)))
+        # Without the first four of `_core.PLANT`, which the core leaves to the caller.
+        derived = map(float, evaluate("derive", *(getattr(self, name) for name in CONSTANTS))[4:])
+        return Plant(capsule.M, capsule.mu, capsule.m / (capsule.M + capsule.m), paper, extended, *derived)
 
 
 NOMINAL = Capsule()

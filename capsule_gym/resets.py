@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from capsule_gym import _core
 from capsule_gym.checks import check_number, short_repr
 from capsule_gym.elementary import log
+from capsule_gym.layout import Row
 from capsule_gym.native import evaluate
 from capsule_gym.parameters import CONSTANTS, DISTURBANCES, LARGEST, Capsule, Disturbances, Randomization, check_divisor
 from capsule_gym.task import LARGEST_STATE, THETA_LIMIT, Draw, Task
@@ -39,29 +41,33 @@ def random_stream(seed: int, episode: int, stream: Stream) -> np.random.Generato
     return np.random.Generator(np.random.Philox(counter=[0, stream, episode, 0], key=key))
 
 
-def plant_ranges(randomization: Randomization, capsule: Capsule) -> np.ndarray:
-    """Lower end and width of the ranges of M (kg) and mu, and width of the range of log(mu); float64, shape (5,)."""
+def start_table(theta: float, noise: float, noise_of_rate: float) -> np.ndarray:
+    """The lines of `draw_table` for the initial state: theta +- noise in rad and theta_dot +- noise in rad/s."""
+    centred = ((theta, noise), (0.0, noise_of_rate), (0.0, 0.0), (0.0, 0.0))
+    lines = [(row, Stream.initial_state, row, *each, _core.CENTRED) for row, each in enumerate(centred)]
+    return np.array(lines, np.float64)
+
+
+def plant_table(randomization: Randomization, capsule: Capsule) -> np.ndarray:
+    """The lines of `draw_table` for M in kg and mu: always two numbers, so that ranges do not shift the stream."""
     M, mu = randomization.M or (capsule.M, capsule.M), randomization.mu or (capsule.mu, capsule.mu)
-    growth_of_log = float(log(mu[1] / mu[0])) if randomization.mu and randomization.log_mu else 0.0
-    return np.array([M[0], M[1] - M[0], mu[0], mu[1] - mu[0], growth_of_log])
-
-
-def plant_at(ranges: np.ndarray, share_M: float, share_mu: float) -> tuple[float, float]:
-    """M in kg and mu at these shares, in [0, 1), of their ranges, or of the range of log(mu) where that is drawn."""
-    M, mu = evaluate("plant_at", *ranges, share_M, share_mu)
-    return float(M), float(mu)
+    table = draw_table(Row.M, Stream.parameters, (Draw(*M), Draw(*mu)))
+    if randomization.mu and randomization.log_mu:
+        table[1, 4:] = log(mu[1] / mu[0]), _core.LOGARITHMIC
+    return table
 
 
 def draw_plant(randomization: Randomization, capsule: Capsule, rng: np.random.Generator) -> tuple[float, float]:
-    """Draws M in kg and mu: always two numbers of the stream, so that ranges do not shift it."""
-    return plant_at(plant_ranges(randomization, capsule), *rng.random(2).tolist())
+    """Draws M in kg and mu."""
+    M, mu = evaluate("number_at", rng.random(2), *plant_table(randomization, capsule)[:, 3:].T)[0].tolist()
+    return M, mu
 
 
 def draw_table(first: int, stream: Stream, draws: Sequence[Draw]) -> np.ndarray:
     """The table that the core reads, shape (n, 6): a line for each number that an episode draws from a stream.
 
-    A line is the row of the world, from `first` on, the stream, the number's place in it, its lowest value, the range
-    above that, and 1.0 where its sign is drawn.
+    A line is a `Draw` of the core (`layout.hpp`): the row of the world, from `first` on, the stream, the number's place
+    in it, its lowest value, the range above that, and the distribution: 1.0 where the sign is drawn.
     """
     lines = [(first + n, stream, n, draw.low, draw.high - draw.low, draw.signed) for n, draw in enumerate(draws)]
     return np.array(lines, np.float64).reshape(-1, 6)

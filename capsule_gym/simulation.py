@@ -57,8 +57,6 @@ class Simulation:
         observations: shape (num_envs, entries), float32, of the present state.
         entries: the bounds of the observation's entries by name, in order.
         fields: the numbers and arrays of the core's `Batch` by name; `settings` is in the order of `_core.SETTINGS`.
-        start: distribution of the initial states: middle (rad) and half width of theta's, half width of theta_dot's
-            (rad/s).
 
     Raises:
         TypeError: if an option is of the wrong type.
@@ -83,7 +81,7 @@ class Simulation:
         if options.initial_range and options.initial_noise > 0.0:
             raise ValueError(f"initial_noise must be 0 where initial_range is given, got {options.initial_noise}")
         at_rest = task.START_THETA, options.initial_noise, 0.0
-        self.start = np.array((0.0, *options.initial_range) if options.initial_range else at_rest)
+        start = resets.start_table(*((0.0, *options.initial_range) if options.initial_range else at_rest))
         disturbed = Disturbances.named(options.disturbances) or Disturbances()
         # The lightest platform on the roughest floor is the stiffest plant.
         for corner in self.randomization.corners(self.capsule):
@@ -98,7 +96,8 @@ class Simulation:
         self.task_end = self.task_row + self.task.rows
         memories, filter_rows = 2 if self.settings.history else 1, _core.CELLS if options.observe_estimates else 0
         rows = self._law_end + memories * self.task.rows + layout.HISTORY_ROWS * self.settings.history + filter_rows
-        tables = [resets.draw_table(self.task_end - len(self.task.draws), resets.Stream.task, self.task.draws)]
+        tables = [start, resets.plant_table(self.randomization, self.capsule)]
+        tables.append(resets.draw_table(self.task_end - len(self.task.draws), resets.Stream.task, self.task.draws))
         if self.settings.history:
             constants = [getattr(self.randomization, name) or getattr(self.capsule, name) for name in CONSTANTS]
             ranges = [*constants, *(getattr(disturbed, name) for name in DISTURBANCES), (0.0, LARGEST_KEY)]
@@ -156,9 +155,8 @@ class Simulation:
         self.reference, self.memory = acting.reference, acting.memory
         plant, count = self.capsule.plant(), self.num_envs
         given = {**vars(self.settings), **plant._asdict(), "varied": bool(self.settings.history)}
-        # The first quantities of the environments that begin, and the other values that their episodes draw.
-        self._rows, self._starts = np.zeros(count, np.int64), np.zeros((Row.torque, count))
-        self._drawn = np.zeros((len(self.draw_table), count))
+        # The environments that begin, and what their episodes draw.
+        self._rows, self._drawn = np.zeros(count, np.int64), np.zeros((len(self.draw_table), count))
         # Exceptions of a law that Python calls.
         self._raised: list[Exception] = []
         if isinstance(acting.law, CoreLaw):
@@ -185,9 +183,6 @@ class Simulation:
             "keys": self._keys,
             "episodes": self._episodes,
             "rows": self._rows,
-            "starts": self._starts,
-            "ranges": resets.plant_ranges(self.randomization, self.capsule),
-            "start": self.start,
             "draw_table": self.draw_table,
             "draw_lines": len(self.draw_table),
             "drawn": self._drawn,
@@ -264,8 +259,8 @@ class Simulation:
         if not fits or _core.call("draw_episodes", self._batch, count) >= 0:
             accepted = f"rows must be indices of environments, from 0 to {self.num_envs - 1}, each at most once"
             raise IndexError(f"{accepted}, got {short_repr(rows.tolist())}")
-        starts = self._starts[:, :count]
-        drawn = self._drawn[:, :count]
+        starts = self._drawn[: Row.torque, :count]
+        drawn = self._drawn[Row.torque :, :count]
         resets.write_options(drawn, options, self.task, self.settings)
         if M is not None or mu is not None or options.get("capsule"):
             masses = starts[Row.M].tolist() if M is None else M
@@ -349,7 +344,7 @@ class Simulation:
         if raised:
             raise raised[0]
         names = "theta", "theta_dot", "x", "x_dot"
-        prefix = "read_" if self.settings.history and self.settings.law_reads else ""
+        prefix = "read_" if self.settings.law_reads else ""
         state = {name: float(column[getattr(Row, prefix + name)]) for name in names}
         assert self.controller is not None
         law, reads_task = self.controller.law, self.controller.task is not None

@@ -9,14 +9,14 @@ from capsule_gym import _core
 from capsule_gym.checks import nearest, require, short_repr
 from capsule_gym.config import DIRECT_PHYSICS_DT, LARGEST_TORQUE, EnvConfig
 from capsule_gym.native import call, ordered
-from capsule_gym.parameters import NOMINAL, Capsule
+from capsule_gym.parameters import CONSTANTS, NOMINAL, Capsule
 from capsule_gym.resets import check_state
 from capsule_gym.settings import check_step, make_settings
 from capsule_gym.task import CONTROL_DT
 
 STATE = ("theta", "theta_dot", "x", "x_dot")
-# The constants by which a trajectory can be differentiated, in the order of the inputs, which begin with them.
-PLANT = tuple(_core.TRAJECTORY[:-5])
+# The constants by which a trajectory can be differentiated, in the order of the inputs.
+PLANT = ("M", "mu", *CONSTANTS)
 
 
 class Sensitivity(NamedTuple):

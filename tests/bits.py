@@ -72,7 +72,6 @@ def subjects():
     rough = Capsule(static_ratio=1.3, stribeck_speed=0.1, viscous=0.2, slope=-0.02, motor_friction=0.1)
     yield Subject("plant beyond Coulomb", {**wide, "capsule": rough, "initial_noise": 0.1}, random_actions(0.15))
     real = Disturbances.named("real")
-    assert real is not None
     shaken = replace(real, push=(0.0, 0.5), theta_resolution=0.001, torque_resolution=0.01)
     varied = {"randomization": "real-wide", "disturbances": shaken}
     yield Subject("plant disturbed", varied, random_actions(0.15))

@@ -27,6 +27,7 @@ const SENSORS = ["theta", "theta_dot", "x_dot"];
 const ROW = numbered(CORE.rows);
 const SETTING = numbered(CORE.settings);
 const STATE = Object.keys(HEADER.constants.start);
+const GIVEN = [...STATE, "M", "mu"].map((name) => [ROW[name], 0, 0, 0, 0, 0]);
 /** The quantities that are meaningful between two steps. */
 const SHOWN = CORE.rows.slice(0, ROW.clock + 1);
 
@@ -161,9 +162,9 @@ function packSettings(settings, capsule, disturbed) {
   return packed;
 }
 
-/** The table of draws for the core: those of the task, whose memory begins at row `first`, and of a varied plant. */
+/** The table of draws for the core: given values, the task's, whose memory begins at row `first`, and a varied plant's. */
 function drawTable(task, first, capsule, disturbed) {
-  const table = TASKS[task].table.map(([row, ...line]) => [row + first, ...line]);
+  const table = GIVEN.concat(TASKS[task].table.map(([row, ...line]) => [row + first, ...line]));
   if (!disturbed) return table;
   const ranges = [...capsule, ...DISTURBANCES.map((name) => disturbed[name])].map((range) => [range].flat());
   return table.concat(VARIATION.table.map((line, n) => {
@@ -234,7 +235,7 @@ export class Capsule {
 
   /** Whether an episode draws values and accepts a seed. */
   get draws() {
-    return this.#kind.table.length > 0;
+    return this.#kind.table.length > GIVEN.length;
   }
 
   /** Name of the task. */
@@ -279,7 +280,7 @@ export class Capsule {
       throw new RangeError(`theta must be a number within +-${constants.theta_limit}, got ${start.theta}`);
     }
     if (seed !== undefined) {
-      if (!table.length) throw new RangeError("seed must be left out: nothing is drawn");
+      if (!this.draws) throw new RangeError("seed must be left out: nothing is drawn");
       checkCount("seed", seed, 2 ** 53);
     }
     const overrides = this.#overrides(given);
@@ -289,8 +290,8 @@ export class Capsule {
       view.episodes[0] = 0n;
     }
     call.draw_episode();
-    view.starts.set([...STATE.map((name) => start[name]), plant.M, plant.mu]);
     table.forEach(([row], n) => (view.drawn[n] = overrides.get(row) ?? view.drawn[n]));
+    view.drawn.set([...STATE.map((name) => start[name]), plant.M, plant.mu]);
     [this.#changes, this.#due] = [schedule, 0];
     call.begin_episode();
     this.#advance(true);
@@ -584,9 +585,6 @@ async function prepare(controller, task, settings, given, driver) {
     keys: [BigUint64Array, 2],
     episodes: [BigInt64Array, 1],
     rows: [BigInt64Array, 1],
-    starts: [Float64Array, 6],
-    ranges: [Float64Array, 5],
-    start: [Float64Array, 3],
     draw_table: [Float64Array, 6 * kind.table.length],
     drawn: [Float64Array, kind.table.length],
     fields: [Float64Array, CORE.batch.length],

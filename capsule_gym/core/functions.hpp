@@ -5,7 +5,7 @@
 #include "step.hpp"
 
 namespace LEVEL {
-constexpr int MOST_RESULTS = 10;  // of a function that `evaluate` knows
+constexpr int MOST_RESULTS = 17;  // of a function that `evaluate` knows
 
 // The most general plant: one compiled function serves all.
 using AnyPlant = Plant<double, Kind::extended>;
@@ -44,8 +44,9 @@ inline long long evaluate(const char* name, const double* in, double* out, long 
   FUNCTION(exp, 1, exp(a[0]))
   FUNCTION(tanh, 1, tanh(a[0]))
   FUNCTION(log, 1, log(a[0]))
+  FUNCTION(derive, 11, derive(*(const Constants<double>*)a))
   FUNCTION(normals, 1, normals(scramble(bits_of(a[0]))))
-  FUNCTION(plant_at, 7, plant_at(a, a[5], a[6]))
+  FUNCTION(number_at, 4, number_at(a[0], a[1], a[2], a[3]))
   FUNCTION(goal_rate, 2, Goal::rate(a[0], a[1]))
 #undef FUNCTION
   return UNKNOWN;

@@ -95,6 +95,12 @@ struct Settings {
 // the sensors, its state is the rows from read_theta on.
 typedef void (*UserLaw)(void* data, double* block, double* torques, long long n);
 
+// A number that an episode draws: its row in the world, the stream and the place of its share in [0, 1) there, and its
+// distribution: uniform in [low, low + range]; the same with a random sign; uniform within range of low; or low e^z with
+// z uniform in [0, range].
+struct Draw { double row, stream, place, low, range, distribution; };
+enum Distribution { UNIFORM, SIGNED, CENTRED, LOGARITHMIC };
+
 // Everything that belongs to the environments of a simulation: arrays, by their addresses, and their sizes. Python
 // passes the address of an array of these numbers.
 #define CAPSULE_BATCH(FIELD)                                                                                           \
@@ -110,12 +116,10 @@ typedef void (*UserLaw)(void* data, double* block, double* torques, long long n)
   FIELD(long long, law) FIELD(const double*, law_constants) FIELD(UserLaw, user_law) FIELD(void*, user_data)           \
   FIELD(const double*, memory) FIELD(long long, memory_size)                                                           \
   FIELD(const double*, reference) FIELD(long long, reference_rows) FIELD(long long, reference_size)                    \
-  /* Resets: keys (num_envs, 2), episodes since the seeding, the environments that begin (count,), their first         \
-     quantities (6, num_envs), and the distributions of M and mu and of the initial state. */                          \
+  /* Resets: keys (num_envs, 2), episodes since the seeding, the environments that begin (count,), what they draw, and \
+     the values (lines, num_envs). */                                                                                  \
   FIELD(const unsigned long long*, keys) FIELD(long long*, episodes) FIELD(const long long*, rows)                     \
-  FIELD(double*, starts) FIELD(const double*, ranges) FIELD(const double*, start)                                      \
-  /* Further draws: lines of (row, stream, place, low, range, signed), and the values (lines, num_envs). */            \
-  FIELD(const double*, draw_table) FIELD(long long, draw_lines) FIELD(double*, drawn)                                  \
+  FIELD(const Draw*, draw_table) FIELD(long long, draw_lines) FIELD(double*, drawn)                                    \
   /* Rows of environment, time (s), M (kg) and mu, in order of environment and time. */                                \
   FIELD(const double*, changes) FIELD(long long, num_changes)
 

@@ -2,13 +2,8 @@
 #include "functions.hpp"
 #include "trajectory.hpp"
 
-#define CALL_AT(level) CALL_OF(level)
-#define CALL_OF(level) capsule_call_##level
-extern "C" Call CALL_AT(LEVEL);
-
-// `capsule_call_v4` for the level v4.
-long long CALL_AT(LEVEL)(const char* function, const Argument* a) {
-  using namespace LEVEL;
+namespace LEVEL {
+long long call(const char* function, const Argument* a) {
   auto is = [&](const char* name) { return !__builtin_strcmp(function, name); };
   const Batch* batch = a[0];  // not of all functions
   if (is("advance")) return advance(*batch, a[1], a[2], (long long)a[3] != 0);
@@ -24,3 +19,4 @@ long long CALL_AT(LEVEL)(const char* function, const Argument* a) {
   if (is("act")) return act(a[0], a[1], a[2], a[3]), -1;
   return evaluate(function, a[0], a[1], a[2], a[3]);
 }
+}  // namespace LEVEL

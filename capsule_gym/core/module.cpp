@@ -12,7 +12,9 @@
 #include "trace.hpp"
 #include "trajectory.hpp"
 
-extern "C" Call capsule_call_portable, capsule_call_v3, capsule_call_v4;
+namespace portable { Call call; }
+namespace v3 { Call call; }
+namespace v4 { Call call; }
 
 namespace {
 // --- the levels of instructions, the best first ---
@@ -22,7 +24,7 @@ struct Level {
   Call* call;
 };
 #if defined(__x86_64__)
-constexpr Level LEVELS[] = {{"v4", capsule_call_v4}, {"v3", capsule_call_v3}, {"portable", capsule_call_portable}};
+constexpr Level LEVELS[] = {{"v4", v4::call}, {"v3", v3::call}, {"portable", portable::call}};
 
 // The place of the best level that the processor runs. The processor itself answers: zig's runtime lacks what
 // `__builtin_cpu_supports` reads, and says no to everything.
@@ -39,7 +41,7 @@ int best_level() {
   return (enabled & 0xe6) == 0xe6 && (b & V4) == V4 ? 0 : 1;
 }
 #else
-constexpr Level LEVELS[] = {{"portable", capsule_call_portable}};
+constexpr Level LEVELS[] = {{"portable", portable::call}};
 int best_level() { return 0; }
 #endif
 
@@ -48,16 +50,10 @@ const int BEST = best_level(), NUM_LEVELS = sizeof LEVELS / sizeof *LEVELS;
 // The level that everything uses.
 const Level* level = &LEVELS[BEST];
 
-// select_level(name): one of LEVELS
-PyObject* select_level(PyObject*, PyObject* given) {
-  const char* name = PyUnicode_AsUTF8AndSize(given, nullptr);
-  if (!name) return nullptr;
-  for (int i = BEST; i < NUM_LEVELS; i++)
-    if (!__builtin_strcmp(LEVELS[i].name, name)) {
-      level = &LEVELS[i];
-      Py_RETURN_NONE;
-    }
-  return PyErr_Format(PyExc_ValueError, "level must be one that this processor runs, got '%s'", name);
+// select_level(place): that of the level in LEVELS
+PyObject* select_level(PyObject*, PyObject* place) {
+  level = &LEVELS[BEST + PyLong_AsLong(place)];
+  Py_RETURN_NONE;
 }
 
 // --- functions ---
@@ -78,14 +74,6 @@ template <bool releases> PyObject* call(PyObject*, PyObject* const* args, Py_ssi
   if (broken == UNKNOWN) return PyErr_Format(PyExc_ValueError, "the core has no function '%s'", name);
   // The exception is that of a law that Python calls.
   return PyErr_Occurred() ? nullptr : PyLong_FromLongLong(broken);
-}
-
-// trace(function, number, constants) -> list of rows: see trace.hpp; the constants by the address of an array
-PyObject* trace(PyObject*, PyObject* args) {
-  const char* function;
-  long long number, constants;
-  if (!PyArg_ParseTuple(args, "sLL", &function, &number, &constants)) return nullptr;
-  return portable::trace(function, number, (const double*)constants);
 }
 
 // A law that Python calls: a function of theta, theta_dot, x, x_dot, the cells of the memory, and the numbers of the
@@ -148,14 +136,13 @@ int fill(PyObject* module) {
   NAMES(LEVELS, levels) NAMES(ROWS, CAPSULE_ROWS) NAMES(BATCH, CAPSULE_BATCH(FIELD))
   NAMES(SETTINGS, CAPSULE_SETTINGS(CAPSULE_NAME))
   NAMES(PLANT, NOMINAL_CONSTANTS(CAPSULE_NAME)) NAMES(TRAJECTORY, CAPSULE_TRAJECTORY(CAPSULE_NAME))
-  NAMES(OBSERVED, OBSERVED(CAPSULE_NAME))
+  NAMES(CONSTANTS, CAPSULE_CONSTANTS(CAPSULE_NAME)) NAMES(OBSERVED, OBSERVED(CAPSULE_NAME))
 #define REAL(name) put(own, #name, PyFloat_FromDouble(name));
   REAL(THETA_LIMIT) REAL(THETA_DOT_BOUND) REAL(X_DOT_BOUND) REAL(MOTOR_WIDTH) REAL(MOTOR_SLOPE)
-  REAL(ERROR_BOUND) REAL(TOLERANCE) REAL(HOLD) REAL(TIME_TOLERANCE) REAL(SPEED_BOUND) REAL(SETTLING) REAL(MEASURED)
-  REAL(ROUNDING)
+  REAL(ERROR_BOUND) REAL(HOLD) REAL(TIME_TOLERANCE) REAL(SPEED_BOUND) REAL(MEASURED) REAL(ROUNDING)
 #define WHOLE(name) put(own, #name, PyLong_FromLongLong(name));
   WHOLE(LANES) WHOLE(HISTORY_ROWS) WHOLE(MOST_CELLS) WHOLE(PADDING) WHOLE(COMMANDS) WHOLE(CELLS) WHOLE(DIRECTIONS)
-  WHOLE(MOST_RESULTS)
+  WHOLE(MOST_RESULTS) WHOLE(CENTRED) WHOLE(LOGARITHMIC)
   put(own, "PLAIN_LAW", PyLong_FromVoidPtr((void*)&call_plain));
   using I = Identification;
   put(own, "ESTIMATES", Py_BuildValue("{s(dd)s(dd)s(dd)s(dd)}", "M_estimate", I::LOW_M, I::HIGH_M, "log_mu_estimate",
@@ -168,7 +155,7 @@ PyMethodDef METHODS[] = {
     {"select_level", select_level, METH_O, nullptr},
     {"call", (PyCFunction)(void*)call<true>, METH_FASTCALL, nullptr},
     {"call_locked", (PyCFunction)(void*)call<false>, METH_FASTCALL, nullptr},
-    {"trace", trace, METH_VARARGS, nullptr},
+    {"trace", portable::trace, METH_VARARGS, nullptr},
     {nullptr, nullptr, 0, nullptr}};
 PyModuleDef_Slot SLOTS[] = {{Py_mod_exec, (void*)fill}, {0, nullptr}};
 PyModuleDef MODULE = {PyModuleDef_HEAD_INIT, "_core", nullptr, 0, METHODS, SLOTS, nullptr, nullptr, nullptr};

@@ -42,7 +42,7 @@ NOINLINE void observe(const Batch& batch, const Block<N>& b, int n, const double
                       double* filters, float* observations, bool begin) {
   const Settings& q = *batch.settings;
   int entries = (int)batch.entries / (int)q.stack_size, all = (int)batch.entries;
-  bool reads = q.varied != 0.0 && q.agent_reads != 0.0;
+  bool reads = q.agent_reads != 0.0;
   for (int j = 0; j < n; j++) {
     if (b.active[j] == 0.0) continue;
     float* out = observations + j * batch.entries;

@@ -3,9 +3,6 @@
 #include "elementary.hpp"
 
 namespace LEVEL {
-// Each purpose has its own stream, so that draws for one do not shift another.
-enum Stream : Word { PARAMETERS = 0, INITIAL_STATE = 1 };
-
 // The upper 64 bits of a product of two words.
 inline Word high_word(Word a, Word b) { return (Word)((unsigned __int128)a * b >> 64); }
 

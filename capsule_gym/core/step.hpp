@@ -41,6 +41,7 @@ template <class T, int N> struct Step {
   const Settings& q;
   Block<N>& b;
   const int n;
+  const bool varied = q.varied != 0.0;
   float* const observations;
   // The state that the law observes; behind the rows its memory, its line of the reference, and the task's memory. A
   // varied plant has a second one with measured values; the first is the one that the law observes.
@@ -56,11 +57,10 @@ template <class T, int N> struct Step {
         line(memory + batch.memory_size * N),
         task(line + (batch.reference_size + (q.law_reads != 0.0 ? batch.task_size : 0)) * N),
         read_task(task + (q.law_reads != 0.0 ? -1 : 1) * batch.task_size * N),
-        disturbed{q, block, line + (batch.reference_size + (q.varied != 0.0 ? 2 : 1) * batch.task_size) * N, n} {}
+        disturbed{q, block, line + (batch.reference_size + (varied ? 2 : 1) * batch.task_size) * N, n} {}
 
   // One agent step, or with `begin` the first call of the law in an episode.
   template <class Task> void run(bool begin) {
-    bool varied = q.varied != 0.0;
     if (begin && varied) disturbed.begin();
     if (!begin_step(begin) && begin) return;
     if (begin) start_task<Task>();
@@ -72,8 +72,8 @@ template <class T, int N> struct Step {
       call_law(begin ? 0.0 : 1.0);
     }
     if (!begin) finish_step<Task>();
-    observe<Task>(batch, b, n, line, q.agent_reads != 0.0 && varied ? read_task : task,
-                  disturbed.entry((int)q.history), observations, begin);
+    observe<Task>(batch, b, n, line, q.agent_reads != 0.0 ? read_task : task, disturbed.entry((int)q.history),
+                  observations, begin);
   }
 
   // Clips the action; returns whether an environment takes part.
@@ -81,12 +81,12 @@ template <class T, int N> struct Step {
     bool takes_part = false;
     EACH {
       auto active = GET(active) != 0.0;
-      T m = q.varied != 0.0 ? GET(plant_m) : T(q.m);
+      T m = varied ? GET(plant_m) : T(q.m);
       PUT(halt, select(active, T(UNDER_WAY), T(HALTED)));
       PUT(action, clip(GET(action), T(1.0)));
       PUT(mass_ratio, m / (GET(M) + m));
       PUT(before_x, GET(x));
-      if (q.varied != 0.0) PUT(read_before_x, GET(read_x));
+      if (varied) PUT(read_before_x, GET(read_x));
       PUT(energy, select(active, T(0.0), GET(energy)));
       // The smallest of the step; at the start of an episode the weight, which `begin_episodes` has written.
       if (!begin) PUT(normal_force, select(active, T(INFINITE), GET(normal_force)));
@@ -96,7 +96,7 @@ template <class T, int N> struct Step {
   }
 
   void hold_torque() {
-    if (q.varied != 0.0) return hold_on<Kind::varied>();
+    if (varied) return hold_on<Kind::varied>();
     return q.extended != 0.0 ? hold_on<Kind::extended>() : hold_on<Kind::coulomb>();
   }
 
@@ -312,14 +312,13 @@ template <class T, int N> struct Step {
       auto m = load_record<typename Task::template Memory<T>, T, N>(task, j);
       Task::begin(GET(x), m);
       store_record<T, N>(task, j, m, GET(active) != 0.0);
-      if (q.varied != 0.0) store_record<T, N>(read_task, j, m, GET(active) != 0.0);
+      if (varied) store_record<T, N>(read_task, j, m, GET(active) != 0.0);
     }
   }
 
   // Ends an agent step: rewards, the task's memory, and the sums of the episode.
   template <class Task> NOINLINE void finish_step() {
     double dt = q.control_dt();
-    bool varied = q.varied != 0.0;
     EACH {
       auto active = GET(active) != 0.0;
       T share = select(active, T(1.0), T(0.0));

@@ -76,9 +76,13 @@ template <class S> void give(const S& outputs) {
   for (int i = 0; i < WIDTH<S>; i++) record("output", ((const Trace*)&outputs)[i]);
 }
 
-// Records a function, of a law or task with its number, and of the constants or settings. Returns the rows, or nullptr
-// with Python's exception.
-inline PyObject* trace(const char* function, long long number, const double* constants) {
+// trace(function, number, constants) -> list of rows: records a function, of a law or task with its number, and of the
+// constants or settings, by the address of an array.
+inline PyObject* trace(PyObject*, PyObject* arguments) {
+  const char* function;
+  long long number, address;
+  if (!PyArg_ParseTuple(arguments, "sLL", &function, &number, &address)) return nullptr;
+  const auto* constants = (const double*)address;
   recording = {PyList_New(0), {-1}};
   auto is = [&](const char* name) { return !__builtin_strcmp(function, name); };
   const auto& settings = *(const Settings*)constants;

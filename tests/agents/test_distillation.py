@@ -103,8 +103,10 @@ def test_a_fit_lowers_the_loss_and_the_file_acts_as_the_network(dataset, tmp_pat
 
 @pytest.mark.usefixtures("tiny")
 def test_the_same_seed_gives_the_same_policy_and_finished_runs_are_skipped(tmp_path):
+    torch.set_num_threads(2)
     for folder in "ab":
         assert command.main([NAME, "--seeds", "0", "--runs", str(tmp_path / folder)]) == 0
+    assert torch.get_num_threads() == 1
     files = [tmp_path / name / NAME / "seed-0" / "policy.safetensors" for name in "ab"]
     assert files[0].read_bytes() == files[1].read_bytes()
     assert load_policy(files[0]).training_seed == 0

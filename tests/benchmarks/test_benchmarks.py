@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import gymnasium as gym
@@ -31,6 +32,15 @@ def test_errors_of_the_step_grow_with_it(monkeypatch, tmp_path):
         assert sorted(largest) == largest.tolist() and (median <= largest).all()
         # Of fourth order, from 10 ms to 1 ms.
         assert largest[2] < 1e-7 and median[5] / median[2] > 10.0**3.5
+
+
+def test_the_errors_of_the_documentation_are_those_of_the_step():
+    solved = accuracy.expected_trajectories([Capsule(mu=0.3)] * accuracy.TRAJECTORIES, 1.5)
+    # Smaller steps are as accurate as the reference.
+    steps = accuracy.STEPS[2:]
+    cells = [accuracy.cell([abs(accuracy.run(u, plant, h) - y).max() for plant, u, y in solved]) for h in steps]
+    page = Path(__file__).parents[2] / "docs/error_table.md"
+    assert f"|{'|'.join(cells)}|2.4 s|" in page.read_text(encoding="utf-8")
 
 
 def test_errors_and_coverage_of_identified_plants(monkeypatch, capsys):

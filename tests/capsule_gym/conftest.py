@@ -14,5 +14,5 @@ def no_screen(monkeypatch):
 @pytest.fixture
 def select_level():
     """Selects a level of instructions until the end of the test."""
-    yield _core.select_level
-    _core.select_level(native.LEVEL)
+    yield lambda name: _core.select_level(_core.LEVELS.index(name))
+    _core.select_level(_core.LEVELS.index(native.LEVEL))

@@ -226,6 +226,7 @@ def test_observation_entries():
         expected = [theta, theta_dot, x_dot, float(x_dot == 0.0), 0.125, *table[row, :2], np.sin(phase), np.cos(phase)]
         expected += [info["law_torque"], info["M"], info["mu"]]
         np.testing.assert_allclose(observation, expected, rtol=1e-6, atol=1e-6)
+        assert info["stick"] == observation[3]
 
 
 def first_mass():

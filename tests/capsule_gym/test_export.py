@@ -14,7 +14,7 @@ import pytest
 from baselines.evaluation.episodes import evaluate
 from baselines.evaluation.policies import wrap_policy
 from baselines.laws import LAWS
-from capsule_gym import CapsuleVectorEnv, Controller, load_policy
+from capsule_gym import CapsuleVectorEnv, load_policy
 from capsule_gym.config import find_task
 from capsule_gym.evaluation_sets import load_set
 from capsule_gym.export import Exported, main
@@ -183,7 +183,6 @@ def test_c_law(library, name):
     states[3, rng.random(n) < 0.3] = 0.0
     states[2, 1000:2000] = 0.3 + 0.02 * rng.normal(size=1000)
     law, controller = c_law(library(f"baselines:{name}", False), 1), exported.law
-    assert isinstance(controller, Controller)
     start = {"goal": 0.3, "command": 0.3, "target": states[2, 0]}
     own = tuple(start.get(field, 0.0) for field in find_task(controller.task).fields) if controller.task else ()
     memory = controller.memory

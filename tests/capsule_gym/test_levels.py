@@ -51,15 +51,13 @@ def test_bits_do_not_depend_on_level_batch_and_threads(kwargs, select_level):
             assert episode(n, 1 + n % 2, **kwargs) == expected[:n], (level, n)
 
 
-def test_an_unknown_level_is_named(select_level):
+def test_an_unknown_level_is_named():
     command = [sys.executable, "-c", "import capsule_gym.native"]
     for level in ("v9", ""):
         environment = {**os.environ, "CAPSULE_GYM_LEVEL": level}
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
         said = f"ImportError: CAPSULE_GYM_LEVEL must be one of {_core.LEVELS} on this processor, got {level!r}"
         assert done.stderr.splitlines()[-1] == said
-    with pytest.raises(ValueError, match=r"^level must be one that this processor runs, got 'v9'$"):
-        select_level("v9")
 
 
 @pytest.mark.parametrize("n", [1, 65])

@@ -193,6 +193,7 @@ HOSTILE_METADATA = [
     ({"identifies": "true"}, "identifies must be 'false' in its metadata, got 'true'"),
     ({"env_kwargs": '{"observe_estimates": true}'}, "of shape (9,), one for each entry"),
     ({"activation": "gelu"}, "activation must be one of"),
+    ({"clip": "0.0"}, "clip must be a number in (0, 1e+06], got 0.0"),
     ({"env_kwargs": '{"capsule":' + "[" * 60_000}, "is not a policy file: "),
     ({"env_kwargs": '{"torque_limit": NaN}'}, "torque_limit must be a finite number > 0"),
     ({"env_kwargs": '{"threads": 1000000000}'}, "env_kwargs must be a dict with keys out of"),

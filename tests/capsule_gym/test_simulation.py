@@ -2,6 +2,7 @@
 
 import pickle
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from capsule_gym import Capsule, Controller, Randomization
 from capsule_gym.config import EnvConfig
 from capsule_gym.layout import Row
-from capsule_gym.resets import Stream, draw_plant, plant_at, plant_ranges, random_stream
+from capsule_gym.resets import Stream, draw_plant, random_stream
 from capsule_gym.settings import STABLE
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import START_THETA, Termination
@@ -122,8 +123,9 @@ def test_a_range_is_drawn_as_its_formula_says():
         # Ranges do not shift the stream, and a constant without a range is the capsule's own.
         found = draw_plant(uniform, Capsule(M=0.7), random_stream(seed, 0, Stream.parameters))
         assert found == (0.7, 0.1 + (0.4 - 0.1) * shares[1])
-    assert plant_at(plant_ranges(wide, Capsule()), 0.0, 0.0) == (0.35, 0.005)
-    assert plant_at(plant_ranges(Randomization(mu=(0.1, 0.1), log_mu=True), Capsule(M=0.7)), 0.5, 0.5) == (0.7, 0.1)
+    assert draw_plant(wide, Capsule(), SimpleNamespace(random=np.zeros)) == (0.35, 0.005)
+    middle = SimpleNamespace(random=lambda count: np.full(count, 0.5))
+    assert draw_plant(Randomization(mu=(0.1, 0.1), log_mu=True), Capsule(M=0.7), middle) == (0.7, 0.1)
 
 
 def test_rows_must_name_environments():

@@ -107,7 +107,6 @@ def test_a_policy_of_ones_own_gives_the_bits_of_the_one_that_came_with_the_modul
     assert shown["name"] == "mine" and shown["controlDt"] == described["settings"]["control_dt"]
     assert "network" not in shown
     words = ["got mine", "must be a string, got 1", "got moon", "settings.ideal must be", "network[0]"]
-    assert len(refused) == len(words)
     for message, word in zip(refused, words, strict=True):
         assert word in message
 

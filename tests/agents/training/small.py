@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import io
 import itertools
 import signal
 from pathlib import Path
@@ -58,9 +59,9 @@ def train_until(run, steps, monkeypatch, *, killed):
 
 
 def parameters(archive):
-    """Networks and optimisers of an archive, loaded without unpickling."""
-    _, states, variables = load_from_zip_file(archive, load_data=False, device="cpu")
-    return {"states": states, "variables": variables}
+    """Networks and optimisers of an archive as bytes, loaded without unpickling."""
+    torch.save(load_from_zip_file(archive, load_data=False, device="cpu")[1:], content := io.BytesIO())
+    return content.getvalue()
 
 
 def network(folder):
@@ -69,17 +70,6 @@ def network(folder):
         return b""
     policy = load_policy(folder / POLICY)
     return b"".join(array.tobytes() for array in (policy.mean, policy.variance, *itertools.chain(*policy.layers)))
-
-
-def same(a, b):
-    """Whether two nested containers hold the same bits."""
-    if isinstance(a, torch.Tensor):
-        return torch.equal(a, b)
-    if isinstance(a, dict):
-        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
-    if isinstance(a, (list, tuple)):
-        return len(a) == len(b) and all(map(same, a, b))
-    return bool(a == b)
 
 
 def rows(path):
@@ -102,7 +92,7 @@ def differences(run, other):
     """The files in which two finished runs differ."""
     found = []
     for folder in (Path(), Path("best")):
-        if not same(parameters(run / folder / "model.zip"), parameters(other / folder / "model.zip")):
+        if parameters(run / folder / "model.zip") != parameters(other / folder / "model.zip"):
             found.append(str(folder / "model.zip"))
         if network(run / folder) != network(other / folder):
             found.append(str(folder / POLICY))

@@ -33,11 +33,7 @@ def draw(rng, *, n=1):
 
 
 def printed(state, memory, reference, p, choices):
-    """(37) to (39) as the paper prints them, in matrices, with the corrections of the physics page.
-
-    Returns:
-        The torque, the rates of the estimates, and the rate of the root of eta.
-    """
+    """The torque and the rates of the estimates and the root of eta: (37) to (39) in matrices, corrected."""
     gains, width, n = GAINS, choices.saturation_width, choices.n
     q, q_dot = np.array([state[0], state[2]]), np.array([state[1], state[3]])
     q_d, q_d_dot, q_d_ddot = (np.array([reference[i], reference[i + 3]]) for i in range(3))

@@ -38,15 +38,7 @@ def call(law, memory, theta=THETA, theta_dot=THETA_DOT, x_dot=X_DOT):
 
 
 def advance(state, motor, torque, plant, steps=1):
-    """Advances the plant and its motor, with lag and friction, by one call of the law.
-
-    Args:
-        state: theta (rad), theta_dot (rad/s), x (m), x_dot (m/s).
-        motor: the motor's torque behind the lag, N m.
-        torque: the law's torque, N m.
-        plant: the plant's constants.
-        steps: integrator steps; the motor's torque is constant during each.
-    """
+    """Advances the state and the motor's torque (N m) behind the lag, with friction, by one call of the law."""
     h = LAW_DT / steps
     for _ in range(steps):
         motor = torque + (motor - torque) * math.exp(-h / LAG)
