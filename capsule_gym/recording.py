@@ -137,7 +137,8 @@ def record(
     require(direct, "env", "an environment with direct torque, without a controller", env)
     require(path is None or not os.path.exists(path), "path", "that of a new file", path)
     settings, dt = plain.simulation.settings, plain.simulation.options.control_dt
-    scale, limit = settings.residual_limit, settings.torque_limit
+    scale = settings.torque_limit if settings.total_torque else settings.residual_limit
+    limit = min(settings.residual_limit, settings.torque_limit)
     steps = check_count("the number of steps in seconds", round(seconds / dt))
     policy = Excitation(torque_limit=scale, control_dt=dt) if policy is None else policy
     act = policy.start([0]) if hasattr(policy, "start") else policy

@@ -10,7 +10,7 @@ from agents.analysis import __main__ as analysis
 from agents.analysis import limit_cycle, sensitivity, statistics
 from baselines.drawing import BLUE, GREEN, INK, MUTED
 from baselines.dynamic_programming.archive import optimal_front
-from baselines.evaluation.policies import Candidate
+from baselines.evaluation.policies import Candidate, find_candidate
 from baselines.evaluation.statistics import estimate
 from capsule_gym.parameters import REAL, Disturbances
 from tests.agents.fakes import Sine
@@ -26,6 +26,8 @@ def test_the_last_of_two_evaluations_at_the_same_step_counts(tmp_path):
 
 
 def test_sensitivity_shows_speed_and_failures_under_each_disturbance(monkeypatch):
+    row = sensitivity.table(sensitivity.run([find_candidate("pd")])).splitlines()[-1]
+    assert row in (analysis.ROOT / "docs/sensitivity_tables.md").read_text(encoding="utf-8").splitlines()
     monkeypatch.setattr(sensitivity, "EPISODES", 2)
     conditions = sensitivity.conditions()
     assert conditions['all of "real"'] == REAL and conditions["latency"] == Disturbances(latency=0.01)

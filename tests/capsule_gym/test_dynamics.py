@@ -73,11 +73,8 @@ def run(torques, p, hold, steps, state=START):
 
 
 def torque_for_load(ratio, theta, theta_dot, p):
-    """The torque at which the load on a platform at rest is `ratio` times mu N (negative: backwards).
-
-    With x'' = 0, the second row of Eq. (1) gives theta'' and the first row then the torque; mu is the forward
-    coefficient.
-    """
+    """The torque at which the load on a platform at rest is `ratio` times mu N (negative: backwards), by Eq. (1)."""
+    # With x'' = 0, the second row gives theta'' and the first row then the torque.
     s, c, rough = np.sin(theta), np.cos(theta), ratio * p.mu
     wanted = rough * ((p.M + p.m) * p.g / (p.m * p.l) - theta_dot**2 * c) + theta_dot**2 * s
     return p.m * p.l**2 * wanted / (c + rough * s) - p.m * p.g * p.l * s + p.k * theta + p.c * theta_dot

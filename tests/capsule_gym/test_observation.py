@@ -35,10 +35,7 @@ def states(M, mu, seconds=4.0, changes=(), capsule=CAPSULE):
 
 
 def update(observations, memories, dt=CONTROL_DT):
-    """The estimates after an observation that begins with theta, theta', x', shape (n, 4), and the memories, (n, 9).
-
-    The memory of the law `gait` is that of its filter of M and mu.
-    """
+    """The estimates after theta, theta', x', .., shape (n, 4), and the filters of the law `gait`, (n, 9)."""
     law = CoreLaw("gait", **gait_constants(), m=CAPSULE.m, l=CAPSULE.l, g=CAPSULE.g, lightest=0.3, dt=dt)
     states, n = np.insert(observations[:, :3].astype(np.float64), 2, 0.0, axis=1), len(observations)
     _, memories = law.evaluate(states, memories, np.zeros((n, 2)))

@@ -20,10 +20,8 @@ COMMITTED = json.loads(episodes.FILE.read_text(encoding="utf-8"))
 
 @pytest.fixture(scope="session")
 def node(site):
-    """Runs JavaScript with the module as `live`, and returns the value passed to `show`.
-
-    node is optional on a user's machine and required in CI.
-    """
+    """Runs JavaScript with the module as `live`, and returns the value passed to `show`."""
+    # Optional on a user's machine, and required in CI.
     if shutil.which("node") is None and "CI" not in os.environ:
         pytest.skip("needs node")
 
