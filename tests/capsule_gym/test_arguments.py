@@ -1,7 +1,4 @@
-"""Random arguments: an invalid argument raises an error that names it; valid arguments give finite numbers.
-
-`make fuzz` runs these tests with many examples, and with another seed each time.
-"""
+"""Random arguments: invalid ones raise an error that names them, valid ones give finite numbers (`make fuzz`: more)."""
 
 import dataclasses
 import re
