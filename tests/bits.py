@@ -1,8 +1,7 @@
 """The bits of whole episodes: `python -m tests.bits` compares them with committed hashes, `--write` writes new ones.
 
-`bits.json` holds a sha256 for the plant under random torques, for every law of `baselines` under random residuals, for
-every scripted policy without a law, and for every committed policy. A hash covers all observations, rewards and states
-of a batch over a whole episode, and the metrics at its end.
+`bits.json` has hashes of all observations, rewards and states of a batch over a whole episode, and of its metrics: for
+the plant under random torques, for every law of `baselines` under random residuals, and for every other policy.
 """
 
 import hashlib

@@ -171,15 +171,15 @@ def test_the_frame_rate_is_real_time_where_a_video_can_have_it(control_dt, fps):
 
 def test_an_episode_is_truncated_after_33_seconds_and_its_metrics_follow_their_definitions():
     env = gym.make(ENV_ID, randomization="none", controller="baselines:adaptive")
-    env.reset(seed=0)
-    x, torques, energy = [0.0], [], 0.0
+    env.reset(seed=0, options={"state": (-0.5, 0.0, 0.25, 0.0)})
+    x, torques, energy = [0.25], [], 0.0
     for n in range(1650):
         _, _, terminated, truncated, info = env.step(np.zeros(1, np.float32))
         assert not terminated and truncated == (n == 1649)
         x.append(info["state"][2])
         torques.append(abs(info["torque"]))
         energy += info["energy"]
-    metrics, distance = env.unwrapped.episode_metrics(1650), x[-1]
+    metrics, distance = env.unwrapped.episode_metrics(1650), x[-1] - x[0]
     assert metrics["duration"] == pytest.approx(33.0) and metrics["failed"] == 0.0
     assert metrics["mean_speed"] == pytest.approx(100.0 * distance / 33.0)
     assert metrics["energy"] == pytest.approx(energy)

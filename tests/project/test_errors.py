@@ -138,6 +138,7 @@ CALLS = [
     (lambda: CapsuleEnv(task="velocity", goal_env=True), ValueError, "^goal_env must be False for the task 'vel"),
     (lambda: GOALS.compute_reward([0.1, 0.0], [0.1], {}), ValueError, r"^desired_goal must be .*, got \[0\.1\]$"),
     (lambda: Disturbances(latency=-1.0), ValueError, r"^Disturbances\.latency must be a .* 0 to 0\.5, or .*-1"),
+    (lambda: Disturbances(x_noise=-1.0), ValueError, r"^Disturbances\.x_noise must be None or a number .*, got -1"),
     (lambda: Disturbances(unmeasured=("x",)), ValueError, r"^Disturbances\.unmeasured must be .* got \('x',\)"),
     (lambda: Randomization(m=(0.1, 40.0), mu=(0.5, 9.0)).corners(NOMINAL), ValueError, "Painleve"),
     (lambda: REAL.reset(options={"disturbances": {"latency": 0.1}}), ValueError, r"must be .* 0 to 0\.016, got 0\.1"),
