@@ -144,7 +144,8 @@ def record(
     act = policy.start([0]) if hasattr(policy, "start") else policy
     observation, info = env.reset(seed=seed, options=options)
     disturbed = Disturbances.named(plain.simulation.options.disturbances)
-    sensors = [name for name in STATE if disturbed is None or (name != "x" and name not in disturbed.unmeasured)]
+    missing = () if disturbed is None else (*disturbed.unmeasured, *(("x",) if disturbed.x_noise is None else ()))
+    sensors = [name for name in STATE if name not in missing]
     rows = []
     for step in range(steps):
         action = np.clip(act(observation), -1.0, 1.0)
