@@ -15,6 +15,7 @@ from capsule_gym import _core
 from capsule_gym.checks import check_count, nearest, require
 from capsule_gym.env import CapsuleEnv
 from capsule_gym.files import write_atomically
+from capsule_gym.layout import Row
 from capsule_gym.parameters import Disturbances
 from capsule_gym.task import THETA_LIMIT
 from capsule_gym.trajectory import STATE
@@ -148,11 +149,12 @@ def record(
     sensors = [name for name in STATE if name not in missing]
     rows = []
     for step in range(steps):
-        action = np.clip(act(observation), -1.0, 1.0)
         reading = dict(zip(STATE, (info["state"] if disturbed is None else info["reading"]).tolist(), strict=True))
-        torque = float(np.clip(scale * float(action[0]), -limit, limit))
+        observation, _, terminated, truncated, info = env.step(act(observation))
+        # That of the innermost environment: wrappers may change it.
+        action = plain.simulation.world[0, Row.action, 0]
+        torque = float(np.clip(scale * action, -limit, limit))
         rows.append([step * dt, torque, *(reading[name] for name in sensors)])
-        observation, _, terminated, truncated, info = env.step(action)
         if terminated or truncated:
             break
     names = ("t", "torque", *sensors)

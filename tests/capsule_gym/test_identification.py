@@ -6,6 +6,7 @@ import subprocess
 import sys
 from dataclasses import replace
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -322,5 +323,7 @@ def test_record_writes_what_happens(tmp_path):
         limited = CapsuleEnv(**OPTIONS, residual_limit=limit, total_torque=total)
         assert record(limited, lambda _, a=action: [a], seconds=0.01)["torque"] == pytest.approx([torque])
         assert limited.step([action])[4]["torque"] == pytest.approx(torque)
+    scaled = gym.wrappers.RescaleAction(CapsuleEnv(**OPTIONS), np.float32(0.0), np.float32(1.0))
+    assert record(scaled, lambda _: np.float32([0.75]), seconds=0.01)["torque"] == pytest.approx([0.75])
     late = CapsuleEnv(**{**OPTIONS, "disturbances": Disturbances(latency=0.01, unmeasured=("x_dot",))})
     assert list(record(late, seconds=0.1, seed=0)) == ["t", "torque", "theta", "theta_dot"]
