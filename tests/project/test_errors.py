@@ -189,6 +189,7 @@ COMMANDS = [
     *((train, ["--seed", text], f"--seed: must be an integer >= 0, got '{text}'") for text in ("abc", "1.5", "-3")),
     (export, [], "(?i)required|missing"),
     (demo, ["adaptive", "--slow"], "--slow"),
+    (demo, ["goal"], "policy 'goal' must be for the task 'speed'"),
     (train, ["--tota", "4"], "--tota"),
     (train, ["--resume", "nowhere"], "nowhere"),
     (train, ["--row", "fastest"], "--row: a row must be one of residual-ppo, "),
