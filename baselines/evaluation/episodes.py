@@ -105,7 +105,7 @@ def validation_set(
     """
     drawn, plants = Randomization.named(randomization), []
     for seed in range(first_seed, first_seed + count):
-        M, mu = draw_plant(drawn, NOMINAL, random_stream(seed, 0, Stream.parameters))
+        M, mu = draw_plant(drawn, capsule or NOMINAL, random_stream(seed, 0, Stream.parameters))
         shares = random_stream(seed, 0, Stream.variation).random(len(CONSTANTS)).tolist()
         own = {}
         for constant in drawn.drawn:
