@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from capsule_gym import _core
-from capsule_gym.checks import check_count, nearest, require
+from capsule_gym.checks import check_number, nearest, require
 from capsule_gym.env import CapsuleEnv
 from capsule_gym.files import write_atomically
 from capsule_gym.layout import Row
@@ -133,14 +133,14 @@ def record(
     Raises:
         ValueError: if the torque is not constant during an agent step, or the file exists.
     """
-    plain = env.unwrapped
+    plain: Any = getattr(env, "unwrapped", None)
     direct = isinstance(plain, CapsuleEnv) and plain.simulation.controller is None
     require(direct, "env", "an environment with direct torque, without a controller", env)
     require(path is None or not os.path.exists(path), "path", "that of a new file", path)
     settings, dt = plain.simulation.settings, plain.simulation.options.control_dt
     scale = settings.torque_limit if settings.total_torque else settings.residual_limit
     limit = min(settings.residual_limit, settings.torque_limit)
-    steps = check_count("the number of steps in seconds", round(seconds / dt))
+    steps = round(check_number("seconds", seconds, f"a finite number >= {dt:g} (s)", dt) / dt)
     policy = Excitation(torque_limit=scale, control_dt=dt) if policy is None else policy
     act = policy.start([0]) if hasattr(policy, "start") else policy
     observation, info = env.reset(seed=seed, options=options)

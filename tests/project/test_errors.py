@@ -74,7 +74,7 @@ CALLS = [
     (lambda: native.address(np.zeros((2, 2))[:, 0]), ValueError, "array must be C-contiguous"),
     (lambda: divide("control_dt", 0.02, "physics_dt", 1e-9), ValueError, "dt must be control_dt=0.02 s over a whole"),
     (lambda: sensitivity(ORIGIN, [0.1], capsule="paper"), TypeError, "capsule must be a Capsule, got 'paper'"),
-    (lambda: sensitivity(ORIGIN, [0.1], "mu"), TypeError, "wrt must be a sequence of names"),
+    (lambda: sensitivity(ORIGIN, [0.1], iter(["mu"])), TypeError, "wrt must be a sequence of names"),
     (lambda: sensitivity(ORIGIN, ["far"]), TypeError, "torques must be .*, got .*far"),
     (lambda: sensitivity((2.0, 0.0, 0.0, 0.0), [0.1]), ValueError, "state must be .*, got"),
     (lambda: sensitivity(START, [0.1], ("nu",)), ValueError, "wrt must contain names out of .* got 'nu'"),
