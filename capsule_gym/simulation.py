@@ -72,7 +72,7 @@ class Simulation:
         self._largest = parameter_bounds(self.capsule, self.randomization)
         self.controller = find_controller(options.controller)
         self.task = find_task(options.task)
-        if self.controller and self.controller.task and find_task(self.controller.task) is not self.task:
+        if self.controller and self.controller.task and find_task(self.controller.task).name != self.task.name:
             raise ValueError(
                 f"controller must be a law for the task {self.task.name!r} or for any, got {self.controller.name!r}, "
                 f"which is for the task {find_task(self.controller.task).name!r}"
