@@ -15,8 +15,15 @@ from gymnasium.error import DependencyNotInstalled
 from capsule_gym.checks import check_number, nearest, require, short_repr
 from capsule_gym.command_line import Count, Positional, arg, check_output, command
 from capsule_gym.env import CapsuleEnv, shown_state
-from capsule_gym.evaluation_sets import FURTHER_SET_NAMES, SET_NAMES, EvaluationSet, PlantSpec, load_set
-from capsule_gym.policy import load_policy, policy_names, pretrained
+from capsule_gym.evaluation_sets import (
+    FURTHER_SET_NAMES,
+    SET_NAMES,
+    TASK_SET_NAMES,
+    EvaluationSet,
+    PlantSpec,
+    load_set,
+)
+from capsule_gym.policy import Policy, load_policy, policy_names, pretrained
 from capsule_gym.rendering import FRAME_SECONDS, Renderer, write_gif
 from capsule_gym.task import HORIZON, Termination
 
@@ -74,6 +81,10 @@ class Episode:
     def __init__(self, policy: Any, found: EvaluationSet, plant: PlantSpec) -> None:
         self.policy, self.time = policy, 0.0
         self.end: Termination | None = None
+        # Scripted policies without a task fit any set.
+        task = policy.env_kwargs.get("task", "speed" if isinstance(policy, Policy) else found.task)
+        accepted = f"for the task {found.task!r} of the set {found.name!r}"
+        require(task == found.task, f"policy {policy.name!r}", accepted, task)
         self.env = CapsuleEnv(**{**policy.env_kwargs, **found.env_kwargs})
         self._act = policy.start([plant.seed])
         self._observation, _ = self.env.reset(seed=plant.seed, options=plant.reset_options())
@@ -125,7 +136,7 @@ def main(
         arg(
             name="set",
             metavar="NAME_OR_PATH",
-            help=f"One of {', '.join(SET_NAMES + FURTHER_SET_NAMES)}, or the path of a file.",
+            help=f"One of {', '.join(SET_NAMES + FURTHER_SET_NAMES + TASK_SET_NAMES)}, or the path of a file.",
         ),
     ] = "paper",
     seed: Count = 0,

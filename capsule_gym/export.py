@@ -105,13 +105,19 @@ class Exported:
         plant = chosen.plants[0]
         kwargs = {**chosen.env_kwargs, **self.env_kwargs, **EPISODE_SETTINGS}
         if disturbed:
-            kwargs["disturbances"] = "none" if disturbed.controls == "law" else replace(disturbed, controls="both")
+            # An exact sensor where the agent observes the state: the header has one reading for agent and law.
+            exact = Disturbances(stick_threshold=0.0, x_noise=0.0)
+            kwargs["disturbances"] = exact if disturbed.controls == "law" else replace(disturbed, controls="both")
         # The same episode in steps of the law's period shows what each call of the law reads.
         periods = self.settings.law_steps if self.law else 1
         slow = CapsuleEnv(**kwargs)
         fast = CapsuleEnv(**{**kwargs, "control_dt": self.options.control_dt / periods})
         for env in (slow, fast):
             observation, _ = env.reset(seed=plant.seed, options=plant.reset_options())
+        # The task's memory that the law observes is renewed at the end of an agent step alone.
+        simulation = slow.simulation
+        first = simulation.task_row - simulation.settings.law_reads * self.task.rows
+        ours, observed = (env.simulation.world[0, first : first + self.task.rows] for env in (fast, slow))
         act = self.policy or (lambda _: np.zeros(1, np.float32))
         computed = ("action", *(("theta_d", "theta_d_dot", "phase", "law_torque") if self.law else ()))
         columns = [name for name in self.reading if name not in computed]
@@ -122,11 +128,13 @@ class Exported:
             for _ in range(periods):
                 shown.append(_read(fast.simulation))
                 _, _, ended, _, _ = fast.step(action)
+                ours[:] = observed
                 if ended:
                     break
             if ended:
                 break
             observation, *_ = slow.step(action)
+            ours[:] = observed
         return self._render(
             "policy_test.c.jinja",
             single,

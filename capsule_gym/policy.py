@@ -207,7 +207,7 @@ class Policy:
         values = {**vars(self), "clip": float(self.clip), "epsilon": float(self.epsilon)}
         metadata = {"format": FORMAT, "format_version": FORMAT_VERSION, **{name: getattr(self, name) for name in TEXTS}}
         for key in VALUES:
-            metadata[key] = json.dumps(values[key], default=asdict, sort_keys=True, allow_nan=False)
+            metadata[key] = json.dumps(values[key], default=_plain, sort_keys=True, allow_nan=False)
         content = save(tensors)
         # The library writes metadata in a random order, which would change the file's hash.
         end = 8 + int.from_bytes(content[:8], "little")
@@ -215,6 +215,11 @@ class Policy:
         text = json.dumps(header, separators=(",", ":")).encode()
         text += b" " * (-len(text) % 8)
         write_atomically(Path(path), len(text).to_bytes(8, "little") + text + content[end:])
+
+
+def _plain(value: Any) -> Any:
+    """A number of numpy or an object of an option, as JSON contains it."""
+    return value.item() if isinstance(value, np.generic) else asdict(value)
 
 
 def _law_named(name: str) -> str:

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from capsule_gym import _core
-from capsule_gym.checks import check_count, nearest, require
+from capsule_gym.checks import check_number, nearest, require
 from capsule_gym.env import CapsuleEnv
 from capsule_gym.files import write_atomically
+from capsule_gym.layout import Row
 from capsule_gym.parameters import Disturbances
 from capsule_gym.task import THETA_LIMIT
 from capsule_gym.trajectory import STATE
@@ -132,26 +133,28 @@ def record(
     Raises:
         ValueError: if the torque is not constant during an agent step, or the file exists.
     """
-    plain = env.unwrapped
+    plain: Any = getattr(env, "unwrapped", None)
     direct = isinstance(plain, CapsuleEnv) and plain.simulation.controller is None
     require(direct, "env", "an environment with direct torque, without a controller", env)
     require(path is None or not os.path.exists(path), "path", "that of a new file", path)
     settings, dt = plain.simulation.settings, plain.simulation.options.control_dt
     scale = settings.torque_limit if settings.total_torque else settings.residual_limit
     limit = min(settings.residual_limit, settings.torque_limit)
-    steps = check_count("the number of steps in seconds", round(seconds / dt))
+    steps = round(check_number("seconds", seconds, f"a finite number >= {dt:g} (s)", dt) / dt)
     policy = Excitation(torque_limit=scale, control_dt=dt) if policy is None else policy
     act = policy.start([0]) if hasattr(policy, "start") else policy
     observation, info = env.reset(seed=seed, options=options)
     disturbed = Disturbances.named(plain.simulation.options.disturbances)
-    sensors = [name for name in STATE if disturbed is None or (name != "x" and name not in disturbed.unmeasured)]
+    missing = () if disturbed is None else (*disturbed.unmeasured, *(("x",) if disturbed.x_noise is None else ()))
+    sensors = [name for name in STATE if name not in missing]
     rows = []
     for step in range(steps):
-        action = np.clip(act(observation), -1.0, 1.0)
         reading = dict(zip(STATE, (info["state"] if disturbed is None else info["reading"]).tolist(), strict=True))
-        torque = float(np.clip(scale * float(action[0]), -limit, limit))
+        observation, _, terminated, truncated, info = env.step(act(observation))
+        # That of the innermost environment: wrappers may change it.
+        action = plain.simulation.world[0, Row.action, 0]
+        torque = float(np.clip(scale * action, -limit, limit))
         rows.append([step * dt, torque, *(reading[name] for name in sensors)])
-        observation, _, terminated, truncated, info = env.step(action)
         if terminated or truncated:
             break
     names = ("t", "torque", *sensors)

@@ -102,8 +102,8 @@ def write_options(drawn: np.ndarray, options: dict[str, Sequence[Any]], task: Ta
             for key, value in values.items():
                 low, high = Disturbances.limits(key) if name == "disturbances" else (-LARGEST, LARGEST)
                 if key == "latency":
-                    # The length of the history.
-                    high = (settings.history - 1) * settings.physics_steps * settings.physics_dt
+                    # The length of the history; its product may be a rounding error below the latency that it is for.
+                    high = (settings.history - 1) * settings.physics_steps * settings.physics_dt * (1.0 + 1e-9)
                 in_words = f"a number from {low:g} to {high:g}"
                 whose = f"options[{name!r}][{key!r}]"
                 number = check_number(whose, value, in_words, low, high)

@@ -78,7 +78,7 @@ def make_settings(options: EnvConfig, controller: Controller | None) -> SimpleNa
         with_estimates=options.observe_estimates,
         with_task=not options.goal_env,
         stack_size=options.stack_size,
-        history=round(ends(disturbed.latency)[1] / law_dt) + 1 if reads else int(varied),
+        history=math.ceil(ends(disturbed.latency)[1] / law_dt) + 1 if reads else int(varied),
         law_reads=reads and controller is not None and disturbed.controls != "agent",
         agent_reads=reads and disturbed.controls != "law",
         with_x=disturbed.x_noise is not None,

@@ -16,11 +16,12 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_banded
 from scipy.optimize import minimize
 from scipy.signal import lfilter
 
-from capsule_gym.parameters import REAL, Capsule
+from capsule_gym.parameters import REAL, SENSORS, Capsule
 from capsule_gym.trajectory import PLANT, STATE, constant_inputs, simulate
 
 # Standard deviations of noise and drift before they are estimated; the position's are this project's choice.
-NOISE = {name: (getattr(REAL, f"{name}_noise", 0.01), getattr(REAL, f"{name}_drift", 0.01)) for name in STATE}
+NOISE = {name: (getattr(REAL, f"{name}_noise"), getattr(REAL, f"{name}_drift")) for name in SENSORS}
+NOISE["x"] = 0.01, 0.01
 # Distance between the starts of segments, s, and the standard deviation of a gap over that of a reading.
 DISTANCE, GAP = 0.8, 0.02
 MOST_STEPS = 15

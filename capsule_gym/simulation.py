@@ -17,7 +17,7 @@ from capsule_gym.controller import CoreLaw, find_controller
 from capsule_gym.layout import LANES, Row
 from capsule_gym.metrics import episode_metrics
 from capsule_gym.observation import observation_entries, parameter_bounds
-from capsule_gym.parameters import CONSTANTS, DISTURBANCES, NOMINAL, Capsule, Disturbances, Randomization
+from capsule_gym.parameters import CONSTANTS, DISTURBANCES, LARGEST, NOMINAL, Capsule, Disturbances, Randomization
 from capsule_gym.settings import DEFAULTS, NO_CONTROLLER, check_step, ends, make_settings
 from capsule_gym.user_law import bind_user_law
 
@@ -72,7 +72,7 @@ class Simulation:
         self._largest = parameter_bounds(self.capsule, self.randomization)
         self.controller = find_controller(options.controller)
         self.task = find_task(options.task)
-        if self.controller and self.controller.task and find_task(self.controller.task) is not self.task:
+        if self.controller and self.controller.task and find_task(self.controller.task).name != self.task.name:
             raise ValueError(
                 f"controller must be a law for the task {self.task.name!r} or for any, got {self.controller.name!r}, "
                 f"which is for the task {find_task(self.controller.task).name!r}"
@@ -250,8 +250,6 @@ class Simulation:
                     f"options[{name!r}] needs an environment with disturbances other than 'none', or with a "
                     "Randomization of constants besides M and mu"
                 )
-        schedules = map(self._schedule, options.get("changes", ()))
-        changes = [(i, *change) for i, schedule in zip(rows.tolist(), schedules, strict=False) for change in schedule]
         count = len(rows)
         fits = count <= self.num_envs
         if fits:
@@ -262,12 +260,15 @@ class Simulation:
         starts = self._drawn[: Row.torque, :count]
         drawn = self._drawn[Row.torque :, :count]
         resets.write_options(drawn, options, self.task, self.settings)
-        if M is not None or mu is not None or options.get("capsule"):
+        changes: list[tuple[int, float, float, float]] = []
+        if M is not None or mu is not None or any(map(options.get, ("changes", "capsule", "disturbances"))):
             masses = starts[Row.M].tolist() if M is None else M
             frictions = starts[Row.mu].tolist() if mu is None else mu
-            for n, plant in enumerate(zip(masses, frictions, strict=True)):
-                constants = drawn[len(self.task.draws) :, n].tolist()
-                self._check_plant(*plant, replace(self.capsule, **dict(zip(CONSTANTS, constants, strict=False))))
+            schedules = options.get("changes", [()] * count)
+            for n, (mass, friction, schedule) in enumerate(zip(masses, frictions, schedules, strict=True)):
+                capsule = self._episode_capsule(drawn[len(self.task.draws) :, n].tolist())
+                self._check_plant(mass, friction, capsule)
+                changes += [(int(rows[n]), *change) for change in self._schedule(schedule, capsule)]
             starts[Row.M], starts[Row.mu] = masses, frictions
         if state is not None:
             starts[: Row.M] = resets.check_state("options['state']", state, count).T
@@ -392,6 +393,14 @@ class Simulation:
             self._pool.shutdown()
         self._pool = None
 
+    def _episode_capsule(self, drawn: Sequence[float]) -> Capsule:
+        """The constants that an episode has drawn, with the whole friction of the motor, for any M and mu."""
+        constants: dict[str, Any] = dict(zip(CONSTANTS, drawn, strict=False))
+        if constants:
+            constants["motor_friction"] += drawn[len(CONSTANTS) + DISTURBANCES.index("motor_friction")]
+        # Heavy and smooth: the check of M and mu is `_check_plant`'s.
+        return replace(self.capsule, M=LARGEST, mu=0.0, **constants)
+
     def _check_plant(self, M: float, mu: float, capsule: Capsule) -> None:
         """Raises an error for M and mu that are invalid, too stiff for the step, or outside their observed bounds."""
         capsule.check_plant(M, mu)
@@ -401,13 +410,13 @@ class Simulation:
                 accepted = f"at most {largest:g} where observe_parameters shows it (a wider randomization shows more)"
                 check_number(name, value, accepted, 0.0, largest)
 
-    def _schedule(self, changes: Sequence[dict[str, float]]) -> list[tuple[float, float, float]]:
-        """The changes of one episode as (t, M, mu)."""
+    def _schedule(self, changes: Sequence[dict[str, float]], capsule: Capsule) -> list[tuple[float, float, float]]:
+        """The changes of one episode, with the other constants of `capsule`, as (t, M, mu)."""
         accepted = "a list of dicts {'t': s, 'M': kg, 'mu': ..}, each later than the one before"
         schedule: list[tuple[float, float, float]] = []
         for name, t, change in check_timed("options['changes']", changes, accepted, task.CHANGE):
             try:
-                self._check_plant(change["M"], change["mu"], self.capsule)
+                self._check_plant(change["M"], change["mu"], capsule)
             except (TypeError, ValueError) as error:
                 raise type(error)(f"{name}: {error}") from None
             schedule.append((t, float(change["M"]), float(change["mu"])))

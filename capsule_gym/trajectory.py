@@ -110,7 +110,7 @@ def sensitivity(
     directions["torque"] = np.where(np.arange(len(inputs)) < first, 0.0, inputs)[:, None]
     directions |= {"torques": identity[:, first:], "state": identity[:, first - 4 : first]}
     known = tuple(directions)
-    if isinstance(wrt, str) or not all(isinstance(name, str) for name in wrt):
+    if isinstance(wrt, str) or not isinstance(wrt, Sequence) or not all(isinstance(name, str) for name in wrt):
         raise TypeError(f"wrt must be a sequence of names out of {known}, got {short_repr(wrt)}")
     for name in wrt:
         if name not in known:

@@ -26,7 +26,7 @@ from baselines.evaluation.episodes import Episode, evaluate, scores, validation_
 from baselines.evaluation.statistics import interquartile_mean
 from capsule_gym import Policy
 from capsule_gym.config import EnvConfig, find_task
-from capsule_gym.evaluation_sets import EPISODE_SETTINGS, EvaluationSet
+from capsule_gym.evaluation_sets import EvaluationSet
 from capsule_gym.files import write_atomically
 
 # Far from the seeds 0, 1, .. of training runs and evaluation sets, so that no other plants select models.
@@ -172,7 +172,7 @@ class TrainingCallback(BaseCallback):
 
 def evaluate_wrapped(model: BaseAlgorithm, config: Config, plants: EvaluationSet) -> list[Episode]:
     """Runs an episode from rest on every plant, with the run's wrappers; returns the episodes as `evaluate` does."""
-    settings, steps = {**config.env_kwargs(), **EPISODE_SETTINGS}, round(config.horizon / config.control_dt)
+    settings, steps = {**config.env_kwargs(), **plants.env_kwargs}, round(config.horizon / config.control_dt)
     venv = DummyVecEnv([lambda: wrapped_env(config, settings, steps)] * len(plants.plants))
     venv.seed(plants.plants[0].seed)
     venv.set_options([plant.reset_options() for plant in plants.plants])

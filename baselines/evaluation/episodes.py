@@ -19,6 +19,7 @@ from baselines.evaluation.policies import Candidate, find_candidate, wrap_policy
 from baselines.evaluation.statistics import estimate
 from baselines.policies import ScriptedPolicy
 from capsule_gym import __version__
+from capsule_gym.checks import check_number
 from capsule_gym.config import find_task
 from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec, load_set
 from capsule_gym.network import rollout
@@ -105,7 +106,7 @@ def validation_set(
     """
     drawn, plants = Randomization.named(randomization), []
     for seed in range(first_seed, first_seed + count):
-        M, mu = draw_plant(drawn, NOMINAL, random_stream(seed, 0, Stream.parameters))
+        M, mu = draw_plant(drawn, capsule or NOMINAL, random_stream(seed, 0, Stream.parameters))
         shares = random_stream(seed, 0, Stream.variation).random(len(CONSTANTS)).tolist()
         own = {}
         for constant in drawn.drawn:
@@ -151,8 +152,10 @@ def evaluate(
     policy = wrap_policy(policy, env_kwargs=env_kwargs)
     check_task(Candidate(policy.name, (policy,), ""), chosen)
     settings: dict[str, Any] = {**policy.env_kwargs, **chosen.env_kwargs}
-    seconds = find_task(chosen.task).episode_steps * CONTROL_DT if horizon is None else horizon
-    steps, seeds = round(seconds / settings.get("control_dt", CONTROL_DT)), [plant.seed for plant in chosen.plants]
+    seconds, control_dt = find_task(chosen.task).episode_steps * CONTROL_DT, settings.get("control_dt", CONTROL_DT)
+    if horizon is not None:
+        seconds = check_number("horizon", horizon, f"a finite number >= {control_dt:g} (s)", control_dt)
+    steps, seeds = round(seconds / control_dt), [plant.seed for plant in chosen.plants]
     batch = {"num_envs": len(seeds), "max_episode_steps": steps, "autoreset_mode": AutoresetMode.DISABLED}
     env = capsule_gym.CapsuleVectorEnv(**{**settings, **batch})
     try:

@@ -359,7 +359,8 @@ template <int N>
 const double* apply_changes(const Batch& batch, const double* c, Block<N>& b, long long first, int n) {
   const double *end = batch.changes + 4 * batch.num_changes, dt = batch.settings->control_dt();
   for (; c < end && c[0] < first + n; c += 4)
-    if (long long j = (long long)c[0] - first; j >= 0 && c[1] <= b.steps[j] * dt + TIME_TOLERANCE)
+    if (long long j = (long long)c[0] - first;
+        j >= 0 && b.active[j] != 0.0 && c[1] <= b.steps[j] * dt + TIME_TOLERANCE)
       b.M[j] = c[2], b.mu[j] = c[3];
   return c;
 }

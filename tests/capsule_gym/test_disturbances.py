@@ -72,9 +72,9 @@ def test_drawn_constants_make_the_plant_of_a_capsule_with_these():
 
 
 def test_readings_are_late_by_the_latency():
-    env = CapsuleEnv(disturbances=Disturbances(latency=(0.0, 0.06)))
-    infos = run(env, swing(100), seed=0, options={"disturbances": {"latency": 0.04}})
-    assert infos[0]["disturbances"]["latency"] == 0.04
+    env = CapsuleEnv(disturbances=Disturbances(latency=(0.0, 0.0409)))
+    infos = run(env, swing(100), seed=0, options={"disturbances": {"latency": 0.0409}})
+    assert infos[0]["disturbances"]["latency"] == 0.0409
     for now, past in zip(infos[2:], infos, strict=False):
         np.testing.assert_array_equal(now["reading"][[0, 1, 3]], past["state"][[0, 1, 3]])
         np.testing.assert_allclose(now["observation"][:3], past["state"][[0, 1, 3]], rtol=1e-6)

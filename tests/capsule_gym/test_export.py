@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,7 +15,7 @@ import pytest
 from baselines.evaluation.episodes import evaluate
 from baselines.evaluation.policies import wrap_policy
 from baselines.laws import LAWS
-from capsule_gym import CapsuleVectorEnv, load_policy
+from capsule_gym import CapsuleVectorEnv, Disturbances, load_policy
 from capsule_gym.config import find_task
 from capsule_gym.evaluation_sets import load_set
 from capsule_gym.export import Exported, main
@@ -208,6 +209,16 @@ def test_program(tmp_path, target, arguments):
         run("gcc", *C99, target, source, "-o", program, "-lm")
         output = run(program)
     assert re.search(r": 0 of \d\d+ periods differ", output), output
+
+
+def test_program_of_a_law_that_observes_a_moving_target(tmp_path):
+    options = {"task": "velocity", "controller": "baselines:velocity_pulses", "control_dt": 0.1}
+    parts = {"layers": ((np.full((1, 14), 0.01, np.float32), np.zeros(1, np.float32)),), "mean": np.zeros(14)}
+    parts |= {"variance": np.ones(14), "env_kwargs": {**options, "disturbances": Disturbances(controls="law")}}
+    replace(load_policy("velocity"), **parts).save(tmp_path / "policy.safetensors")
+    assert main([str(tmp_path), "--law", "--c", str(tmp_path / "policy.h")]) == 0
+    run("gcc", *C99, tmp_path / "policy_test.c", "-o", tmp_path / "program", "-lm")
+    run(tmp_path / "program")
 
 
 def test_loop_of_the_page(tmp_path):

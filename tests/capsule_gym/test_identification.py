@@ -4,7 +4,9 @@ import csv
 import math
 import subprocess
 import sys
+from dataclasses import replace
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -215,10 +217,12 @@ def test_what_is_not_determined_is_named(fit):
     assert smooth.widths["static_ratio"] > 0.9 and "not determined: the prior's" in smooth.table()
 
 
-def test_a_single_quantity_is_estimated_alone(log, tmp_path):
+def test_a_single_quantity_is_estimated_alone(tmp_path):
+    log = make_log(replace(WHITE, x_noise=0.001), 5.0)
+    assert list(log) == ["t", "torque", "theta", "theta_dot", "x", "x_dot"]
     known = {**TRUTH, **MOTOR, "motor_friction": 0.06, "theta_bias": 0.0, "theta_dot_bias": 0.0, "x_dot_bias": 0.01}
     del known["lag"]
-    fit = identify({name: column[:500] for name, column in log.items()}, known)
+    fit = identify(log, known)
     low, high = fit.intervals(0.999)["lag"]
     assert fit.covariance.shape == (1, 1) and low < 0.004 < high < low + 0.002
     fit.report(tmp_path / "fit.png")
@@ -319,5 +323,7 @@ def test_record_writes_what_happens(tmp_path):
         limited = CapsuleEnv(**OPTIONS, residual_limit=limit, total_torque=total)
         assert record(limited, lambda _, a=action: [a], seconds=0.01)["torque"] == pytest.approx([torque])
         assert limited.step([action])[4]["torque"] == pytest.approx(torque)
+    scaled = gym.wrappers.RescaleAction(CapsuleEnv(**OPTIONS), np.float32(0.0), np.float32(1.0))
+    assert record(scaled, lambda _: np.float32([0.75]), seconds=0.01)["torque"] == pytest.approx([0.75])
     late = CapsuleEnv(**{**OPTIONS, "disturbances": Disturbances(latency=0.01, unmeasured=("x_dot",))})
     assert list(record(late, seconds=0.1, seed=0)) == ["t", "torque", "theta", "theta_dot"]

@@ -55,6 +55,10 @@ def test_every_plant_of_an_episode_must_fit_the_step():
         with pytest.raises(ValueError, match="physics_dt must be at most"):
             simulation.reset(np.array([0]), **given)
     simulation.reset(np.array([0]), M=[0.4], mu=[0.3])
+    varied, heavy = EnvConfig(randomization=Randomization(c=(0.1, 8.0))), {"t": 1.0, "M": 0.02, "mu": 0.01}
+    for given in ({"capsule": [{"c": 8.0}], "changes": [[heavy]]}, {"disturbances": [{"motor_friction": 100.0}]}):
+        with pytest.raises(ValueError, match="physics_dt must be at most"):
+            Simulation(1, varied).reset(np.array([0]), **given)
 
 
 def test_a_batch_for_which_there_is_no_memory_says_so(monkeypatch):

@@ -79,7 +79,8 @@ def test_velocity_is_measured_as_its_definition_says():
 
 
 def test_velocity_draws_its_commands_from_the_range_that_is_given():
-    commands = CapsuleVectorEnv(512, task=with_commands(0.15, 0.2)).reset(seed=0)[1]["command"]
+    batch = CapsuleVectorEnv(512, task=with_commands(0.15, 0.2), controller="baselines:velocity_pulses")
+    commands = batch.reset(seed=0)[1]["command"]
     assert 0.15 <= commands.min() < 0.151 and 0.199 < commands.max() <= 0.2
     for ends, message in [((-0.3, 0.1), "low must be .* within 0.2 of 0"), ((0.1, 0.05), "high must be .* not below")]:
         with pytest.raises(ValueError, match=message):

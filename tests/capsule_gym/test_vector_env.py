@@ -153,7 +153,7 @@ def test_reading_the_generator_before_the_first_reset_leaves_the_draws_different
 def test_disabled_autoreset_stands_still_until_the_mask_names_it():
     env = CapsuleVectorEnv(3, max_episode_steps=50, autoreset_mode=AutoresetMode.DISABLED)
     states = np.array([[0.0, 0, 0, 0], [1.5, 5.0, 0, 0], [0.5, 0, 0, 0]])
-    env.reset(seed=0, options={"state": states})
+    env.reset(seed=0, options={"state": states, "changes": [[{"t": 0.02, "M": 0.6, "mu": 0.01}]] * 3})
     _, _, terminated, _, info = env.step(np.zeros((3, 1), np.float32))
     assert terminated.tolist() == [False, True, False]
     assert info["termination"].tolist() == [Termination.none, Termination.pendulum, Termination.none]
@@ -163,7 +163,7 @@ def test_disabled_autoreset_stands_still_until_the_mask_names_it():
     assert terminated.tolist() == [False, True, False]
     assert rewards[1] == 0.0
     assert info["_reward_progress"].tolist() == [True, False, True]
-    assert np.array_equal(info["state"][1], frozen)
+    assert np.array_equal(info["state"][1], frozen) and (info["M"] == 0.6).tolist() == [True, False, True]
     assert all(values[1] == metrics[name][1] for name, values in env.episode_metrics().items())
     before = info["state"][[0, 2]].copy()
     mask = np.array([False, True, False])

@@ -65,6 +65,7 @@ def test_a_run_folder_holds_what_a_policy_needs(tmp_path, capsys):
 
 
 RANGES = {"mass_range": (0.42, 0.44), "friction_range": (0.06, 0.07)}
+WRAPPED = {"wrapper": ("tests.agents.training.wrappers:Swing",), "randomization": "real", **RANGES}
 
 
 @pytest.mark.parametrize(
@@ -72,7 +73,7 @@ RANGES = {"mass_range": (0.42, 0.44), "friction_range": (0.06, 0.07)}
     [
         ("CapsuleGoal-v0", "goal_time_s", {"static_ratio": 1.5, **RANGES}),
         ("CapsuleVelocity-v0", "velocity_error_percent", {"command_range": (0.05, 0.06)}),
-        ("CapsuleGoal-v0", "goal_time_s", {"wrapper": ("tests.agents.training.wrappers:Swing",)}),
+        ("CapsuleGoal-v0", "goal_time_s", WRAPPED),
     ],
 )
 def test_a_run_in_another_environment_is_judged_by_its_task(tmp_path, monkeypatch, env, column, changes):

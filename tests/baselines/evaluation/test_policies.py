@@ -8,7 +8,7 @@ from stable_baselines3 import PPO
 
 import capsule_gym
 from baselines import adaptive, goal_pulses
-from baselines.evaluation.episodes import evaluate
+from baselines.evaluation.episodes import evaluate, validation_set
 from baselines.evaluation.policies import all_candidates, find_candidate, wrap_policy
 from capsule_gym.evaluation_sets import parse_set
 from capsule_gym.sb3 import CapsuleSB3VecEnv
@@ -161,3 +161,4 @@ def test_arguments_of_the_environment_come_from_the_caller_or_the_policy():
     assert wrap_policy(zero).name == "zero"
     evaluate(zero, TINY, env_kwargs={"observe_parameters": True, "control_dt": 0.1}, horizon=0.2)
     assert shapes == [(3, 7)] * 2
+    assert validation_set("none", "x", 0, 1, capsule_gym.Capsule(M=0.8)).plants[0].M == 0.8
