@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from capsule_gym.checks import check_number, nearest
+from capsule_gym.checks import check_number, nearest, require
 from capsule_gym.config import DIRECT_PHYSICS_DT
 from capsule_gym.parameters import SENSORS, Capsule, Disturbances, Randomization
 from capsule_gym.recording import UNITS, read_log
@@ -172,7 +172,8 @@ def identify(
     """
     from capsule_gym.shooting import DISTANCE, Problem  # needs scipy
 
-    columns, prior, known = read_log(log), Randomization.named(prior), dict(known or {})
+    require(known is None or isinstance(known, Mapping), "known", "a dict of numbers by name", known, TypeError)
+    columns, prior, known = read_log(log), Randomization.named(prior, "prior"), dict(known or {})
     physics_dt = check_number("physics_dt", physics_dt, "a number of s from 1e-5 to 0.01", 1e-5, 0.01)
     for name, value in known.items():
         if name not in QUANTITIES:

@@ -241,8 +241,10 @@ class Randomization:
             value, whose = getattr(self, name), f"Randomization.{name}"
             if value is None:
                 continue
-            positive, limits, sign = name == "M" or (name == "mu" and self.log_mu), {}, ""
-            if name in ("M", "mu"):
+            # A Stribeck speed of 0 means none: just above it the friction is as steep as can be.
+            positive = name in ("M", "stribeck_speed") or (name == "mu" and self.log_mu)
+            limits, sign = {}, ""
+            if positive or name == "mu":
                 limits, sign = {"low": 0.0, "open_low": positive}, "0 < " if positive else "0 <= "
             accepted = f"a pair (low, high) of finite numbers with {sign}low <= high"
             low, high = check_pair(whose, value, accepted, **limits)
@@ -256,11 +258,11 @@ class Randomization:
         return [name for name in CONSTANTS if getattr(self, name) is not None]
 
     @classmethod
-    def named(cls, name: "str | Randomization") -> "Randomization":
+    def named(cls, name: "str | Randomization", argument: str = "randomization") -> "Randomization":
         """The `Randomization` of a name; a `Randomization` is returned unchanged."""
         if isinstance(name, cls):
             return name
-        return RANDOMIZATIONS[check_name("randomization", name, cls, RANDOMIZATIONS)]
+        return RANDOMIZATIONS[check_name(argument, name, cls, RANDOMIZATIONS)]
 
     def corners(self, capsule: Capsule) -> list[Capsule]:
         """The capsules at the ends of all ranges but those of M and mu, with the lightest platform and most friction.

@@ -47,8 +47,9 @@ CHOICES = {"activation": ("tanh", "relu"), "squashing": ("clip", "tanh")}
 MOST_LAYERS, MOST_UNITS, LARGEST_CLIP = 6, 1024, 1e6
 # Largest file that is read, bytes: larger than any file within the limits above, many times larger than usual.
 LARGEST_FILE = 32 * 2**20
-# The options of the environment that change the task of a policy.
-ENV_ARGUMENTS = tuple(each.name for each in fields(EnvConfig) if each.name not in ("threads", "render_mode"))
+# The options of the environment that change the task of a policy, which observes an array.
+NO_ARGUMENTS = ("threads", "render_mode", "goal_env")
+ENV_ARGUMENTS = tuple(each.name for each in fields(EnvConfig) if each.name not in NO_ARGUMENTS)
 
 
 def policy_names(*, seeds: bool = False) -> list[str]:

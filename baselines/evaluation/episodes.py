@@ -143,9 +143,9 @@ def evaluate(
         ValueError: if the policy or set does not exist, their tasks differ, or the policy's actions are invalid.
     """
     chosen = evaluation_set if isinstance(evaluation_set, EvaluationSet) else load_set(evaluation_set)
+    if env_kwargs is not None and isinstance(policy, (str, Path, Candidate)):
+        raise TypeError("env_kwargs must not be given with a policy's name or path or a candidate, which has its own")
     if isinstance(policy, (str, Path)):
-        if env_kwargs is not None:
-            raise TypeError("env_kwargs must not be given with a policy's name or path, which has its own")
         policy = find_candidate(str(policy))
     if isinstance(policy, Candidate):
         return [episode for each in policy.policies for episode in evaluate(each, chosen, horizon=horizon)]

@@ -69,11 +69,7 @@ def check_reset(env, names=(), **arguments):
         check_finite("info", result[1])
 
 
-def names_of(kind):
-    return [each.name for each in dataclasses.fields(kind)]
-
-
-OWN = {CapsuleEnv: names_of(EnvConfig)}
+OWN = {CapsuleEnv: [each.name for each in dataclasses.fields(EnvConfig)]}
 OWN[CapsuleVectorEnv] = ["num_envs", "max_episode_steps", "autoreset_mode", *OWN[CapsuleEnv]]
 
 
@@ -90,7 +86,7 @@ def test_an_argument_of_an_environment(kind, name, value):
 PARTS = {Capsule: "capsule", Randomization: "randomization", Disturbances: "disturbances"}
 
 
-@pytest.mark.parametrize(("kind", "name"), [(kind, name) for kind in PARTS for name in names_of(kind)])
+@pytest.mark.parametrize(("kind", "name"), [(kind, each.name) for kind in PARTS for each in dataclasses.fields(kind)])
 @given(value=anything | likely | st.tuples(likely, likely).map(sorted), log_mu=st.booleans())
 def test_a_constant_a_range_and_a_disturbance(kind, name, value, log_mu):
     others = {"log_mu": log_mu} if kind is Randomization else {}

@@ -1,7 +1,7 @@
 """The plant's physics: conservation, exact stick, located events and order of convergence."""
 
 import math
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
 import pytest
@@ -46,13 +46,8 @@ def random_plant(rng):
     return Capsule(**{name: rng.uniform(*ends) for name, ends in ranges.items()}, normal_force=normal_force)
 
 
-class Run(NamedTuple):
-    """The result of `run`: rows belong to the multiples of `hold`, columns to the cases."""
-
-    states: np.ndarray  # theta, theta_dot, x, x_dot on the last axis
-    sums: np.ndarray  # forward, backward, stuck, swept
-    events: np.ndarray
-    most_events: int  # in one step
+# Of `run`, at the multiples of `hold`: theta, theta_dot, x, x_dot; forward, backward, stuck, swept; the most in a step.
+Run = namedtuple("Run", "states sums events most_events")
 
 
 def run(torques, p, hold, steps, state=START):

@@ -59,8 +59,7 @@ NEAR_ONE = [sign * (1.0 - 10.0**power) for sign in (-1.0, 1.0) for power in numb
 # The last angles have the largest errors of ten million, of sin near 0 and of cos far away.
 NEAR = [*angles(0, HALF_TURN, 1500), HALF_TURN, -HALF_TURN, 1.5515752168417596]
 FAR = [*angles(1, 10.0, 2000), *angles(2, 1e4, 1500), *quarters(20), -1e4, 1e4, 3.111995651295123]
-# Function, exact function, what its errors are relative to, largest error of ten million random numbers, and numbers,
-# among them those with the largest errors.
+# Function, exact function, what errors are relative to, the largest of ten million numbers, and numbers with such.
 ERRORS = {
     "sin": (lambda x: sincos(x)[0], mpmath.sin, lambda exact: 1.0, 3.4e-16, NEAR),
     "cos": (lambda x: sincos(x)[1], mpmath.cos, lambda exact: 1.0, 2.2e-16, NEAR),

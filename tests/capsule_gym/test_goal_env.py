@@ -61,6 +61,7 @@ def test_it_is_the_same_environment_with_other_observations(kwargs):
             found = batch.compute_reward(batched["achieved_goal"], batched["desired_goal"], infos)
             np.testing.assert_array_equal(found, rewards)
     assert True in ends or (kwargs and ends)
+    assert not hasattr(CapsuleEnv(task="goal"), "compute_reward") and not hasattr(CapsuleVectorEnv(2), "compute_reward")
 
 
 def test_disturbed_goals_are_measured():
@@ -95,7 +96,3 @@ def test_hindsight_replay_takes_the_native_batch():
     model = SAC("MultiInputPolicy", env, learning_starts=160, batch_size=16, device="cpu", seed=0, **buffer)
     model.learn(176)
     assert model.replay_buffer.sample(64).rewards.shape == (64, 1)
-
-
-def test_only_goal_environments_have_rewards_of_other_goals():
-    assert not hasattr(CapsuleEnv(task="goal"), "compute_reward") and not hasattr(CapsuleVectorEnv(2), "compute_reward")

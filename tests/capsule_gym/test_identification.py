@@ -319,11 +319,10 @@ def test_record_writes_what_happens(tmp_path):
         record(env, policy, path)
     with pytest.raises(ValueError, match="env must be an environment with direct torque"):
         record(CapsuleEnv(controller="baselines:gait"), policy)
-    for action, limit, total, torque in ((0.2, 0.5, True, 0.3), (0.9, 0.5, True, 0.5), (0.9, 2.0, False, 1.5)):
-        limited = CapsuleEnv(**OPTIONS, residual_limit=limit, total_torque=total)
-        assert record(limited, lambda _, a=action: [a], seconds=0.01)["torque"] == pytest.approx([torque])
-        assert limited.step([action])[4]["torque"] == pytest.approx(torque)
+    total, wide = ({"residual_limit": 0.5, "total_torque": True}, {"residual_limit": 2.0})
     scaled = gym.wrappers.RescaleAction(CapsuleEnv(**OPTIONS), np.float32(0.0), np.float32(1.0))
-    assert record(scaled, lambda _: np.float32([0.75]), seconds=0.01)["torque"] == pytest.approx([0.75])
+    for action, torque, changes in ((0.2, 0.3, total), (0.9, 0.5, total), (0.9, 1.5, wide), (0.75, 0.75, None)):
+        env = scaled if changes is None else CapsuleEnv(**OPTIONS, **changes)
+        assert record(env, lambda _, a=action: np.float32([a]), seconds=0.01)["torque"] == pytest.approx([torque])
     late = CapsuleEnv(**{**OPTIONS, "disturbances": Disturbances(latency=0.01, unmeasured=("x_dot",))})
     assert list(record(late, seconds=0.1, seed=0)) == ["t", "torque", "theta", "theta_dot"]

@@ -59,8 +59,7 @@ def test_both_are_found_in_slip(M, mu):
     assert memories[0, 0] == 1.0
     np.testing.assert_array_equal(estimates[0], np.float32(PRIOR))
     found_M, found_log_mu, deviation_M, deviation_log_mu = estimates[-1]
-    # The pairs are exact up to the rounding to float32, but the filter assumes noise: the weight of the prior fades
-    # with every pair.
+    # The pairs are exact up to the rounding to float32, but the prior fades only with every pair.
     assert found_M == pytest.approx(M, rel=4e-3)
     # A small friction changes the velocity little.
     assert found_log_mu == pytest.approx(math.log(mu), abs=0.02)

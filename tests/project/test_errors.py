@@ -13,6 +13,7 @@ from agents.training.algorithms import make_env
 from agents.training.config import Config, RunError
 from baselines.drawing import style
 from baselines.evaluation.episodes import evaluate
+from baselines.evaluation.policies import find_candidate
 from baselines.evaluation.statistics import estimate, paired_difference
 from baselines.laws.adaptive import adaptive
 from baselines.laws.feedback_linearisation import feedback_linearising
@@ -83,6 +84,10 @@ CALLS = [
     (lambda: sensitivity(START, [0.1], capsule=Capsule(c=20.0)), ValueError, "physics_dt must be at most"),
     (lambda: identify(3.0), TypeError, "log must be the path of a CSV file or a mapping"),
     (lambda: identify(LOG, known={"latancy": 0.01}), ValueError, "did you mean 'latency'"),
+    (lambda: identify(LOG, known=3), TypeError, "known must be a dict of numbers by name, got 3"),
+    (lambda: identify(LOG, prior="reel"), ValueError, "^prior must be a Randomization or one of .*, got 'reel'"),
+    (lambda: Randomization(stribeck_speed=(0.0, 0.1)), ValueError, r"Randomization\.stribeck_speed\[0\] must .* 0 < l"),
+    (lambda: make_policy(env_kwargs={"goal_env": True}), ValueError, "env_kwargs must be a dict with keys out of"),
     (lambda: identify(LOG, known={"latency": -1.0}), ValueError, r"known\['latency'\] must be"),
     (lambda: identify(LOG, prior="narrow"), ValueError, "must be a Randomization or one of"),
     (lambda: identify(LOG, known=KNOWN, prior="none"), ValueError, "must leave a quantity to estimate"),
@@ -99,7 +104,7 @@ CALLS = [
     (lambda: parse_set({**plant(), "name": " "}), ValueError, "set.name must be a string that is not empty"),
     (lambda: parse_set({**plant(), "plants": []}), ValueError, "set.plants must be a list of at least one plant"),
     (lambda: parse_set(plant(capsule={"m": -1.0})), ValueError, r"plants\[0\].capsule: Capsule.m must be"),
-    (lambda: evaluate("direct-ppo", env_kwargs={}), TypeError, "env_kwargs must not be given with a policy's name"),
+    (lambda: evaluate(find_candidate("pd"), env_kwargs={}), TypeError, "must not be given with .* or a candidate"),
     (lambda: adaptive(K1=-1.0), ValueError, "K1 must be"),
     (lambda: adaptive(eta_0=10.1), ValueError, "eta_0 must be a number > 0 and <= 10, got 10.1"),
     (lambda: adaptive(dt=7e-4), ValueError, "multiple of dt"),

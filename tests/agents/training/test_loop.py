@@ -20,8 +20,7 @@ from tests.agents.training.small import SMALL, differences, finished, log, rows,
 
 
 def test_bootstrap_happens_at_time_limits_only():
-    # SB3 adds gamma V(terminal observation) to the reward if TimeLimit.truncated is set. With a large constant V, the
-    # collected rewards show these steps.
+    # SB3 adds gamma V(last observation) to the reward if TimeLimit.truncated is set; a large constant V shows where.
     config = small("direct", "ppo", total_steps=256, episode_seconds=0.4, initial_range=(1.047, 8.0))
     env = make_env(config, 0)
     env.norm_reward = False

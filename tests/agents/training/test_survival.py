@@ -181,12 +181,9 @@ BROKEN = {
 @pytest.mark.parametrize("content", BROKEN.values(), ids=BROKEN.keys())
 def test_a_broken_configuration_is_named(tmp_path, capsys, content):
     (tmp_path / "config.json").write_text(content)
-    with pytest.raises(RunError, match=r"config\.json"):
-        read_config(tmp_path)
-    with pytest.raises(SystemExit) as stop:
+    with pytest.raises(SystemExit, match=r"^2$"):
         command_line.main(["--resume", str(tmp_path)])
-    assert stop.value.code == 2
-    assert capsys.readouterr().err.splitlines()[-1].startswith("train.py: error: ")
+    assert re.match(r"train.py: error: .*config\.json", capsys.readouterr().err.splitlines()[-1])
 
 
 # The last one takes 9 PiB.
@@ -250,8 +247,6 @@ def test_the_second_signal_does_what_signals_did_before(capfd):
         signal.signal(signal.SIGTERM, before)
     assert capfd.readouterr().err.count("once more") == 1
 
-
-# --- signals and full disks, in processes of their own ----------------------------------------------------------------
 
 # One process imports the modules, and is forked for each child.
 CONTEXT = multiprocessing.get_context("forkserver")

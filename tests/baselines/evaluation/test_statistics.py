@@ -5,13 +5,10 @@ from scipy import stats
 from baselines.evaluation.statistics import estimate, interquartile_mean, paired_difference
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 100, 101])
-def test_interquartile_mean_is_scipys_trimmed_mean(count):
-    scores = np.random.default_rng(count).normal(size=(6, count))
-    np.testing.assert_allclose(interquartile_mean(scores), stats.trim_mean(scores, 0.25, axis=-1), rtol=1e-12)
-
-
-def test_interquartile_mean_known_answers():
+def test_interquartile_mean_is_scipys_trimmed_mean():
+    for count in (1, 2, 3, 4, 5, 100, 101):
+        scores = np.random.default_rng(count).normal(size=(6, count))
+        np.testing.assert_allclose(interquartile_mean(scores), stats.trim_mean(scores, 0.25, axis=-1), rtol=1e-12)
     # A quarter of failed ratios has no effect; a larger share does.
     assert interquartile_mean([1, 1, 1, np.nan]) == 1.0
     assert np.isnan(interquartile_mean([1, 1, np.nan, np.nan]))
