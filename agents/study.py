@@ -53,7 +53,7 @@ class Job:
 
 
 def plan(rows: Sequence[str], seeds: Sequence[int], folder: Path) -> list[Job]:
-    """Lists the runs of a study: the first seed of every row, then the second, and so on.
+    """Lists the runs of a study, each once: the first seed of every row, then the second, and so on.
 
     Raises:
         RunError: if a run's folder exists and holds no run, or a run with other settings.
@@ -61,8 +61,8 @@ def plan(rows: Sequence[str], seeds: Sequence[int], folder: Path) -> list[Job]:
     """
     jobs = [
         Job(row, dataclasses.replace(row_settings(row), seed=seed), folder / row / f"seed-{seed}")
-        for seed in seeds
-        for row in rows
+        for seed in dict.fromkeys(seeds)
+        for row in dict.fromkeys(rows)
     ]
     for job in jobs:
         job.config.check()

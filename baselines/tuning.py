@@ -19,7 +19,8 @@ from baselines import lqr
 from baselines.evaluation.episodes import evaluate, failures, scores, validation_set
 from baselines.laws import gains, gait, periodic
 from baselines.policies import ScriptedPolicy
-from capsule_gym.command_line import Positional, command
+from capsule_gym.checks import check_number
+from capsule_gym.command_line import Count, Positional, command
 from capsule_gym.controller import Controller
 from capsule_gym.files import write_atomically
 from capsule_gym.task import HORIZON
@@ -74,8 +75,8 @@ def score_law(name: str, parameters: np.ndarray, seed: int, plants: int, seconds
 
 def tune(name: str, generations: int, seed: int, step: float) -> None:
     """Runs a search; a mean of the distribution that scores better than the parameters on file replaces them."""
-    content = json.loads(gains.TUNED.read_text(encoding="utf-8"))
-    rng, own, units = np.random.default_rng([seed, 4]), content[name], np.array(content[name]["units"])
+    own = json.loads(gains.TUNED.read_text(encoding="utf-8"))[name]
+    rng, units = np.random.default_rng([seed, 4]), np.array(own["units"])
     validate = partial(score_law, name, seed=VALIDATION_SEED, plants=VALIDATION_PLANTS, seconds=HORIZON)
     options: dict[str, Any] = {"popsize": POPULATION, "verbose": -9}
     # The package would otherwise seed numpy's global generator.
@@ -96,13 +97,15 @@ def tune(name: str, generations: int, seed: int, step: float) -> None:
             best = reached
             origin = f"python -m baselines.tuning {name} --generations {generations} --seed {seed} --step {step:g}"
             found = {"command": origin, **metrics, "episodes": VALIDATION_PLANTS}
+            # Read again, since the searches of other laws may have written theirs.
+            content = json.loads(gains.TUNED.read_text(encoding="utf-8"))
             content[name] = {**own, "parameters": mean.tolist(), "found": found}
             lines = ",\n".join(f' "{key}": {json.dumps(content[key])}' for key in sorted(content))
             write_atomically(gains.TUNED, "{\n" + lines + "\n}\n")
 
 
-@command("python -m baselines.tuning")
-def main(law: Positional[Name], generations: int = 200, seed: int = 0, step: float = 0.5) -> None:
+@command("python -m baselines.tuning", ValueError)
+def main(law: Positional[Name], generations: Count = 200, seed: Count = 0, step: float = 0.5) -> None:
     """Tunes a law on random plants; baselines/laws/tuned.json keeps the best parameters so far, also after Ctrl-C.
 
     Examples:
@@ -114,6 +117,7 @@ def main(law: Positional[Name], generations: int = 200, seed: int = 0, step: flo
         seed: Seed of the search.
         step: Initial standard deviation of the parameters in their units.
     """
+    check_number("--step", step, "a finite number > 0", 0.0, open_low=True)
     if law != "lqr":
         tune(law, generations, seed, step)
         return

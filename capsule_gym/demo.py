@@ -25,7 +25,7 @@ from capsule_gym.evaluation_sets import (
 )
 from capsule_gym.policy import Policy, load_policy, policy_names, pretrained
 from capsule_gym.rendering import FRAME_SECONDS, Renderer, write_gif
-from capsule_gym.task import HORIZON, Termination
+from capsule_gym.task import CONTROL_DT, HORIZON, Termination
 
 PROG = "python -m capsule_gym.demo"
 TERMINATIONS = "the time is up", "the ball met the platform", "the capsule left the floor", "the motion was lost"
@@ -91,11 +91,11 @@ class Episode:
 
     def advance(self, time: float) -> None:
         """Steps until `time`, in s, or until the end of the episode."""
-        dt = self.env.simulation.options.control_dt
+        dt, horizon = self.env.simulation.options.control_dt, self.env.simulation.task.episode_steps * CONTROL_DT
         while self.end is None and self.time + 0.5 * dt < time:
             self._observation, _, _, _, info = self.env.step(self._act(self._observation[None])[0])
             self.time += dt
-            if info["termination"] or self.time + 0.5 * dt > HORIZON:
+            if info["termination"] or self.time + 0.5 * dt > horizon:
                 self.end = Termination(int(info["termination"]))
 
     @property

@@ -122,7 +122,7 @@ function checkDisturbances(given) {
   const found = { ...VARIATION.ideal, ...given };
   for (const name of DISTURBANCES) {
     const ends = [found[name]].flat().map((end) => checkNumber(`disturbances.${name}`, end, ...VARIATION.limits[name]));
-    if (ends.length > 2 || ends[0] > ends.at(-1)) {
+    if (ends.length < 1 || ends.length > 2 || ends[0] > ends.at(-1)) {
       throw new RangeError(`disturbances.${name} must be a number or [low, high], got ${found[name]}`);
     }
   }
@@ -609,6 +609,8 @@ export async function load(controller, options = {}) {
   if (set !== undefined && !Object.hasOwn(sets, set)) {
     throw new RangeError(`set must be one of ${Object.keys(sets).join(", ")}, got ${set}`);
   }
+  const other = Object.keys(options).find((name) => name !== "set" && options[name] !== undefined);
+  if (set !== undefined && other) throw new RangeError(`${other} must be left out: the set says it`);
   const { settings } = CONTROLLERS[controller];
   const chosen = task ?? sets[set]?.task ?? Object.keys(settings)[0];
   if (!Object.hasOwn(settings, chosen)) {

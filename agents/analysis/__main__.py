@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS: dict[str, Any] = {"limit_cycle": limit_cycle, "statistics": statistics, "sensitivity": sensitivity}
 
 
-@command(COMMAND)
+@command(COMMAND, OSError)
 def main(
     names: Positional[tuple[Literal["limit_cycle", "statistics", "sensitivity"], ...]] = (),
     check: bool = False,
@@ -35,6 +35,8 @@ def main(
         output: Folder of the files, which are replaced.
     """
     stale = False
+    if not check:
+        (output / "figures").mkdir(parents=True, exist_ok=True)
     for name in names or DOCUMENTS:
         (sections, figures), path = DOCUMENTS[name].document(), output / f"{name}_tables.md"
         parts = [f"<!-- Written by {COMMAND}: do not edit. -->"]
@@ -46,7 +48,6 @@ def main(
                 print(f"{path} is not up to date: run `{COMMAND} {name}` and commit what it writes.")
                 stale = True
             continue
-        (output / "figures").mkdir(parents=True, exist_ok=True)
         with style():
             for figure, draw in figures.items():
                 save(draw(), output / "figures" / figure)

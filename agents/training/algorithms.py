@@ -51,7 +51,6 @@ def wrapped_env(config: Config, env_kwargs: Mapping[str, Any], steps: int) -> gy
         RunError: if a wrapper is not a subclass of `gymnasium.Wrapper` that takes only an environment.
     """
     env: Any = gym.make(f"capsule_gym:{config.env}", max_episode_steps=steps, disable_env_checker=True, **env_kwargs)
-    env = EpisodeMetrics(env)
     for name in config.wrapper:
         try:
             kind: Any = pkgutil.resolve_name(name)
@@ -62,7 +61,8 @@ def wrapped_env(config: Config, env_kwargs: Mapping[str, Any], steps: int) -> gy
             raise RunError(
                 f"--wrapper must be MODULE:ATTRIBUTE of a gymnasium.Wrapper, got {name!r}: {error}"
             ) from error
-    return Monitor(env)
+    # Outermost, since wrappers may end an episode.
+    return Monitor(EpisodeMetrics(env))
 
 
 def make_env(config: Config, seed: int, **changes: Any) -> VecNormalize:

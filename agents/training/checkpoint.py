@@ -84,6 +84,11 @@ def path_of(run: Path, steps: int) -> Path:
     return run / f"checkpoint-{steps:012d}"
 
 
+def steps_of(path: Path) -> int:
+    """The agent steps of a checkpoint, from its path."""
+    return int(path.name.removeprefix("checkpoint-"))
+
+
 def newest_whole(run: Path) -> Path | None:
     """Finds the newest undamaged checkpoint of a run; prints damaged ones to stderr.
 

@@ -172,6 +172,8 @@ class Config:
 
         A wrong field raises a TypeError or ValueError that names it.
         """
+        if self.task == "direct" and self.controller is not None:
+            raise ValueError(f"controller must be None with direct torque, got {self.controller!r}")
         for field in dataclasses.fields(self):
             name, value = field.name, getattr(self, field.name)
             if field.type == Count:

@@ -88,13 +88,13 @@ def train(run: Path, total_steps: int | None = None, *, wandb: bool = False) -> 
         OSError: if the folder cannot be written to; its files are unchanged.
     """
     with add_name_to_errors(run), locked(run):
-        config, revision = _read(run, total_steps)
         torch.set_num_threads(1)
         # Left by a process that was killed while writing; only the holder of the lock writes files of these names.
         for folder, name in product((run, run / BEST), checkpoint.WRITTEN):
             for file in folder.glob(f".{name}.*.tmp*"):
                 file.unlink()
         latest = checkpoint.newest_whole(run)
+        config, revision = _read(run, total_steps, 1 if latest is None else checkpoint.steps_of(latest))
         if latest is None and (run / MODEL).exists():
             raise RunError(f"{run} has a trained agent, {MODEL}, but no checkpoint to resume from")
         settings = {name: value for name, value in config.to_dict().items() if name != "total_steps"}
@@ -164,14 +164,16 @@ def start_wandb(run: Path, config: Config) -> Any:
         raise RunError(f"--wandb: {error}") from error
 
 
-def _read(run: Path, total_steps: int | None) -> tuple[Config, str]:
+def _read(run: Path, total_steps: int | None, least: int) -> tuple[Config, str]:
     """Reads the configuration of a run and the git revision of its start; prints what has changed since.
 
     Raises:
-        RunError: if config.json cannot be read.
+        RunError: if config.json cannot be read, or `total_steps` differs from it and is below `least`.
     """
     begun = read_config(run)
-    config = dataclasses.replace(begun, total_steps=total_steps or begun.total_steps)
+    config = begun if total_steps is None else dataclasses.replace(begun, total_steps=total_steps)
+    if config != begun and config.total_steps < least:
+        raise RunError(f"total_steps must be an integer >= {least}, the steps of the run, got {config.total_steps}")
     content = json.loads((run / CONFIG).read_text(encoding="utf-8"))
     present = versions()
     for name, number in content.get("versions", {}).items():

@@ -13,7 +13,7 @@ from baselines.dynamic_programming.problem import PROBLEMS
 from capsule_gym.command_line import command
 
 
-@command("python -m baselines.dynamic_programming", ValueError)
+@command("python -m baselines.dynamic_programming", OSError, ValueError)
 def main(check: bool = False, report: bool = False, folder: Path = FOLDER) -> int:
     """Computes the results of dynamic programming that the archive lacks. Ctrl-C keeps finished results.
 
@@ -29,6 +29,8 @@ def main(check: bool = False, report: bool = False, folder: Path = FOLDER) -> in
         folder: Folder of the archive.
     """
     archive = load_archive(folder)
+    if (check or report) and not archive.results:
+        raise ValueError(f"{'--check' if check else '--report'} needs results on file, and {folder} has none")
     if check:
         stale = archive.check()
         count = len(archive.results) + len(archive.plant_speeds)
@@ -38,12 +40,12 @@ def main(check: bool = False, report: bool = False, folder: Path = FOLDER) -> in
         # Needs an extra of the package.
         from baselines.tables import fields_table
 
-        if not archive.results:
-            raise ValueError(f"--report needs results on file, and {folder} has none")
         print(fields_table([{**asdict(each), "limit": extrapolated(each)} for each in archive.results.values()]))
         return 0
     missing = [problem for problem in PROBLEMS if problem.key not in archive.results]
     plants = [plant for plant in set_plants() if plant not in archive.plant_speeds]
+    # Before the computation, which takes hours.
+    folder.mkdir(parents=True, exist_ok=True)
     status = 0
     try:
         for _ in chain(archive.solve(missing), solve_plants(archive, plants)):

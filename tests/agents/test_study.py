@@ -29,7 +29,7 @@ def test_a_run_with_other_settings_is_not_resumed(tmp_path):
     (run / "config.json").write_text(json.dumps(content))
     with pytest.raises(RunError, match=r"gamma was 0\.5 and is 0\.995"):
         plan(["direct-ppo"], [0], tmp_path)
-    assert len(plan(["direct-ppo"], [1], tmp_path)) == 1
+    assert len(plan(["direct-ppo", "direct-ppo"], [1, 1], tmp_path)) == 1
 
 
 def test_a_run_that_fails_does_not_stop_the_others(tmp_path, monkeypatch):

@@ -7,7 +7,7 @@ from capsule_gym import demo
 from capsule_gym.demo import KEYBOARD, NAMES, STRENGTH, Episode, find_policy
 from capsule_gym.env import shown_state
 from capsule_gym.evaluation_sets import load_set
-from capsule_gym.task import HORIZON, Termination
+from capsule_gym.task import Termination
 
 Image = pytest.importorskip("PIL.Image")
 pygame = pytest.importorskip("pygame")
@@ -31,18 +31,17 @@ def test_every_policy_has_one_name_and_acts():
         assert episode.policy.name in name and state(episode)["torque"] != 0.0
 
 
-@pytest.mark.parametrize("name", ["direct-ppo", "residual-ppo"])
-def test_an_episode_is_the_environments_and_stands_still_at_its_end(name):
-    nominal = load_set("nominal")
-    episode = Episode(find_policy(name), nominal, nominal.plants[0])
+@pytest.mark.parametrize(("name", "found", "horizon"), [("residual-ppo", "nominal", 33.0), ("goal", "goal", 15.0)])
+def test_an_episode_is_the_environments_and_stands_still_at_its_end(name, found, horizon):
+    episode = Episode(find_policy(name), load_set(found), load_set(found).plants[0])
     episode.advance(0.1)
     assert episode.time == pytest.approx(0.1) and episode.end is None
-    episode.advance(2.0 * HORIZON)
-    assert episode.end is Termination.none and episode.time == pytest.approx(HORIZON)
+    episode.advance(2.0 * horizon)
+    assert episode.end is Termination.none and episode.time == pytest.approx(horizon)
     assert episode.speed == f"{name} {episode.env.episode_metrics(1650)['mean_speed']:.2f} cm/s"
     last, time = state(episode), episode.time
     assert last["time"] == pytest.approx(time)
-    episode.advance(3.0 * HORIZON)
+    episode.advance(3.0 * horizon)
     assert (state(episode), episode.time) == (last, time)
 
 

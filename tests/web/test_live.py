@@ -219,6 +219,8 @@ def test_types_declare_what_there_is(node):
 BAD = {
     'await live.load("sliding")': "RangeError: controller must be one of direct, adaptive,.*, got sliding",
     'await live.load("direct", { disturbances: { lag: [2, 1] } })': "RangeError: disturbances.lag must be .* got 2,1",
+    'await live.load("direct", { disturbances: { lag: [] } })': "RangeError: disturbances.lag must be .* got $",
+    'await live.load("direct", { set: "paper", task: "goal" })': "RangeError: task must be left out: the set says it",
     'await live.drive("pd", { set: "goal", plant: 0 })': "RangeError: set must be one of the task speed, got goal",
     "capsule.reset({ seed: 1 })": "RangeError: seed must be left out: nothing is drawn",
     'await live.drive("dp-oracle")': "RangeError: set and plant must be given: what dp-oracle does",

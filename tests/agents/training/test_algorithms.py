@@ -129,6 +129,8 @@ def test_training_has_commands_sensors_and_a_limit_of_its_own():
     assert 0.15 <= commands.min() < commands.max() <= 0.16
     assert venv.batch.simulation.options.residual_limit == 1.2
     assert 0.0 <= venv.batch.reset(seed=0)[1]["disturbances"]["latency"].max() <= 0.001
+    with pytest.raises(ValueError, match=r"^controller must be None with direct torque, got 'baselines:pd'$"):
+        dataclasses.replace(config, controller="baselines:pd").check()
     assert (config.env_kwargs()["task"], config.env_kwargs()["residual_limit"]) == ("velocity", 1.0)
     assert config.env_kwargs()["disturbances"] == "real"
     with pytest.raises(ValueError, match="command_range must be None in CapsuleGoal-v0"):

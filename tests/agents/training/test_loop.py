@@ -61,6 +61,8 @@ def test_a_run_folder_holds_what_a_policy_needs(tmp_path, capsys):
     assert (policy.training_seed, policy.revision) == (0, content["revision"])
     assert train(run, 1024) and read_config(run) == dataclasses.replace(config, total_steps=1024)
     assert "falls until 1,024 steps" in capsys.readouterr().out
+    with pytest.raises(ValueError, match=r"^total_steps must be an integer >= 1024, the steps of the run, got 0$"):
+        train(run, 0)
 
 
 RANGES = {"mass_range": (0.42, 0.44), "friction_range": (0.06, 0.07)}
