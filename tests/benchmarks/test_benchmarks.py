@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import gymnasium as gym
@@ -17,6 +16,7 @@ from capsule_gym.layout import Row
 from capsule_gym.parameters import Capsule
 from tests.agents.fakes import Sine
 from tests.figures import assert_bars, texts
+from tests.project.test_pages import ROOT
 
 
 def test_errors_of_the_step_grow_with_it(monkeypatch, tmp_path):
@@ -39,8 +39,7 @@ def test_the_errors_of_the_documentation_are_those_of_the_step():
     # Smaller steps are as accurate as the reference.
     steps = accuracy.STEPS[2:]
     cells = [accuracy.cell([abs(accuracy.run(u, plant, h) - y).max() for plant, u, y in solved]) for h in steps]
-    page = Path(__file__).parents[2] / "docs/error_table.md"
-    assert f"|{'|'.join(cells)}|2.4 s|" in page.read_text(encoding="utf-8")
+    assert f"|{'|'.join(cells)}|2.4 s|" in (ROOT / "docs/error_table.md").read_text(encoding="utf-8")
 
 
 def test_errors_and_coverage_of_identified_plants(monkeypatch, capsys):

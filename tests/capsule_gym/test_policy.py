@@ -5,6 +5,7 @@ import pickle
 import struct
 import tracemalloc
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 
 import gymnasium as gym
@@ -170,16 +171,13 @@ def test_a_truncated_file_and_one_too_large_are_refused(tmp_path):
             load_policy(path)
 
 
-def ones(*shape):
-    return np.ones(shape, np.float32)
-
-
-WIDE = {"layers.0.weight": ones(2000, 5), "layers.0.bias": ones(2000), "layers.1.weight": ones(1, 2000)}
-DEEP = {f"layers.{n}.{kind}": ones(*shape) for n in range(2, 7) for kind, shape in (("weight", (1, 1)), ("bias", (1,)))}
+ones = partial(np.ones, dtype=np.float32)
+WIDE = {"layers.0.weight": ones((2000, 5)), "layers.0.bias": ones(2000), "layers.1.weight": ones((1, 2000))}
+DEEP = {f"layers.{n}.{kind}": ones(shape) for n in range(2, 7) for kind, shape in (("weight", (1, 1)), ("bias", (1,)))}
 # Tensors and entries of the metadata that replace those of a valid file (None removes one), and the error message.
 HOSTILE_TENSORS = [
     ({"layers.0.weight": np.full((8, 5), np.nan, np.float32)}, "layers.0.weight must be finite"),
-    ({"layers.1.weight": ones(2, 8), "layers.1.bias": ones(2)}, "and one in the last"),
+    ({"layers.1.weight": ones((2, 8)), "layers.1.bias": ones(2)}, "and one in the last"),
     ({"inputs.mean": np.zeros(6)}, "of shape (5,), one for each entry"),
     ({"layers.0.bias": None}, "it must contain the tensors"),
     ({**DEEP}, "1 to 6 layers, got 7"),

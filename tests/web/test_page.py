@@ -82,11 +82,6 @@ def link(page):
     return {key: values[0] for key, values in parse_qs(page.evaluate("location.hash.slice(1)")).items()}
 
 
-def measures(page):
-    """The table of measures, row by row."""
-    return page.locator("#rows tr").all_inner_texts()
-
-
 def playing(page):
     """Whether the scene is playing."""
     return page.locator("#play").get_attribute("aria-label") == "Pause"
@@ -129,7 +124,7 @@ def test_plays_pauses_steps_and_scrubs_by_mouse_and_keyboard(open_page):
         for key in keys:
             page.press("#scrub", key)
         shows(page, "figure-time", time)
-        rows.append(measures(page))
+        rows.append(page.locator("#rows tr").all_inner_texts())
     assert rows[:2] == rows[2:] and rows[0] != rows[1]
     presses = ("scrub", "Home", "0.00"), ("step", "Enter", "0.02"), ("stage", ".", "0.04"), ("back", "Enter", "0.02")
     for name, key, time in presses:

@@ -107,7 +107,7 @@ WRAPPERS = "tests.agents.training.wrappers"
     ("name", "reason"),
     [
         (f"{WRAPPERS}:Missing", "has no attribute 'Missing'"),
-        (f"{WRAPPERS}:not_a_wrapper", "--wrapper must be MODULE:ATTRIBUTE of a gymnasium.Wrapper"),
+        (f"{WRAPPERS}:np", "--wrapper must be MODULE:ATTRIBUTE of a gymnasium.Wrapper"),
         (f"{WRAPPERS}:TwoArguments", "weight"),
         (f"{WRAPPERS}:Unpicklable", "must be picklable"),
     ],

@@ -42,8 +42,7 @@ def test_a_run_folder_holds_what_a_policy_needs(tmp_path, capsys):
     config = small("residual", "ppo", total_steps=768, evaluate_every=256)
     torch.set_num_threads(2)
     finished(run, config)
-    # Sums of several threads have other bits, and a process of `--jobs` has one core.
-    assert torch.get_num_threads() == 1
+    assert torch.get_num_threads() == 1  # sums of several have other bits
     with pytest.raises(FileExistsError):
         begin(run, config)
     content = json.loads((run / "config.json").read_text())

@@ -29,6 +29,3 @@ class Unpicklable(gym.Wrapper):
 class TwoArguments(gym.Wrapper):
     def __init__(self, env, weight):
         super().__init__(env)
-
-
-not_a_wrapper = 3
