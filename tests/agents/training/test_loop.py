@@ -1,5 +1,6 @@
 import csv
 import dataclasses
+import itertools
 import json
 
 import numpy as np
@@ -16,7 +17,7 @@ from baselines.evaluation.episodes import evaluate, scores
 from baselines.evaluation.statistics import interquartile_mean
 from capsule_gym import load_policy
 from capsule_gym.parameters import RANDOMIZATIONS
-from tests.agents.training.small import SMALL, differences, finished, log, rows, small, train_until
+from tests.agents.training.small import SMALL, differences, finished, log, parameters, rows, small, train_until
 
 
 def test_bootstrap_happens_at_time_limits_only():
@@ -37,7 +38,9 @@ def test_bootstrap_happens_at_time_limits_only():
     assert np.array_equal(rewards > 500.0, ended & ~failed)
 
 
-def test_a_run_folder_holds_what_a_policy_needs(tmp_path, capsys):
+def test_a_run_folder_holds_what_a_policy_needs(tmp_path, capsys, monkeypatch):
+    falling = itertools.count(0, -1)
+    monkeypatch.setattr(type(CRITERIA["speed"]), "score", lambda *_: next(falling))
     run = tmp_path / "run"
     config = small("residual", "ppo", total_steps=768, evaluate_every=256)
     torch.set_num_threads(2)
@@ -49,10 +52,9 @@ def test_a_run_folder_holds_what_a_policy_needs(tmp_path, capsys):
     assert content["algo"] == "ppo" and content["seed"] == 0
     assert content["env"]["controller"] == "baselines:adaptive"
     assert {"torch", "stable-baselines3", "numpy", "gymnasium"} <= set(content["versions"])
-    assert content["revision"]
     with (run / "evaluations.csv").open() as file:
         steps = [int(row["steps"]) for row in csv.DictReader(file)]
-    assert steps == [256, 512, 768]
+    assert steps == [256, 512, 768] and parameters(run / "best/model.zip") != parameters(run / "model.zip")
     assert log(run)[768]["evaluation/score"] and list((run / "logs").glob("events*"))
 
     policy = load_policy(run)
@@ -103,15 +105,13 @@ def test_a_run_in_another_environment_is_judged_by_its_task(tmp_path, monkeypatc
     assert (plants.capsule.static_ratio, policy.env_kwargs.get("capsule")) == (
         (1.5, plants.capsule) if config.static_ratio else (1.3, None)
     )
-    # The file names its task, and the policy reproduces its best evaluation.
     values = scores(evaluate(policy, plants), column.rpartition("_")[0])
     assert f"{interquartile_mean(values)[0]:.4f}" in {f"{float(line[column]):.4f}" for line in lines}
 
 
 def test_model_selection_uses_draws_of_its_own():
-    draws = validation_plants(small("residual", "ppo"))
-    assert min(plant.seed for plant in draws.plants) >= 1_000_000
-    low, high = RANDOMIZATIONS["paper"].M
-    assert all(low <= plant.M <= high for plant in draws.plants)
-    assert len({plant.M for plant in draws.plants}) == len(draws.plants)
-    assert validation_plants(small("residual", "ppo", seed=1)).plants[0].seed not in {p.seed for p in draws.plants}
+    draws = validation_plants(small("residual", "ppo")).plants
+    masses, (low, high) = {plant.M for plant in draws}, RANDOMIZATIONS["paper"].M
+    assert min(plant.seed for plant in draws) >= 1_000_000 and len(masses) == len(draws)
+    assert all(low <= M <= high for M in masses)
+    assert validation_plants(small("residual", "ppo", seed=1)).plants[0].seed not in {p.seed for p in draws}
