@@ -16,10 +16,8 @@ from baselines.drawing import BLUE, DPI, MUTED, new_figure, style
 from baselines.evaluation.episodes import Episode, evaluate, scores
 from baselines.evaluation.policies import Policy, find_candidate
 from capsule_gym import CapsuleEnv, load_policy
-from capsule_gym.config import find_task
 from capsule_gym.evaluation_sets import NOMINAL_PLANT, EvaluationSet, PlantSpec, load_set
 from capsule_gym.files import replacing
-from capsule_gym.task import CONTROL_DT
 
 ROOT = Path(__file__).resolve().parents[1]
 # Length of the shown part of angle and torque at the end of an episode, s.
@@ -41,7 +39,7 @@ def compare(run: Path, set_name: str | None = None) -> None:
     criteria = CRITERIA[policy.env_kwargs.get("task", "speed")]
     evaluation_set, (baseline,) = load_set(set_name or criteria.ranking_set), find_candidate(criteria.baseline).policies
     own, theirs = (evaluate(each, evaluation_set) for each in (policy, baseline))
-    episodes = f"{len(own)} episodes of {episode_seconds(evaluation_set):g} s, the same for both"
+    episodes = f"{len(own)} episodes of {evaluation_set.horizon:g} s, the same for both"
     print(f"\nOn the set {evaluation_set.name} ({episodes}):\n")
     print(comparison_table("agent", own, criteria.baseline, theirs) + "\n", flush=True)
     plant = NOMINAL_PLANT if evaluation_set.task == "speed" else evaluation_set.plants[0]
@@ -118,7 +116,7 @@ def record(policy: Policy, plant: PlantSpec, evaluation_set: EvaluationSet) -> d
     act, dt, ended = policy.start([plant.seed]), env.simulation.options.control_dt, False
     observation, info = env.reset(seed=plant.seed, options=plant.reset_options())
     samples = [(0.0, *info["state"], info["torque"])]
-    while not ended and len(samples) <= round(episode_seconds(evaluation_set) / dt):
+    while not ended and len(samples) <= round(evaluation_set.horizon / dt):
         observation, _, ended, _, info = env.step(act(observation[None])[0])
         samples.append((len(samples) * dt, *info["state"], info["torque"]))
     return dict(zip(("t", "theta", "theta_dot", "x", "x_dot", "torque"), np.array(samples).T, strict=True))
@@ -151,8 +149,3 @@ def draw_comparison(recordings: Mapping[str, Mapping[str, np.ndarray]], path: Pa
         torque.set(xlabel="time (s)", ylabel="torque u (N m)", **window)
         with replacing(path) as temporary:
             figure.savefig(temporary, dpi=DPI)
-
-
-def episode_seconds(evaluation_set: EvaluationSet) -> float:
-    """The length of the episodes of a set, s."""
-    return find_task(evaluation_set.task).episode_steps * CONTROL_DT

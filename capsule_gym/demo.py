@@ -25,7 +25,7 @@ from capsule_gym.evaluation_sets import (
 )
 from capsule_gym.policy import Policy, load_policy, policy_names, pretrained
 from capsule_gym.rendering import FRAME_SECONDS, Renderer, write_gif
-from capsule_gym.task import CONTROL_DT, HORIZON, Termination
+from capsule_gym.task import HORIZON, Termination
 
 PROG = "python -m capsule_gym.demo"
 TERMINATIONS = "the time is up", "the ball met the platform", "the capsule left the floor", "the motion was lost"
@@ -82,20 +82,20 @@ class Episode:
         self.policy, self.time = policy, 0.0
         self.end: Termination | None = None
         # Scripted policies without a task fit any set.
-        task = policy.env_kwargs.get("task", "speed" if isinstance(policy, Policy) else found.task)
-        accepted = f"for the task {found.task!r} of the set {found.name!r}"
-        require(task == found.task, f"policy {policy.name!r}", accepted, task)
+        unnamed = "speed" if isinstance(policy, Policy) else found.task
+        found.check_task(policy.env_kwargs.get("task", unnamed), policy.name)
+        self._horizon = found.horizon
         self.env = CapsuleEnv(**{**policy.env_kwargs, **found.env_kwargs})
         self._act = policy.start([plant.seed])
         self._observation, _ = self.env.reset(seed=plant.seed, options=plant.reset_options())
 
     def advance(self, time: float) -> None:
         """Steps until `time`, in s, or until the end of the episode."""
-        dt, horizon = self.env.simulation.options.control_dt, self.env.simulation.task.episode_steps * CONTROL_DT
+        dt = self.env.simulation.options.control_dt
         while self.end is None and self.time + 0.5 * dt < time:
             self._observation, _, _, _, info = self.env.step(self._act(self._observation[None])[0])
             self.time += dt
-            if info["termination"] or self.time + 0.5 * dt > horizon:
+            if info["termination"] or self.time + 0.5 * dt > self._horizon:
                 self.end = Termination(int(info["termination"]))
 
     @property

@@ -25,7 +25,7 @@ from capsule_gym.checks import (
 from capsule_gym.config import check_object, find_task
 from capsule_gym.files import canonical_hash
 from capsule_gym.parameters import CONSTANTS, NOMINAL, Capsule, Disturbances
-from capsule_gym.task import CHANGE, HORIZON, LARGEST_STATE, START_THETA, TASKS, THETA_LIMIT
+from capsule_gym.task import CHANGE, CONTROL_DT, HORIZON, LARGEST_STATE, START_THETA, TASKS, THETA_LIMIT
 
 SET_NAMES = ("nominal", "paper", "wide", "extrapolation", "drift")
 # Sets of the speed task with another capsule than the paper's, and of the other tasks.
@@ -100,6 +100,17 @@ class EvaluationSet:
         if disturbances == "none" and any(plant.capsule for plant in self.plants):
             disturbances = Disturbances(stick_threshold=0.0, x_noise=0.0)
         return {"task": self.task, "capsule": capsule, **EPISODE_SETTINGS, "disturbances": disturbances}
+
+    @property
+    def horizon(self) -> float:
+        """The length of its episodes, s."""
+        return find_task(self.task).episode_steps * CONTROL_DT
+
+    def check_task(self, task: str, policy: str) -> None:
+        """Raises a ValueError if the task of the policy with this name is not that of the set."""
+        if task != self.task:
+            wanted = f"the task {self.task!r} of the set {self.name!r}"
+            raise ValueError(f"policy must be for {wanted}, got {policy!r}, which is for {task!r}")
 
     @cached_property
     def hash(self) -> str:

@@ -60,7 +60,7 @@ def to_c(
     """
     array = np.array([*constants, 0.0])
     # An operation, and the places of its operands in the list; for a "constant" its value.
-    rows: list[tuple[Any, ...]] = _core.trace(function, number, native.address(array))
+    rows = _core.trace(function, number, native.address(array))
     ends = [place for place, row in enumerate(rows) if row[0] == "output"]
     targets = {place: target for place, target in zip(ends, outputs, strict=True) if target is not None}
     # How often each row is an operand in what the outputs need; the outputs count as used.

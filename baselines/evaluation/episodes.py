@@ -20,7 +20,6 @@ from baselines.evaluation.statistics import estimate
 from baselines.policies import ScriptedPolicy
 from capsule_gym import __version__
 from capsule_gym.checks import check_number
-from capsule_gym.config import find_task
 from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec, load_set
 from capsule_gym.network import rollout
 from capsule_gym.parameters import CONSTANTS, NOMINAL, Capsule, Disturbances, Randomization
@@ -152,7 +151,7 @@ def evaluate(
     policy = wrap_policy(policy, env_kwargs=env_kwargs)
     check_task(Candidate(policy.name, (policy,), ""), chosen)
     settings: dict[str, Any] = {**policy.env_kwargs, **chosen.env_kwargs}
-    seconds, control_dt = find_task(chosen.task).episode_steps * CONTROL_DT, settings.get("control_dt", CONTROL_DT)
+    seconds, control_dt = chosen.horizon, settings.get("control_dt", CONTROL_DT)
     if horizon is not None:
         seconds = check_number("horizon", horizon, f"a finite number >= {control_dt:g} (s)", control_dt)
     steps, seeds = round(seconds / control_dt), [plant.seed for plant in chosen.plants]
@@ -186,14 +185,9 @@ def check_task(candidate: Candidate, evaluation_set: EvaluationSet) -> None:
     Raises:
         ValueError: if a policy is for another task.
     """
-    wanted = evaluation_set.task
     for policy in candidate.policies:
-        task = policy.env_kwargs.get("task", wanted if isinstance(policy, ScriptedPolicy) else "speed")
-        if task != wanted:
-            raise ValueError(
-                f"policy must be for the task {wanted!r} of the set {evaluation_set.name!r}, got {candidate.name!r}, "
-                f"which is for {task!r}"
-            )
+        unnamed = evaluation_set.task if isinstance(policy, ScriptedPolicy) else "speed"
+        evaluation_set.check_task(policy.env_kwargs.get("task", unnamed), candidate.name)
 
 
 def as_episodes(

@@ -36,8 +36,7 @@ def test_errors_of_the_step_grow_with_it(monkeypatch, tmp_path):
 
 def test_the_errors_of_the_documentation_are_those_of_the_step():
     solved = accuracy.expected_trajectories([Capsule(mu=0.3)] * accuracy.TRAJECTORIES, 1.5)
-    # Smaller steps are as accurate as the reference.
-    steps = accuracy.STEPS[2:]
+    steps = accuracy.STEPS[2:]  # smaller ones are as accurate as the reference
     cells = [accuracy.cell([abs(accuracy.run(u, plant, h) - y).max() for plant, u, y in solved]) for h in steps]
     assert f"|{'|'.join(cells)}|2.4 s|" in (ROOT / "docs/error_table.md").read_text(encoding="utf-8")
 

@@ -49,7 +49,7 @@ def test_a_run_folder_holds_what_a_policy_needs(tmp_path, capsys, monkeypatch):
     with pytest.raises(FileExistsError):
         begin(run, config)
     content = json.loads((run / "config.json").read_text())
-    assert content["algo"] == "ppo" and content["seed"] == 0
+    assert content["algo"] == "ppo" and content["seed"] == 0 and content["revision"]
     assert content["env"]["controller"] == "baselines:adaptive"
     assert {"torch", "stable-baselines3", "numpy", "gymnasium"} <= set(content["versions"])
     with (run / "evaluations.csv").open() as file:
@@ -102,9 +102,8 @@ def test_a_run_in_another_environment_is_judged_by_its_task(tmp_path, monkeypatc
     if (M := config.mass_range) and (mu := config.friction_range):
         assert all(M[0] <= plant.M <= M[1] and mu[0] <= plant.mu <= mu[1] for plant in plants.plants)
         assert (policy.env_kwargs["randomization"].M, policy.env_kwargs["randomization"].mu) == (M, mu)
-    assert (plants.capsule.static_ratio, policy.env_kwargs.get("capsule")) == (
-        (1.5, plants.capsule) if config.static_ratio else (1.3, None)
-    )
+    expected = (1.5, plants.capsule) if config.static_ratio else (1.3, None)
+    assert (plants.capsule.static_ratio, policy.env_kwargs.get("capsule")) == expected
     values = scores(evaluate(policy, plants), column.rpartition("_")[0])
     assert f"{interquartile_mean(values)[0]:.4f}" in {f"{float(line[column]):.4f}" for line in lines}
 

@@ -38,12 +38,11 @@ OWN = {
 
 
 def small(algo, **changes):
-    shared = {"evaluation_episodes": 1, "evaluate_every": 200}
-    return make_config("residual", algo, **{**shared, **OWN[algo], **changes})
+    return make_config("residual", algo, **{"evaluation_episodes": 1, "evaluate_every": 200, **OWN[algo], **changes})
 
 
 def steps_of(run):
-    return max((int(path.name.split("-")[1]) for path in run.glob("checkpoint-*")), default=0)
+    return max(map(checkpoint.steps_of, run.glob("checkpoint-*")), default=0)
 
 
 def scalars(run):
@@ -181,6 +180,8 @@ BROKEN = {
 @pytest.mark.parametrize("content", BROKEN.values(), ids=BROKEN.keys())
 def test_a_broken_configuration_is_named(tmp_path, capsys, content):
     (tmp_path / "config.json").write_text(content)
+    with pytest.raises(RunError, match=r"config\.json"):
+        read_config(tmp_path)
     with pytest.raises(SystemExit, match=r"^2$"):
         command_line.main(["--resume", str(tmp_path)])
     assert re.match(r"train.py: error: .*config\.json", capsys.readouterr().err.splitlines()[-1])
