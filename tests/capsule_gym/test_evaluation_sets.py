@@ -1,5 +1,3 @@
-"""Evaluation sets: valid files, their hash, and the plant that comes first."""
-
 import json
 
 import pytest

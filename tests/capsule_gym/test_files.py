@@ -1,5 +1,3 @@
-"""Files are written atomically, JSON contains finite numbers only, and hashes depend on the content alone."""
-
 import json
 import math
 import os

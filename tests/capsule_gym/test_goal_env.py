@@ -1,5 +1,3 @@
-"""`goal_env`: observations and rewards as learners of goals expect them."""
-
 import copy
 import pickle
 

@@ -1,5 +1,3 @@
-"""The network in C++: its outputs, and their equality in any batch."""
-
 from itertools import pairwise
 
 import numpy as np

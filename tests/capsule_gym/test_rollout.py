@@ -1,5 +1,3 @@
-"""Whole episodes in one call of the core: the same bits as stepping the batch, also with jumps and failures."""
-
 from dataclasses import replace
 from functools import partial
 

@@ -1,5 +1,3 @@
-"""Derivatives of trajectories: against differences through events, and the values' bits."""
-
 import math
 
 import numpy as np

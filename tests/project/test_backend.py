@@ -1,5 +1,3 @@
-"""The build backend: the compiler that it finds or asks for, and the links of the README that it publishes."""
-
 import os
 import runpy
 import sys

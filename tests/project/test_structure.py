@@ -1,5 +1,3 @@
-"""Installation and imports: packages and data, light imports, import contracts."""
-
 import dataclasses
 import importlib
 import subprocess

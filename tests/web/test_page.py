@@ -1,5 +1,3 @@
-"""The live page in a browser: controls by mouse and keyboard, links, and the layout on screens of any width."""
-
 import json
 import os
 import shutil

@@ -86,7 +86,7 @@ def test_an_archive_loads_without_this_checkout(algo, tmp_path, monkeypatch):
     env = CapsuleSB3VecEnv(2, seed=0, privileged=algo == "ppo")
     normalised = VecNormalize.load(run / "vecnormalize.pkl", env)
     action, _ = model.predict(normalised.reset(), deterministic=True)
-    assert action.shape == (2, 1)
+    assert action.shape == (2, 1) and normalised.norm_reward is (algo == "ppo")
 
 
 @pytest.mark.parametrize("noise_time", [0.0, 0.1])

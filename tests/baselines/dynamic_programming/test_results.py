@@ -1,5 +1,3 @@
-"""The stored results, the command that computes them, and the policies."""
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -121,3 +121,19 @@ def test_the_curvature_of_a_parabola_of_values_is_its_coefficient():
     solution = Solution(problem, grid, np.broadcast_to(parabola, SHAPE).astype(np.float32), 0.0, 0.0)
     states = np.zeros((round(2.0 * solver.SETTLED / problem.control_dt), 4, 3))
     assert solver.curvature_of(solution, SimpleNamespace(states=states)) == pytest.approx(1.5, abs=1e-3)
+
+
+def test_torques_are_refined_around_the_best(monkeypatch):
+    widths = []
+    monkeypatch.setattr(solver, "TORQUES", 5)
+    monkeypatch.setattr(
+        solver, "transitions", lambda p, g, u: widths.append(np.ptp(u, 1).max()) or transitions(p, g, u)
+    )
+    solve(Problem(), make_grid())
+    assert widths == [2.0, 1.0, 0.25]
+
+
+def test_a_grid_extends_beyond_the_trajectories():
+    # At theta = 0 y is x_dot / q, and w is that minus theta_dot: from 1 to 9, and from 2 to 3.
+    states = np.array([[[0.0, -1.0, 0.0, 0.1]], [[0.0, 6.0, 0.0, 0.9]]]).transpose(0, 2, 1)
+    assert solver.ranges(SimpleNamespace(states=states), 0.1) == ((-1.4, 11.4), (1.0, 4.0))
