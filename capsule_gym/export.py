@@ -174,8 +174,8 @@ class Exported:
             raise ImportError('--onnx needs onnx: pip install "capsule-gym[export]"') from error
         policy = self.policy
         real: Any = np.float32 if single else np.float64
-        # Policies that end with tanh are steep: they amplify rounding errors of inputs and first layer up to 80 times.
-        first: Any = np.float64 if policy.squashing == "tanh" else real
+        # Policies that end with tanh are steep: they amplify rounding errors before the last layer up to 80 times.
+        hidden: Any = np.float64 if policy.squashing == "tanh" else real
         nodes, initializers = list[Any](), list[Any]()
 
         def constant(value: Any, dtype: Any) -> str:
@@ -190,16 +190,15 @@ class Exported:
         def cast(name: str, dtype: Any) -> str:
             return add("Cast", name, to=helper.np_dtype_to_tensor_dtype(np.dtype(dtype)))
 
-        x = cast("observation", first)
-        x = add("Mul", add("Sub", x, policy.mean, dtype=first), self.scale, dtype=first)
-        x = add("Clip", x, -policy.clip, policy.clip, dtype=first)
-        for n, (weights, bias) in enumerate(policy.layers):
-            x = add("Gemm", x, weights, bias, dtype=real if n else first, transB=1)
-            function = policy.activation if n < len(policy.layers) - 1 else policy.squashing
-            if function != "clip":
-                x = add(function.capitalize(), x)
-            if n == 0 and first is not real:
-                x = cast(x, real)
+        x = cast("observation", hidden)
+        x = add("Mul", add("Sub", x, policy.mean, dtype=hidden), self.scale, dtype=hidden)
+        x = add("Clip", x, -policy.clip, policy.clip, dtype=hidden)
+        *layers, last = policy.layers
+        for weights, bias in layers:
+            x = add(policy.activation.capitalize(), add("Gemm", x, weights, bias, dtype=hidden, transB=1))
+        x = add("Gemm", cast(x, real), *last, transB=1)
+        if policy.squashing != "clip":
+            x = add(policy.squashing.capitalize(), x)
         action = add("Clip", x, -1.0, 1.0)
         nodes.append(helper.make_node("Cast", [action], ["action"], to=TensorProto.FLOAT))
         tensor = partial(helper.make_tensor_value_info, elem_type=TensorProto.FLOAT)

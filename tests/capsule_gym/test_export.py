@@ -170,7 +170,7 @@ def test_onnx(observed, single):
     found = [session.run(None, {"observation": each})[0] for each in observed.observations]
     worst = np.abs(np.array(found) - observed.actions).max()
     print(f"{observed.policy.name}, ONNX in {'float' if single else 'double'}: {worst:.2g}")
-    assert worst <= ((2e-6 if observed.policy.activation == "tanh" else 1e-5) if single else 1e-9)
+    assert worst <= (2e-6 if single else 1e-9)
 
 
 @pytest.mark.parametrize("name", LAWS)
