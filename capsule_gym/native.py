@@ -69,10 +69,10 @@ def evaluate(name: str, *arguments: np.ndarray | float, plant: np.ndarray | None
         The results, float64 arrays of the common shape.
     """
     # `np.broadcast_arrays` takes several times as long as a function of a few numbers.
-    inputs = np.empty((len(arguments), *np.broadcast_shapes(*map(np.shape, arguments))))
-    for row, argument in enumerate(arguments):
-        inputs[row] = argument
-    outputs = np.empty((_core.MOST_RESULTS, *inputs.shape[1:]))
+    shape = np.broadcast_shapes(*map(np.shape, arguments))
+    inputs, outputs = np.empty((*shape, len(arguments))), np.empty((_core.MOST_RESULTS, *shape))
+    for column, argument in enumerate(arguments):
+        inputs[..., column] = argument
     given = 0 if plant is None else address(plant)
-    count = _core.call(name, address(inputs), address(outputs), math.prod(inputs.shape[1:]), given)
+    count = call(name, inputs, len(arguments), outputs, math.prod(shape), given)
     return tuple(outputs[:count])

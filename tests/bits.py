@@ -26,7 +26,7 @@ from capsule_gym.files import write_atomically
 from capsule_gym.task import CONTROL_DT, HORIZON
 
 FILE = Path(__file__).with_name("bits.json")
-# Two blocks of lanes, the second with one lane in use.
+# One more than fills registers of any width.
 NUM_ENVS = 65
 # A random torque is held for so many steps; otherwise nothing would move.
 HOLD = 5
@@ -79,9 +79,10 @@ def subjects():
     for name, own in (("goal", shaken), ("velocity", replace(shaken, x_noise=0.001))):
         law = {"task": name, "disturbances": own, "controller": f"baselines:{name}_pulses"}
         yield Subject(f"law {name}_pulses disturbed", law, random_actions(0.05))
-    # The laws of the other tasks run above.
-    for name in (name for name, law in LAWS.items() if law().task is None):
-        yield Subject(f"law {name}", {"controller": f"baselines:{name}"}, random_actions(0.05))
+    for name, make in LAWS.items():
+        # A wide range of floors, so that the platform moves by pulses and by strokes.
+        own = {**wide, "task": task} if (task := make().task) else {}
+        yield Subject(f"law {name}", {"controller": f"baselines:{name}", **own}, random_actions(0.05))
     # On light platforms the guard acts earlier.
     yield Subject("law gait broad", {"controller": "baselines:gait", "randomization": "broad"}, random_actions(0.05))
     for policy in SCRIPTED.values():

@@ -55,7 +55,6 @@ template <class T, int N> struct Disturbed {
       b.drift_of_theta[j] = b.theta_drift[j] * first, b.drift_of_theta_dot[j] = b.theta_dot_drift[j] * second;
       b.drift_of_x_dot[j] = b.x_dot_drift[j] * normals(word_of(key, 0.0, 7)).first;
       b.read_x[j] = b.x[j];
-      b.readings[j] = b.motor[j] = 0.0;
       for (int i = 0; i < (int)q.history; i++)
         store_record<double, N>(entry(i), j, load_record<State<double>, double, N>(FROM(theta), j));
     }

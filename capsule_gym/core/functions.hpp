@@ -5,22 +5,20 @@
 #include "step.hpp"
 
 namespace LEVEL {
-constexpr int MOST_RESULTS = 17;  // of a function that `evaluate` knows
-
 // The most general plant: one compiled function serves all.
 using AnyPlant = Plant<double, Kind::extended>;
+constexpr int MOST_RESULTS = WIDTH<AnyPlant>;  // of a function that `evaluate` knows
 
-// Evaluates f(a, p) with the arguments a[0], a[1], .. and the plant p at n places: `in`, shape (arguments, n), begins
+// Evaluates f(a, p) with the arguments a[0], a[1], .. and the plant p at n places: `in`, shape (n, arguments), begins
 // with M and mu where a plant is given; `out` has the shape (results, n). Returns the number of results.
-template <int ARGUMENTS, class F>
-long long evaluate_each(const double* in, double* out, long long n, const AnyPlant* plant, F f) {
+template <class F>
+long long evaluate_each(const double* in, long long arguments, double* out, long long n, const AnyPlant* plant, F f) {
   using Results = decltype(f(in, *plant));
   static_assert(WIDTH<Results> <= MOST_RESULTS);
   for (long long i = 0; i < n; i++) {
+    const double* a = in + i * arguments;
     AnyPlant p = {};
-    if (plant) p = *plant, p.M = in[i], p.mu = in[n + i], p.mass_ratio = p.m / (p.M + p.m);
-    double a[ARGUMENTS];
-    for (int k = 0; k < ARGUMENTS; k++) a[k] = in[(plant ? k + 2 : k) * n + i];
+    if (plant) p = *plant, p.M = *a++, p.mu = *a++, p.mass_ratio = p.m / (p.M + p.m);
     Results found = f(a, p);
     for (int k = 0; k < WIDTH<Results>; k++) out[k * n + i] = ((const double*)&found)[k];
   }
@@ -28,26 +26,27 @@ long long evaluate_each(const double* in, double* out, long long n, const AnyPla
 }
 
 // Evaluates a function by its name; returns UNKNOWN if there is none.
-inline long long evaluate(const char* name, const double* in, double* out, long long n, const AnyPlant* plant) {
-#define FUNCTION(function, arguments, call)                                                                    \
-  if (!__builtin_strcmp(name, #function))                                                                      \
-    return evaluate_each<arguments>(in, out, n, plant, []([[maybe_unused]] const double* a,                    \
+inline long long evaluate(const char* name, const double* in, long long arguments, double* out, long long n,
+                          const AnyPlant* plant) {
+#define FUNCTION(function, call)                                                                                 \
+  if (!__builtin_strcmp(name, #function))                                                                        \
+    return evaluate_each(in, arguments, out, n, plant, []([[maybe_unused]] const double* a,                      \
                                                           [[maybe_unused]] const AnyPlant& p) { return call; });
-  FUNCTION(accelerations, 5, p.accelerations(a[0], a[1], a[2], a[3], a[4]))
-  FUNCTION(normal_force, 3, p.normal_force(a[0], a[1], a[2]))
-  FUNCTION(driving_force, 3, p.driving_force(a[0], a[1], a[2]))
-  FUNCTION(friction_force, 3, p.friction_force(a[0], a[1], a[2]))
-  FUNCTION(stick_margin, 3, p.stick_margin(a[0], a[1], a[2]))
-  FUNCTION(contact_phase, 4, p.contact_phase(State<double>{a[0], a[1], 0.0, a[2]}, a[3]))
-  FUNCTION(step, 6, plant_step(State<double>{a[0], a[1], a[2], a[3]}, a[4], p, a[5]))
-  FUNCTION(sincos, 1, sincos(a[0]))
-  FUNCTION(exp, 1, exp(a[0]))
-  FUNCTION(tanh, 1, tanh(a[0]))
-  FUNCTION(log, 1, log(a[0]))
-  FUNCTION(derive, 11, derive(*(const Constants<double>*)a))
-  FUNCTION(normals, 1, normals(scramble(bits_of(a[0]))))
-  FUNCTION(number_at, 4, number_at(a[0], a[1], a[2], a[3]))
-  FUNCTION(goal_rate, 2, Goal::rate(a[0], a[1]))
+  FUNCTION(accelerations, p.accelerations(a[0], a[1], a[2], a[3], a[4]))
+  FUNCTION(normal_force, p.normal_force(a[0], a[1], a[2]))
+  FUNCTION(driving_force, p.driving_force(a[0], a[1], a[2]))
+  FUNCTION(friction_force, p.friction_force(a[0], a[1], a[2]))
+  FUNCTION(stick_margin, p.stick_margin(a[0], a[1], a[2]))
+  FUNCTION(contact_phase, p.contact_phase(State<double>{a[0], a[1], 0.0, a[2]}, a[3]))
+  FUNCTION(step, plant_step(State<double>{a[0], a[1], a[2], a[3]}, a[4], p, a[5]))
+  FUNCTION(sincos, sincos(a[0]))
+  FUNCTION(exp, exp(a[0]))
+  FUNCTION(tanh, tanh(a[0]))
+  FUNCTION(log, log(a[0]))
+  FUNCTION(derive, derive(*(const Constants<double>*)a))
+  FUNCTION(normals, normals(scramble(bits_of(a[0]))))
+  FUNCTION(number_at, number_at(a[0], a[1], a[2], a[3]))
+  FUNCTION(goal_rate, Goal::rate(a[0], a[1]))
 #undef FUNCTION
   return UNKNOWN;
 }

@@ -14,7 +14,7 @@
 namespace LEVEL {
 // The direct-torque task: none, so that the residual torque is the whole torque.
 struct NoLaw {
-  CAPSULE_LAW(NoLaw, "none", false, NoMemory, NoReference, NO_CONSTANTS)
+  CAPSULE_LAW(NoLaw, "none", T, NoMemory, NoReference, NO_CONSTANTS)
 
   template <class T> INLINE T torque(const State<T>&, NoMemory<T>&, const NoReference<T>&) const { return 0.0; }
 };

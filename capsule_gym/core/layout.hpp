@@ -33,12 +33,12 @@
   ROW(theta_drift) ROW(theta_dot_drift) ROW(x_dot_drift) ROW(drift_time) ROW(theta_resolution)                         \
   ROW(theta_dot_resolution) ROW(x_dot_resolution) ROW(latency) ROW(lag) ROW(motor_friction) ROW(torque_resolution)     \
   ROW(push) ROW(key)                                                                                                   \
-  /* Derived: the latency in periods, the shares of drift and of motor lag after one period; readings so far. */       \
-  ROW(delay) ROW(drift_share) ROW(motor_share) ROW(readings)                                                           \
+  /* Derived: the latency in periods, the shares of drift and of motor lag after one period. */                        \
+  ROW(delay) ROW(drift_share) ROW(motor_share)                                                                         \
   /* In the first lane: the entry of the history that was written last. */                                             \
   ROW(cursor)                                                                                                          \
-  /* The motor's torque, N m; the drift of each sensor. */                                                             \
-  ROW(motor) ROW(drift_of_theta) ROW(drift_of_theta_dot) ROW(drift_of_x_dot)                                           \
+  /* From here on zeros at the start of an episode. Readings so far; the motor's torque, N m; each sensor's drift. */  \
+  ROW(readings) ROW(motor) ROW(drift_of_theta) ROW(drift_of_theta_dot) ROW(drift_of_x_dot)                             \
   /* The last reading; x is the integral of its x_dot, or that of a sensor. */                                         \
   ROW(read_theta) ROW(read_theta_dot) ROW(read_x) ROW(read_x_dot)                                                      \
   /* The state that the next reading shows. */                                                                         \
@@ -141,7 +141,6 @@ struct Argument {
   operator double() const { return __builtin_bit_cast(double, bits); }
   template <class T> operator T*() const { return (T*)bits; }
 };
-constexpr int MOST_ARGUMENTS = 7;
 // Calls a function by its name. Returns the index of an environment whose law has failed, -1, or UNKNOWN.
 typedef long long Call(const char* function, const Argument* arguments);
 constexpr long long UNKNOWN = -2;  // there is no function of this name

@@ -17,6 +17,6 @@ long long call(const char* function, const Argument* a) {
   if (is("law_torques")) return law_torques(a[0], a[1], a[2], a[3], a[4], a[5], a[6]), -1;
   if (is("platform_motion")) return platform_motion(a[0], a[1], a[2], a[3], a[4], *(const AnyPlant*)a[5], a[6]), -1;
   if (is("act")) return act(a[0], a[1], a[2], a[3]), -1;
-  return evaluate(function, a[0], a[1], a[2], a[3]);
+  return evaluate(function, a[0], a[1], a[2], a[3], a[4]);
 }
 }  // namespace LEVEL

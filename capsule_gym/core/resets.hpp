@@ -22,8 +22,7 @@ inline long long draw_episodes(const Batch& b, long long count) {
     if (i < 0 || i >= b.num_envs) return n;
     for (long long k = 0; k < b.draw_lines; k++) {
       const Draw& line = b.draw_table[k];
-      bool varies = line.range != 0.0 || line.distribution == SIGNED;
-      double share = varies ? draw(b.keys + 2 * i, (Word)line.stream, (Word)b.episodes[i], (int)line.place) : 0.0;
+      double share = draw(b.keys + 2 * i, (Word)line.stream, (Word)b.episodes[i], (int)line.place);
       b.drawn[k * b.num_envs + n] = number_at(share, line.low, line.range, line.distribution);
     }
   }
@@ -39,9 +38,10 @@ template <int N> void begin_episodes(const Batch& b, long long count) {
     auto& block = block_of<N>(b, i);
     double* lane = (double*)&block + j;
     // The constants of varied plants are derived when their episode begins.
-    long long plant = (block.plant_m - (double*)&block) / N, memory = sizeof block / sizeof block.theta;
+    long long plant = (block.plant_m - (double*)&block) / N, readings = (block.readings - (double*)&block) / N;
+    long long memory = sizeof block / sizeof block.theta;
     for (long long row = 0; row < plant; row++) lane[row * N] = 0.0;
-    for (long long row = memory; row < b.block_rows; row++) lane[row * N] = 0.0;
+    for (long long row = readings; row < b.block_rows; row++) lane[row * N] = 0.0;
     for (long long cell = 0; cell < b.memory_size; cell++) lane[(memory + cell) * N] = b.memory[cell];
     for (long long k = 0; k < b.draw_lines; k++)
       lane[(long long)b.draw_table[k].row * N] = b.drawn[k * b.num_envs + n];

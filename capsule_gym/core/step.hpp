@@ -234,7 +234,6 @@ template <class T, int N> struct Step {
     b.termination[j] = reason;
     b.halt[j] = ENDING;
     b.elapsed[j] = elapsed;
-    b.slip[j] = 1.0;
   }
 
   NOINLINE void call_law(double tick) {
@@ -265,8 +264,7 @@ template <class T, int N> struct Step {
 
   // Calls the law with the present state; its torque acts until the next call.
   template <class Law> NOINLINE void evaluate_law(const Law& law, double tick) {
-    // A law with branches takes one environment at a time.
-    using S = typename Choose<Law::BRANCHES, double, T>::type;
+    using S = typename Law::template Number<T>;
     for (int j = 0; j < n; j += WIDTH<S>) {
       auto s = load_record<State<S>, S, N>(seen, j);
       auto cells = load_record<typename Law::template Cells<S>, S, N>(memory, j);

@@ -8,22 +8,12 @@
 
 #define EXPORT(name) extern "C" __attribute__((export_name(#name)))
 
-namespace {
-constexpr unsigned long PAGE = 65536, LINE = 64;
-Batch batch;
-unsigned long end;
-}  // namespace
+static Batch batch;
 
-extern "C" unsigned char __heap_base;
-
-// The address of new memory, zeros, which is never freed. It invalidates JavaScript's views of the memory.
+// The address of new memory, zeros, which is never freed: whole pages. It invalidates JavaScript's views of the memory.
 EXPORT(allocate) unsigned long allocate(unsigned long bytes) {
-  if (!end) end = ((unsigned long)&__heap_base + LINE - 1) / LINE * LINE;
-  unsigned long start = end, present = __builtin_wasm_memory_size(0);
-  end += (bytes + LINE - 1) / LINE * LINE;
-  unsigned long pages = (end + PAGE - 1) / PAGE;
-  if (pages > present) __builtin_wasm_memory_grow(0, pages - present);
-  return start;
+  constexpr unsigned long PAGE = 65536;
+  return __builtin_wasm_memory_grow(0, (bytes + PAGE - 1) / PAGE) * PAGE;
 }
 
 // Sets the fields of `Batch` in their order; arrays by their addresses.

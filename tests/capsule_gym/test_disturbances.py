@@ -69,6 +69,7 @@ def test_drawn_constants_make_the_plant_of_a_capsule_with_these():
     for one, other, third in zip(drawn, fixed, set_, strict=True):
         np.testing.assert_allclose(one["state"], other["state"], rtol=0.0, atol=1e-11)
         np.testing.assert_array_equal(one["state"], third["state"])
+        assert one["normal_force"] == pytest.approx(other["normal_force"], rel=1e-9)
 
 
 def test_readings_are_late_by_the_latency():

@@ -111,7 +111,7 @@ def test_what_is_drawn_are_the_numbers_of_numpys_philox_bit_for_bit(randomizatio
             ranged = "initial_range" in start
             expected = (noise[0], 8.0 * noise[1]) if ranged else (START_THETA + 0.05 * noise[0], 0.0)
             assert (column[Row.theta], column[Row.theta_dot]) == expected
-            assert column[Row.largest_theta] == abs(column[Row.theta])
+            assert (column[Row.largest_theta], column[Row.largest_theta_dot]) == tuple(map(abs, expected))
     # A constant that is not drawn is the present capsule's.
     if simulation.randomization.M is None:
         assert (simulation.row(Row.M) == 0.6).all()

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from capsule_gym import CapsuleEnv, CapsuleVectorEnv, Controller, load_policy, user_law
-from capsule_gym.layout import Row
+from capsule_gym.layout import ROWS, Row
 from capsule_gym.network import rollout
 from capsule_gym.parameters import REAL
 from tests.capsule_gym.fakes import picky
@@ -152,8 +152,10 @@ def test_an_exception_and_a_torque_that_is_not_finite_reach_the_caller(law, erro
         sound.step(zeros)
         assert "nan" not in str(caught.value)
     assert env.simulation.rows(0, 4)[:, others].tobytes() == sound.simulation.rows(0, 4)[:, others].tobytes()
-    # The failed environment continues after a reset.
+    # The failed environment continues after a reset, which leaves the memory of the others as it is.
+    memory = env.simulation.row(ROWS)[others]
     observations, _ = env.reset(options={"reset_mask": ~others})
+    assert np.array_equal(env.simulation.row(ROWS)[others], memory)
     assert env.observation_space.contains(observations)
     info = env.step(zeros)[4]
     assert all(np.isfinite(value).all() for name, value in info.items() if name[0] != "_")
@@ -180,7 +182,7 @@ def test_a_single_environment_reports_them_and_goes_on_after_a_reset(law, error,
 
 def test_an_exception_ends_a_rollout(either_way):
     env = CapsuleVectorEnv(3, controller=Controller("failing", failing, np.zeros((1, 2))), autoreset_mode="DISABLED")
-    env.reset(seed=0, options={"state": [-1.0, 0.0, 5.5, 0.0]})
+    env.reset(seed=0, options={"state": [[-1.0, 0.0, x, 0.0] for x in (5.5, 0.0, 0.0)]})
     policy = load_policy("residual-ppo")
     with pytest.raises(OwnError, match=r"^too far$"):
         rollout(env.simulation, policy, 30)
@@ -255,6 +257,15 @@ def test_ctrl_c_in_a_law_that_python_calls_ends_the_step(n, without_numba):
     assert len(calls) <= 3 * n + 1
     env.reset(seed=0)
     assert np.isfinite(env.step(np.zeros((n, 1), np.float32))[0]).all()
+
+
+@pytest.mark.usefixtures("without_numba")
+def test_calls_of_a_law_leave_no_objects_behind():
+    env = CapsuleEnv(controller=Controller("scaled", partial(scaled, 0.1), np.zeros((1, 2))))
+    env.reset(seed=0)
+    # A step calls the law ten times.
+    blocks = [env.step(np.zeros(1, np.float32)) and sys.getallocatedblocks() for _ in range(30)]
+    assert blocks[-1] - blocks[9] < 100
 
 
 @pytest.mark.usefixtures("without_numba")

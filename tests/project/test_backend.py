@@ -1,10 +1,12 @@
 import os
 import runpy
 import sys
+from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
 import pytest
 
+from capsule_gym import _core
 from tests.project.test_pages import ROOT
 
 SET = ("CMAKE_ARGS", "CMAKE_GENERATOR", "ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR")
@@ -54,3 +56,11 @@ def test_the_published_readme_has_absolute_links(url, backend, monkeypatch, tmp_
     assert made["readme"] == {"text": f"{links} [e](https://f) [g](#h)", "content-type": "text/markdown"}
     urls = {"Repository": "https://x", "Issues": "https://x/issues", "Changelog": f"{files}/CHANGELOG.md"}
     assert made["urls"] == (urls if url else {})
+
+
+@pytest.mark.skipif(not Path("/proc/cpuinfo").exists(), reason="needs Linux")
+def test_the_levels_are_those_that_the_processor_runs():
+    flags = set(Path("/proc/cpuinfo").read_text(encoding="utf-8").split())
+    v3 = {"avx2", "bmi1", "bmi2", "fma"} <= flags
+    v4 = v3 and {f"avx512{part}" for part in ("f", "bw", "cd", "dq", "vl")} <= flags
+    assert _core.LEVELS == [*["v4"] * v4, *["v3"] * v3, "portable"]

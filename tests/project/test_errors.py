@@ -82,6 +82,7 @@ CALLS = [
     (lambda: sensitivity(START, [0.1], ("nu",)), ValueError, "wrt must contain names out of .* got 'nu'"),
     (lambda: sensitivity(START, [0.1], ("stribeck_speed",)), ValueError, "wrt may contain 'stribeck_speed' only where"),
     (lambda: sensitivity(START, [9.0] * 20), ValueError, r"torques must keep .* in torques\[\d+\]"),
+    (lambda: sensitivity((1.5, 5.0, 0.0, 0.0), [0.0] * 3), ValueError, r"torques\[0\], between 0 and 0\.02 s$"),
     (lambda: sensitivity(START, [0.1], capsule=Capsule(c=20.0)), ValueError, "physics_dt must be at most"),
     (lambda: identify(3.0), TypeError, "log must be the path of a CSV file or a mapping"),
     (lambda: identify(LOG, known={"latancy": 0.01}), ValueError, "did you mean 'latency'"),

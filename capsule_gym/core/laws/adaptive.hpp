@@ -19,7 +19,7 @@ template <class T> struct AdaptiveMemory { T h[5], g[4], root, anchor; };
   MANY(lowest, 9) MANY(highest, 9)
 
 struct Adaptive {
-  CAPSULE_LAW(Adaptive, "adaptive", false, AdaptiveMemory, Reference, ADAPTIVE_CONSTANTS)
+  CAPSULE_LAW(Adaptive, "adaptive", T, AdaptiveMemory, Reference, ADAPTIVE_CONSTANTS)
 
   // The torque (39a). (39d) and (39e) advance the memory by one Euler step of the law's period.
   template <class T> INLINE T torque(const State<T>& s, AdaptiveMemory<T>& memory, const Reference<T>& r) const {

@@ -40,7 +40,7 @@ INLINE T guarded_torque(T theta, T theta_dot, T x_dot, const P& p, F guard_from,
 // memory is the filter's.
 struct Gait {
 #define GUARDED_CONSTANTS(ONE, MANY) GAIT_CONSTANTS(ONE, MANY) ONE(m) ONE(l) ONE(g) ONE(lightest) ONE(dt)
-  CAPSULE_LAW(Gait, "gait", true, Filter, NoReference, GUARDED_CONSTANTS)
+  CAPSULE_LAW(Gait, "gait", double, Filter, NoReference, GUARDED_CONSTANTS)
   // Factor by which the guard's threshold falls faster than the weight of a lighter platform: of 1.0, 1.2, 1.3 and 1.5
   // the first without a failure in 1000 episodes from the distribution of `extrapolation`.
   static constexpr double CAUTION = 1.3;

@@ -3,15 +3,15 @@
 #include "../plant.hpp"
 
 namespace LEVEL {
-// The members of a law besides its function `torque`. Memory and Row are the structs of its memory, and of the row of
-// its reference with the memory of the task behind it. LIST(ONE, MANY) names the constants `q`, numbers and arrays: C++
-// takes the fields from it, Python their order.
-#define CAPSULE_LAW(Law, name, branches, Memory, Row, LIST)                                                            \
+// The members of a law besides its function `torque`. The number type is T, or `double` for a law with branches. Memory
+// and Row are the structs of its memory, and of the row of its reference with the memory of the task behind it.
+// LIST(ONE, MANY) names the constants `q`, numbers and arrays: C++ takes the fields from it, Python their order.
+#define CAPSULE_LAW(Law, name, number, Memory, Row, LIST)                                                              \
+  template <class T> using Number = number;                                                                            \
   template <class T> using Cells = Memory<T>;                                                                          \
   template <class T> using Line = Row<T>;                                                                              \
   static constexpr const char *NAME = name, *CONSTANTS = "" LIST(CAPSULE_NAME, LAW_NAMES);                             \
   static constexpr int MEMORY = WIDTH<Memory<double>>, COLUMNS = WIDTH<Row<double>>;                                   \
-  static constexpr bool BRANCHES = branches;                                                                           \
   struct Constants {                                                                                                   \
     LIST(CAPSULE_DOUBLE, LAW_FIELDS)                                                                                   \
   } q;                                                                                                                 \

@@ -6,7 +6,7 @@ namespace LEVEL {
 // Tracking of a periodic trajectory: feedforward in N m, and gains in N m/rad and N m s/rad.
 struct Tracking {
   template <class T> struct Trajectory { T theta_d, theta_d_dot, feedforward, K_theta, K_theta_dot; };
-  CAPSULE_LAW(Tracking, "tracking", false, NoMemory, Trajectory, NO_CONSTANTS)
+  CAPSULE_LAW(Tracking, "tracking", T, NoMemory, Trajectory, NO_CONSTANTS)
 
   template <class T> INLINE T torque(const State<T>& s, NoMemory<T>&, const Trajectory<T>& r) const {
     return r.feedforward - r.K_theta * (s.theta - r.theta_d) - r.K_theta_dot * (s.theta_dot - r.theta_d_dot);
@@ -20,7 +20,7 @@ struct Oscillator {
 #define OSCILLATOR_CONSTANTS(ONE, MANY)                                                                    \
   ONE(omega) ONE(alpha) MANY(E_a, 3) MANY(E_b, 3) ONE(bias) MANY(real, 3) MANY(imaginary, 3) ONE(K_theta)  \
   ONE(K_theta_dot) ONE(dt)
-  CAPSULE_LAW(Oscillator, "oscillator", false, Memory, NoReference, OSCILLATOR_CONSTANTS)
+  CAPSULE_LAW(Oscillator, "oscillator", T, Memory, NoReference, OSCILLATOR_CONSTANTS)
   // A strong impulse must not make the Euler steps diverge.
   static constexpr double LARGEST = 3.0;
 

@@ -85,7 +85,7 @@ template <class T, class Q> INLINE Estimate<T> predict(Memory<T>& memory, const 
 struct GaitPredictive {
   // `lightest` is the smallest mass in kg of a platform that must keep its contact.
 #define GAIT_PREDICTIVE_CONSTANTS(ONE, MANY) GAIT_CONSTANTS(ONE, MANY) NOMINAL_CONSTANTS(ONE) ONE(lightest) ONE(dt)
-  CAPSULE_LAW(GaitPredictive, "gait_predictive", false, predictor::Memory, NoReference, GAIT_PREDICTIVE_CONSTANTS)
+  CAPSULE_LAW(GaitPredictive, "gait_predictive", T, predictor::Memory, NoReference, GAIT_PREDICTIVE_CONSTANTS)
   // Added to the predicted x_dot, m/s: the gait becomes slow if the estimate is too low, but hardly if it is too high.
   static constexpr double X_DOT_MARGIN = 0.004;
   // Smallest normal force, as a share of the weight with the lightest platform.

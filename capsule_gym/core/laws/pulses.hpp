@@ -182,7 +182,7 @@ template <class T, class Task> struct TaskRow {
 // The law of the task `goal`: the gait and pulses, or strokes on smooth floors.
 struct GoalPulses {
   template <class T> using Row = TaskRow<T, Goal>;
-  CAPSULE_LAW(GoalPulses, "goal_pulses", true, pulses::Memory, Row, PULSES_CONSTANTS)
+  CAPSULE_LAW(GoalPulses, "goal_pulses", double, pulses::Memory, Row, PULSES_CONSTANTS)
   // The platform moves by strokes if mu is below the first number, until mu is above the second.
   static constexpr double SMOOTH = 0.035, LEAVE = 0.06;
 
@@ -209,7 +209,7 @@ struct GoalPulses {
 // The law of the task `velocity`: the gait and pulses towards the position of the target 0.3 s later.
 struct VelocityPulses {
   template <class T> using Row = TaskRow<T, Velocity>;
-  CAPSULE_LAW(VelocityPulses, "velocity_pulses", true, pulses::Memory, Row, PULSES_CONSTANTS)
+  CAPSULE_LAW(VelocityPulses, "velocity_pulses", double, pulses::Memory, Row, PULSES_CONSTANTS)
 
   template <class T> T torque(const State<T>& s, pulses::Memory<T>& memory, const Row<T>& row) const {
     return pulses::torque(s, memory, row.task.target + 0.3 * row.task.command - s.x, 0.004, 0.0, q);
