@@ -10,8 +10,7 @@ def test_interquartile_mean_is_scipys_trimmed_mean():
         scores = np.random.default_rng(count).normal(size=(6, count))
         np.testing.assert_allclose(interquartile_mean(scores), stats.trim_mean(scores, 0.25, axis=-1), rtol=1e-12)
     # A quarter of failed ratios has no effect; a larger share does.
-    assert interquartile_mean([1, 1, 1, np.nan]) == 1.0
-    assert np.isnan(interquartile_mean([1, 1, np.nan, np.nan]))
+    assert interquartile_mean([1, 1, 1, np.nan]) == 1.0 and np.isnan(interquartile_mean([1, 1, np.nan, np.nan]))
     assert interquartile_mean([1, 1, np.inf, np.inf]) == np.inf
 
 

@@ -99,8 +99,7 @@ def test_mass_and_friction_are_learnt_and_the_gait_is_fast_on_late_measurements(
     estimates = {cell: env.simulation.row(ROWS + cell) for cell in (M, MU, BIAS)}
     # The friction of the environment's motor rises more slowly than that of the model.
     assert estimates[M] == pytest.approx(np.array(plants)[:, 0], rel=0.2)
-    assert estimates[MU] == pytest.approx(np.array(plants)[:, 1], rel=0.25)
-    assert np.abs(estimates[BIAS]).max() < 0.02
+    assert estimates[MU] == pytest.approx(np.array(plants)[:, 1], rel=0.25) and np.abs(estimates[BIAS]).max() < 0.02
     # The gait without observer and predictor, with the same sensors and motor.
     alone = episode(gait(), plants, disturbances=LATE).episode_metrics()
     assert (alone["mean_speed"] < 5.0).all()
@@ -135,5 +134,4 @@ def test_a_torque_that_would_lift_the_lightest_platform_is_reduced():
         elif kept != pytest.approx(torque):
             reduced += 1
             assert after == pytest.approx(least, rel=1e-9) or kept == 0.0
-    assert reduced > 0
-    assert kept_of(1.5, 0.0, 20.0) == 1.5
+    assert reduced > 0 and kept_of(1.5, 0.0, 20.0) == 1.5
