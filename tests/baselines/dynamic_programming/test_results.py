@@ -32,16 +32,16 @@ def test_trajectories_give_the_speeds_on_file_to_the_last_bit():
 
 def test_the_plants_of_the_sets_are_solved_themselves():
     known = known_results()
-    np.testing.assert_allclose(known.results[Problem().key].grids, solver.GRIDS, rtol=0.01)
+    np.testing.assert_allclose(known.results[Problem().key].grids, solver.GRIDS, rtol=0.007)
     plants = set_plants()
     assert list(known.plant_speeds) == plants and len(plants) > 700
     solved = np.array([optimal_speed(*plant) for plant in plants])
     ratios = np.array([known.interpolated_speed(*plant) for plant in plants]) / solved
     assert 0.001 < np.abs(ratios - 1.0).mean() < 0.02 and np.abs(ratios - 1.0).max() < 0.0335
     # Solved again, a plant has the torques on file; a solution on a much coarser grid is slightly slower.
-    problem = Problem(M=plants[1][0], mu=plants[1][1])
-    again, coarse = (archive.solve_plant(problem, known, shape) for shape in (solver.GRIDS[0], (13, 18, 7)))
-    assert (again.choices[:, 0] == known.arrays["plants torques"][1]).all()
+    runs = (plants[722], solver.GRIDS[0]), (plants[1], (13, 18, 7))
+    again, coarse = (archive.solve_plant(Problem(M=M, mu=mu), known, shape) for (M, mu), shape in runs)
+    assert (again.choices[:, 0] == known.arrays["plants torques"][722]).all()
     assert 0.9 < coarse.metrics["mean_speed"][0] / solved[1] < 1.01
 
 
