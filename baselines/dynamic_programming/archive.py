@@ -9,7 +9,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -38,9 +38,8 @@ FOLDER = Path(__file__).with_name("data")
 ARCHIVE, ARRAYS = "archive.json", "arrays.npz"
 # cm: step of the stored values, larger if two bytes cannot count the steps; a control interval earns half a cm.
 RESOLUTION, MAX_STEPS = 0.005, 65535
-# Evaluation sets whose plants are solved themselves, and the number of plants between two writes of the archive.
+# Evaluation sets whose plants are solved themselves.
 SETS = ("paper", "wide")
-PART = 20
 # What reading a malformed archive of numpy or JSON file raises.
 UNREADABLE = (
     *(EOFError, IndexError, KeyError, MemoryError, OSError, RecursionError, TypeError, ValueError),
@@ -175,7 +174,7 @@ def _performance(trajectory: Trajectory) -> dict[str, float]:
     return {name: float(trajectory.metrics[name][0]) for name in ("mean_speed", "cost_of_transport")}
 
 
-@lru_cache(maxsize=1)
+@cache
 def known_results() -> Archive:
     """The archived results, read once."""
     return load_archive()
@@ -224,9 +223,8 @@ def solve_plants(archive: Archive, missing: Sequence[tuple[float, float]]) -> It
         rows = {"plants": [M, mu, *trajectory.metrics["mean_speed"]], "plants torques": trajectory.choices[:, 0]}
         for name, row in rows.items():
             archive.arrays[name] = np.array([*archive.arrays.get(name, ()), row])
-        if n % PART == PART - 1 or n == len(missing) - 1:
-            print(f"{n + 1}/{len(missing)} plants of the sets", flush=True)
-            yield
+        print(f"{n + 1}/{len(missing)} plants of the sets", flush=True)
+        yield
 
 
 def optimal_front() -> list[tuple[float, float]]:

@@ -1,7 +1,7 @@
 """Figures 3 to 9 of the paper from our own runs, with the published numbers."""
 
 from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -46,13 +46,13 @@ PLANTS = ((NOMINAL.M, NOMINAL.mu), *zip(published.M_RANGE, published.MU_RANGE, s
 PLANT_COLOURS, PLANT_DASHES = (INK, GREEN, PURPLE), ("-", (0.0, (5.0, 1.6)), (0.0, (2.5, 1.2)))
 
 
-@lru_cache(maxsize=1)
+@cache
 def profile_runs() -> list[Trajectory]:
     """The proposed profile and EPC under (35) on the nominal plant, five cycles without a torque limit."""
     return [simulate(feedback_linearising())[0], simulate(epc())[0]]
 
 
-@lru_cache(maxsize=1)
+@cache
 def adaptive_runs() -> dict[str, list[Trajectory]]:
     """Both forms of the adaptive law on `PLANTS`, five cycles with the environment's torque limit."""
     laws = {REGULARISED_LAW: adaptive(), CORRECTED_LAW: adaptive_as_published()}
@@ -136,7 +136,7 @@ def _draw_law(title: str, quantities: dict[str, Quantity], stated: str) -> Any:
                 drawn = {"color": colour, "linestyle": dashes, "label": f"M = {M:g} kg, μ = {mu:g}", "lw": 1.0}
                 axes.plot(run.t[window], quantity(run)[window], **drawn)
                 if not run.completed:
-                    axes.plot(run.t[-1], quantity(run)[-1], "x", color=colour, ms=6, mew=1.6, clip_on=False)
+                    axes.plot(run.t[-1], quantity(run)[-1], "x", color=colour, ms=6, mew=1.6)
             axes.set(xlim=(0.0, end), ylabel=label if end == DURATION else "")
             largest.setdefault(law, []).append(f"{max(np.abs(quantity(run)).max() for run in runs):.3g}")
         column[0].set_title(f"{title}, {law}" if end == DURATION else f"{law}, the first {end:g} s")

@@ -41,8 +41,7 @@ def drive(start, count, steps):
 def test_a_planned_policy_moves_and_an_episode_does_not_depend_on_others(start, steps, distance):
     (alone, metrics), (among, _) = (drive(start, count, steps) for count in (1, 3))
     assert metrics["distance"][0] > distance and metrics["failed"][0] == 0.0
-    assert alone.dtype == np.float32 and (np.abs(alone) <= 1.0).all()
-    assert np.array_equal(alone[:, 0], among[:, 0])
+    assert alone.dtype == np.float32 and (np.abs(alone) <= 1.0).all() and np.array_equal(alone[:, 0], among[:, 0])
 
 
 def test_a_constant_system_has_the_gains_of_the_algebraic_riccati_equation():
@@ -57,8 +56,7 @@ def test_the_committed_cycle_is_closed_and_its_regulator_stable():
     content = {name: np.array(values) for name, values in json.loads(lqr.FILE.read_text(encoding="utf-8")).items()}
     states, distance, A, B = lqr.linearise(Transitions(Problem(), 9), content["states"][0], content["torques"])
     np.testing.assert_allclose(states[:-1], content["states"], atol=1e-9)
-    assert (np.abs(states[-1] - states[0]) < 1e-5).all()
-    assert distance / (0.02 * len(content["torques"])) > 20.0
+    assert (np.abs(states[-1] - states[0]) < 1e-5).all() and distance / (0.02 * len(content["torques"])) > 20.0
     free, closed = np.eye(3), np.eye(3)
     for a, b, k in zip(A, B, content["gains"], strict=True):
         free, closed = a @ free, (a - np.outer(b, k)) @ closed

@@ -1,4 +1,5 @@
 import json
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -34,13 +35,29 @@ def test_a_failure_scores_below_standstill():
     assert metrics["failures"] == 2 and dropped < -5.0 < abs(rested) < 0.5
 
 
+def test_a_search_has_the_size_that_its_help_names(monkeypatch):
+    runs = Counter()
+
+    def score_law(name, point, seed, plants, seconds):
+        runs[seed, plants, seconds] += 1
+        return 0.0, {}
+
+    monkeypatch.setattr(tuning, "score_law", score_law)
+    assert tuning.main(["pd"]) == 0
+    # 200 generations of 20 candidates, each on 32 plants that no other generation and no evaluation set has.
+    searched = {seed: count for (seed, plants, _), count in runs.items() if plants == 32}
+    assert len(searched) == 200 and set(searched.values()) == {20}
+    assert min(searched) >= 2**40 and (np.diff(sorted(searched)) >= 32).all()
+    # The parameters on file, and the mean at the start and after each quarter of the search, on whole episodes.
+    assert [(seconds, count) for (_, plants, seconds), count in runs.items() if plants == 1024] == [(33.0, 6)]
+
+
 def test_only_better_parameters_replace_those_on_file(small, monkeypatch):
     assert tuning.main(["open-loop", "--generations", "1"]) == 0
     first = on_file("open-loop")
     assert first["found"]["command"].endswith("open-loop --generations 1 --seed 0 --step 0.5")
     monkeypatch.setattr(tuning, "score", lambda *arguments: (-1.0, {}))
-    assert tuning.main(["open-loop", "--generations", "1", "--seed", "1"]) == 0
-    assert on_file("open-loop") == first
+    assert tuning.main(["open-loop", "--generations", "1", "--seed", "1"]) == 0 and on_file("open-loop") == first
 
 
 def test_a_search_is_seeded_and_keeps_its_best_when_interrupted(small, monkeypatch):
@@ -49,8 +66,7 @@ def test_a_search_is_seeded_and_keeps_its_best_when_interrupted(small, monkeypat
     assert len(found["parameters"]) == len(found["start"])
     assert found["found"]["command"] == "python -m baselines.tuning gait --generations 3 --seed 0 --step 0.2"
     # The same seed finds the same parameters. They are no better, so the file stays the same.
-    assert tuning.main(["gait", "--generations", "3", "--step", "0.2"]) == 0
-    assert on_file("gait") == found
+    assert tuning.main(["gait", "--generations", "3", "--step", "0.2"]) == 0 and on_file("gait") == found
     own, calls = tuning.score, []
 
     def interrupted(*arguments):

@@ -35,8 +35,7 @@ def test_policies_are_found_by_name_and_path(world):
         assert seeds(name) == [2, 10]
     for name in ("learnt/seed-2", folder / "seed-2", folder / "seed-2" / "policy.safetensors"):
         assert seeds(name) == [2]
-    assert find_candidate("learnt/seed-2").name == "learnt/seed-2"
-    assert find_candidate("bold").trained == []
+    assert find_candidate("learnt/seed-2").name == "learnt/seed-2" and find_candidate("bold").trained == []
 
 
 def test_unknown_policies_raise_an_error_that_lists_the_known_ones(world):
@@ -143,8 +142,7 @@ class Counting:
 def test_a_recurrent_policy_starts_every_batch_without_a_state():
     policy = Counting()
     first, second = (evaluate(policy, TINY, horizon=0.05) for _ in range(2))
-    assert first == second
-    assert policy.starts == [[True] * 3, *[[False] * 3] * 4] * 2
+    assert first == second and policy.starts == [[True] * 3, *[[False] * 3] * 4] * 2
     assert first[0]["peak_torque"] == pytest.approx(1.5 * 0.05)
 
 
@@ -160,5 +158,4 @@ def test_arguments_of_the_environment_come_from_the_caller_or_the_policy():
 
     assert wrap_policy(zero).name == "zero"
     evaluate(zero, TINY, env_kwargs={"observe_parameters": True, "control_dt": 0.1}, horizon=0.2)
-    assert shapes == [(3, 7)] * 2
-    assert validation_set("none", "x", 0, 1, capsule_gym.Capsule(M=0.8)).plants[0].M == 0.8
+    assert shapes == [(3, 7)] * 2 and validation_set("none", "x", 0, 1, capsule_gym.Capsule(M=0.8)).plants[0].M == 0.8

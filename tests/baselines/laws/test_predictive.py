@@ -70,9 +70,7 @@ def test_the_model_is_exact_to_first_order():
             _, memory = call(law, (*estimate, *(torque,) * LATENCY), *estimate[1:4])
             estimate = memory[:8]
         errors.append(np.abs(np.subtract(estimate[1:5], (state[0], state[1], state[3], motor))))
-    assert (errors[0] < (1e-3, 0.1, 0.01, 0.2)).all()
-    assert (errors[0] > 1.6 * errors[1]).all()
-    assert (errors[1] > 1.6 * errors[2]).all()
+    assert (errors[0] < (1e-3, 0.1, 0.01, 0.2)).all() and (np.divide(errors[:2], errors[1:]) > 1.6).all()
 
 
 def test_the_prediction_follows_the_plant_through_the_queued_torques():
@@ -97,13 +95,11 @@ def test_mass_and_friction_are_learnt_and_the_gait_is_fast_on_late_measurements(
     plants = [(0.5, 0.01), (0.6, 0.1), (0.38, 0.05), (0.75, 0.2), (0.4, 0.25)]
     env = episode(gait_predictive(), plants, disturbances=LATE)
     metrics = env.episode_metrics()
-    assert metrics["failed"].sum() == 0.0
-    assert metrics["mean_speed"].min() > 12.0
+    assert metrics["failed"].sum() == 0.0 and metrics["mean_speed"].min() > 12.0
     estimates = {cell: env.simulation.row(ROWS + cell) for cell in (M, MU, BIAS)}
     # The friction of the environment's motor rises more slowly than that of the model.
     assert estimates[M] == pytest.approx(np.array(plants)[:, 0], rel=0.2)
-    assert estimates[MU] == pytest.approx(np.array(plants)[:, 1], rel=0.25)
-    assert np.abs(estimates[BIAS]).max() < 0.02
+    assert estimates[MU] == pytest.approx(np.array(plants)[:, 1], rel=0.25) and np.abs(estimates[BIAS]).max() < 0.02
     # The gait without observer and predictor, with the same sensors and motor.
     alone = episode(gait(), plants, disturbances=LATE).episode_metrics()
     assert (alone["mean_speed"] < 5.0).all()
@@ -116,8 +112,7 @@ def test_torque_and_memory_are_finite_whatever_is_measured():
     for _ in range(300):
         theta, theta_dot, x_dot = (float(rng.choice(values) * rng.choice((-1.0, 1.0))) for _ in range(3))
         torque, memory = controller.law(theta, theta_dot, 0.0, x_dot, memory, row)
-        assert abs(torque) <= TORQUE_LIMIT
-        assert np.isfinite(memory).all()
+        assert abs(torque) <= TORQUE_LIMIT and np.isfinite(memory).all()
 
 
 def test_a_torque_that_would_lift_the_lightest_platform_is_reduced():
@@ -139,5 +134,4 @@ def test_a_torque_that_would_lift_the_lightest_platform_is_reduced():
         elif kept != pytest.approx(torque):
             reduced += 1
             assert after == pytest.approx(least, rel=1e-9) or kept == 0.0
-    assert reduced > 0
-    assert kept_of(1.5, 0.0, 20.0) == 1.5
+    assert reduced > 0 and kept_of(1.5, 0.0, 20.0) == 1.5

@@ -58,8 +58,7 @@ def test_regularised_law_over_the_ranges(laws):
     assert speeds == pytest.approx([1.26, 1.53], abs=0.01)
     # V rises on plants other than the nominal one, where the proof fails.
     light = law.worst("rise")
-    assert (light["M"], light["mu"]) == pytest.approx(LIGHT)
-    assert light["rise"] > 0.1 and 0.05 < light["rising"] < 0.5
+    assert (light["M"], light["mu"]) == pytest.approx(LIGHT) and light["rise"] > 0.1 and 0.05 < light["rising"] < 0.5
 
 
 def test_unregularised_law_fails_on_most_of_the_ranges(laws):

@@ -43,8 +43,7 @@ def test_committed_solutions_are_what_they_claim():
     assert list(SOLUTIONS) == problems()
     for problem, each in SOLUTIONS.items():
         again = assess(problem, each.times, each.V1, each.P2)
-        assert again.feasible and each.feasible
-        assert again.shares == pytest.approx(each.shares, rel=1e-9)
+        assert again.feasible and each.feasible and again.shares == pytest.approx(each.shares, rel=1e-9)
         for name in ("mean_speed", "cost_of_transport", "peak_torque", "backward_ratio"):
             assert getattr(again, name) == pytest.approx(getattr(each, name), rel=1e-9)
         # The law's table needs whole milliseconds.

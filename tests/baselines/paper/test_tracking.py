@@ -39,8 +39,7 @@ def test_law_reproduces_exact_tracking(profile, speed, torque, energy, transport
 
 def test_epc_is_faster_wherever_it_moves(maps):
     ratio = speed_ratio(*maps)
-    assert np.nanmax(ratio) == pytest.approx(0.88, abs=0.02)
-    assert np.isnan(ratio[maps[1] <= 0.01]).all()
+    assert np.nanmax(ratio) == pytest.approx(0.88, abs=0.02) and np.isnan(ratio[maps[1] <= 0.01]).all()
 
 
 def test_speed_without_friction_and_with_very_much():
@@ -55,8 +54,7 @@ def test_no_friction_gives_both_published_speeds():
         (mu,) = friction_for(profile, published)
         frictions.append(mu)
         assert speed_map(profile, mu=[mu])[0, 0] == pytest.approx(published, rel=0.01)
-    assert frictions == pytest.approx([0.104, 0.189], abs=0.001)
-    assert friction_for(PROPOSED, 5.0) == []
+    assert frictions == pytest.approx([0.104, 0.189], abs=0.001) and friction_for(PROPOSED, 5.0) == []
 
 
 def test_what_follows_from_the_selection():
