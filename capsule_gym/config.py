@@ -64,11 +64,6 @@ def find_task(value: Any) -> Task:
     return found
 
 
-def _check_task(name: str, value: Any) -> Any:
-    find_task(value)
-    return value
-
-
 def check_object(name: str, value: Any, kind: Any) -> Any:
     """Checks a `Capsule`, a `Randomization` or a `Disturbances`, or makes it of the dict that JSON contains instead."""
     if isinstance(value, dict):
@@ -107,7 +102,7 @@ def _advice(name: str, known: Iterable[str]) -> str:
     return nearest(name, known)
 
 
-@dataclass(frozen=True, kw_only=True, init=False)
+@dataclass(frozen=True)
 class EnvConfig:
     """The options of an environment; None stands for a value that follows from the other options.
 
@@ -118,7 +113,7 @@ class EnvConfig:
         ValueError: if an option is out of range.
     """
 
-    # `find_controller` checks it.
+    # `find_controller` checks it, and `find_task` the task.
     controller: str | Controller | Callable[[], Controller] | None = None
     residual_limit: float | None = _option(None, _number(0.0, LARGEST_TORQUE, "N m"))
     total_torque: bool = _option(False, check_flag)
@@ -139,7 +134,7 @@ class EnvConfig:
     render_mode: str | None = _option(
         None, partial(check_choice, choices=RENDER_MODES, accepted=f"None or one of {RENDER_MODES}")
     )
-    task: str | Task = _option("speed", _check_task)
+    task: str | Task = "speed"
     goal_env: bool = _option(False, check_flag)
 
     def __init__(self, **options: Any) -> None:

@@ -24,7 +24,7 @@ LARGEST_TABLE = 10_000_000
 MOST_COLUMNS = _core.MOST_CELLS
 
 
-@dataclass(frozen=True, init=False)
+@dataclass(frozen=True)
 class CoreLaw:
     """A control law that comes with the package, compiled, with its constants. It is called like a law in Python.
 
@@ -174,7 +174,7 @@ def _check_reference(reference: Any) -> np.ndarray:
         shape = np.shape(reference)
         # Checked before the copy, since the shape of an array can exceed any memory.
         fits = len(shape) == 2 and shape[0] >= 1 and 2 <= shape[1] <= MOST_COLUMNS and math.prod(shape) <= LARGEST_TABLE
-        table = np.ascontiguousarray(reference, np.float64) if fits else None
+        table = np.array(reference, np.float64, order="C") if fits else None
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"Controller.reference must be {accepted}: {error}") from None
     if table is None or not np.isfinite(table).all():

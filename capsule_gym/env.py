@@ -255,7 +255,6 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
         super().reset(seed=seed)
         # Reading `np_random` seeds the generator, but not the simulation.
         if seed is not None or not self._seeded:
-            _ = self.np_random
             self.simulation.seed(0, self.np_random_seed)
             self._seeded = True
         if options is None:

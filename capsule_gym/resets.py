@@ -15,15 +15,8 @@ from capsule_gym.native import evaluate
 from capsule_gym.parameters import CONSTANTS, DISTURBANCES, LARGEST, Capsule, Disturbances, Randomization, check_divisor
 from capsule_gym.task import LARGEST_STATE, THETA_LIMIT, Draw, Task
 
-
-class Stream(IntEnum):
-    """The purposes of random numbers. Each has its own stream, so that draws for one do not shift another."""
-
-    parameters = 0
-    initial_state = 1
-    disturbances = 2
-    task = 3
-    variation = 4
+# The purposes of random numbers. Each has its own stream, so that draws for one do not shift another.
+Stream = IntEnum("Stream", "parameters initial_state disturbances task variation", start=0)
 
 
 def make_key(seed: int) -> tuple[int, int]:

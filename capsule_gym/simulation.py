@@ -121,7 +121,7 @@ class Simulation:
         self._ranges = list(pairwise(edges))
         self._pool: ThreadPoolExecutor | None = None
         # The process that owns the threads.
-        self._owner = 0
+        self._owner = os.getpid()
         self._bind()
 
     def __getstate__(self) -> dict[str, Any]:

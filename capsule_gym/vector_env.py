@@ -215,11 +215,8 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         return tuple(frame for frame in frames if frame is not None)
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Ends the threads and frees the frames."""
+        """Ends the threads."""
         self.simulation.close()
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
 
     def _info(self, rows: np.ndarray, mask: np.ndarray) -> dict[str, Any]:
         """The infos of the environments that the mask selects, from the first rows of `Row`."""
@@ -266,8 +263,7 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
     def _seed(self, seed: int | Sequence[int | None] | None, rows: np.ndarray) -> None:
         """Gives seeds to the environments `rows`, the first time to all: with a seed s, environment i gets s + i."""
         n = self.num_envs
-        last = f"2**128 - {n - 1}" if n > 1 else "2**128"
-        accepted = f"an integer in [0, {last}), None, or a sequence of {n} integers in [0, 2**128) or None"
+        accepted = f"an integer from 0 to 2**128 - {n}, None, or a sequence of {n} integers in [0, 2**128) or None"
         # Reading `np_random` seeds the generator, but no environment.
         fresh = first_time = not self._seeded
         given: list[int | None] = [None] * n
@@ -278,7 +274,6 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
             super().reset(seed=check_seed(seed, accepted, n))
             fresh = True
         # Without a seed the first reset draws one from the system's entropy.
-        _ = self.np_random
         first = self.np_random_seed
         assert first is not None
         self._seeded = True

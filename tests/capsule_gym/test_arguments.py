@@ -198,9 +198,11 @@ BAD_OPTIONS = {
     "speed": [
         ({"mass": 1.0}, ValueError, "mass"),
         ([1.0], TypeError, "options must be a dict"),
-        ({"state": [0.3, 1e120, 0.0, 0.0]}, ValueError, r"\|theta_dot\| <= 1000 rad/s"),
+        ({"state": [0.3, 1e120, 0.0, 0.0]}, ValueError, r"\|theta_dot\| <= 1000 rad/s, .* and \|x_dot\| <= 1000 m/s"),
+        ({"state": [0.5 * np.pi, 0.0, 0.0, 0.0]}, ValueError, r"\|theta\| < pi/2"),
         ({"changes": [{"t": 1.0, "M": 0.5}]}, ValueError, r"options\['changes'\]\[0\] must be a dict with the keys"),
         ({"changes": [JUMP, {**JUMP, "t": 0.5}]}, ValueError, r"\[1\]\['t'\] must be later .*, 1 s, got 0.5 s"),
+        ({"changes": [JUMP, JUMP]}, ValueError, r"\[1\]\['t'\] must be later .*, 1 s, got 1 s"),
         ({"changes": [{"t": 1.0, "M": 0.001, "mu": 2.0}]}, ValueError, r"options\['changes'\]\[0\]: .*Painleve"),
         ({"capsule": {"l": 0.3}}, ValueError, r"options\['capsule'\] needs an environment with disturbances"),
     ],
@@ -216,14 +218,15 @@ BAD_OPTIONS = {
     "batch": [
         ({"state": [[0.0] * 4, [0.1]]}, TypeError, r"options\['state'\] must be .*, got \[\[0\.0, "),
         ({"changes": 1.0}, TypeError, r"options\['changes'\] must be .* one entry per environment .*, got 1.0"),
+        ({"M": [0.5] * 3}, ValueError, r"options\['M'\] must be .* one entry per environment \(2\), got 3"),
+        ({"state": [[0.0] * 4] * 3}, ValueError, r"of shape \(3, 4\)"),
         ({"reset_mask": np.array([False, False])}, ValueError, "reset_mask"),
     ],
 }
+BAD_CASES = [(name, *case) for name, cases in BAD_OPTIONS.items() for case in cases]
 
 
-@pytest.mark.parametrize(
-    ("name", "options", "error", "message"), [(name, *case) for name, cases in BAD_OPTIONS.items() for case in cases]
-)
+@pytest.mark.parametrize(("name", "options", "error", "message"), BAD_CASES)
 def test_bad_options_are_named_and_change_nothing(name, options, error, message):
     env, other = (CapsuleVectorEnv(2) if name == "batch" else CapsuleEnv(task=name) for _ in range(2))
     env.reset(seed=0), other.reset(seed=0)

@@ -62,7 +62,8 @@ def test_drawn_constants_make_the_plant_of_a_capsule_with_these():
     ranges = Randomization(M=(0.4, 0.6), mu=(0.1, 0.3), **{name: (value, value) for name, value in given.items()})
     actions, own = swing(200), Randomization(M=ranges.M, mu=ranges.mu)
     drawn = run(CapsuleEnv(randomization=ranges), actions, seed=1)
-    options = {"capsule": given, "M": drawn[0]["M"], "mu": drawn[0]["mu"]}
+    begun = {key: drawn[0][key] for key in ("M", "mu", "state")}
+    options = {**begun, "capsule": given, "disturbances": {}, "changes": []}
     set_ = run(CapsuleEnv(randomization=VARIED), actions, options=options)
     fixed = run(CapsuleEnv(randomization=own, capsule=capsule, physics_dt=0.002), actions, seed=1)
     assert drawn[0]["capsule"] == given

@@ -75,7 +75,9 @@ def test_the_checkers_are_silent_and_every_info_has_the_form_of_the_first(kwargs
 def test_every_plant_that_can_occur_lies_in_the_observation_space(kwargs):
     env = CapsuleEnv(observe_parameters=True, **kwargs)
     space, none = env.observation_space, np.zeros(1, np.float32)
-    assert np.isfinite(space.high).all()
+    largest = [9.0, 3.0] if "randomization" in kwargs else [0.55, 1.0]
+    assert np.isfinite(space.high).all() and space.high[-2:] == pytest.approx(largest, rel=1e-5)
+    assert (space.high[-2:] >= largest).all()
     for seed in range(10):
         observation, info = env.reset(seed=seed)
         assert space.contains(observation)
@@ -106,6 +108,8 @@ def test_rewards_are_progress_and_the_integral_of_power_not_its_sample():
             _, _, _, _, info = fine.step(action)
             riemann += abs(info["torque"] * info["state"][1]) * 1e-3
     assert total == pytest.approx(riemann, rel=0.01)
+    square = coarse.episode_metrics(None)["rms_torque"] ** 2
+    assert square == pytest.approx(np.mean((0.9 * np.sin(0.3 * np.arange(40))) ** 2))
     # The sum over the finer environment is the same integral.
     assert fine.episode_metrics(None)["energy"] == pytest.approx(total, rel=1e-5)
 
@@ -123,12 +127,14 @@ ENDS += [(0.0, 0.9999 * LIFTING, "none"), (0.0, 1.0001 * LIFTING, "contact")]
 @pytest.mark.parametrize(("theta", "theta_dot", "ends"), ENDS)
 def test_termination_is_at_the_limit_itself(theta, theta_dot, ends):
     env = CapsuleEnv(randomization="none", control_dt=1e-9, physics_dt=1e-9)
-    env.reset(seed=0, options={"state": [theta, theta_dot, 0.0, 0.1]})
+    env.reset(seed=0, options={"state": [theta, theta_dot, 0.0, math.copysign(0.1, theta)]})
     _, _, terminated, truncated, info = env.step(np.zeros(1, np.float32))
     ends = Termination[ends]
     assert info["termination"] == ends and not truncated
     assert terminated == (ends != Termination.none) == env.episode_metrics(None)["failed"]
     assert (info["normal_force"] == 0.0) == (ends == Termination.contact)
+    assert env.episode_metrics(None)["backward_ratio"] == (math.inf if theta < 0.0 else 0.0)
+    assert math.isinf(env.episode_metrics(None)["cost_of_transport"]) == (theta < 0.0)
     if terminated:
         with pytest.raises(gym.error.ResetNeeded):
             env.step(np.zeros(1, np.float32))
@@ -142,8 +148,7 @@ def test_a_plant_that_the_step_does_not_resolve_ends_as_diverged():
     assert terminated and info["termination"] == Termination.diverged
     # The diverged substep changes nothing.
     assert info["state"].tolist() == [-np.pi / 3, 0.0, 0.0, 0.0]
-    assert reward == info["reward_termination"] == -10.0
-    assert info["energy"] == 0.0
+    assert reward == info["reward_termination"] == -10.0 and info["energy"] == 0.0
     metrics = env.episode_metrics(None)
     assert metrics["failed"] == 1.0 and metrics["duration"] == 0.0
     assert all(np.isfinite(value) for name, value in metrics.items() if name != "cost_of_transport")
@@ -167,6 +172,7 @@ def test_the_frame_rate_is_real_time_where_a_video_can_have_it(control_dt, fps):
     for kind in (CapsuleEnv, CapsuleVectorEnv):
         env = kind(control_dt=control_dt, physics_dt=control_dt / (1e6 if control_dt > 1.0 else 20))
         assert env.metadata["render_fps"] == pytest.approx(fps) and kind.metadata["render_fps"] == 50
+    assert env.num_envs == 1
 
 
 def test_an_episode_is_truncated_after_33_seconds_and_its_metrics_follow_their_definitions():

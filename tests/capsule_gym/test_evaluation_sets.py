@@ -3,7 +3,7 @@ import json
 import pytest
 
 from capsule_gym import CapsuleEnv, Disturbances
-from capsule_gym.evaluation_sets import FOLDERS, SET_NAMES, TASK_SET_NAMES, load_set, parse_set
+from capsule_gym.evaluation_sets import FOLDERS, TASK_SET_NAMES, load_set, parse_set
 
 
 def test_hash_ignores_layout_and_integers_for_floats(tmp_path):
@@ -32,24 +32,25 @@ def plant(**fields):
 
 
 ONE_GOAL = {"name": "x", "task": "goal", "plants": [*plant()["plants"], *plant(goal=0.1)["plants"]]}
-LATE = plant(changes=[{"t": 33.0, "M": 0.5, "mu": 0.01}])
+EARLY, LATE = (plant(changes=[{"t": t, "M": 0.5, "mu": 0.01}]) for t in (0.0, 33.0))
+MALFORMED = [
+    ([], r"set must be an object with the fields name, plants and optionally .*disturbances, got \[\]"),
+    (plant(M="heavy"), r"set.plants\[0\]: M must be a finite number from 1e-12 to 1e\+12, got 'heavy'"),
+    (plant(theta=1.58), r"theta must be an angle in rad within 1\.571 of 0, got 1\.58"),
+    (plant(capsule={"weight": 1.0}), r"\[0\].capsule must be an object with the fields m, l, .*, got .*weight"),
+    (plant(colour="red"), "fields M, mu, seed and optionally theta, changes, capsule, got .*colour"),
+    ({**plant(goal=2e6), "task": "goal"}, r"\[0\].goal must be a number of m within 1e\+06 of 0, got 2000000.0"),
+    (ONE_GOAL, "set.plants must have a goal each, or none must have one"),
+    ({**plant(), "capsule": {"weight": 1.0}}, "set.capsule must have fields out of .*mu.*, got .*weight"),
+    ("[" * 100_000, r"bad\.json is not an evaluation set: "),
+    ({**ONE_GOAL, "plants": [*plant()["plants"], *plant(capsule={"l": 0.3})["plants"]]}, "must each have a capsule"),
+    (plant(seed=2**128), r"\[0\].seed must be an integer in \[0, 2\*\*128\), got 3402823669"),
+    (EARLY, r"changes\[0\]\['t'\] must be a number of seconds within \(0, 33\).*got 0.0"),
+    (LATE, r"changes\[0\]\['t'\] must be a number of seconds within \(0, 33\).*got 33.0"),
+]
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        ([], r"set must be an object with the fields name, plants and optionally .*disturbances, got \[\]"),
-        (plant(M="heavy"), r"set.plants\[0\]: M must be a finite number from 1e-12 to 1e\+12, got 'heavy'"),
-        (plant(theta=1.58), r"theta must be an angle in rad within 1\.571 of 0, got 1\.58"),
-        (plant(capsule={"weight": 1.0}), r"\[0\].capsule must be an object with the fields m, l, .*, got .*weight"),
-        (plant(colour="red"), "fields M, mu, seed and optionally theta, changes, capsule, got .*colour"),
-        ({**plant(goal=2e6), "task": "goal"}, r"\[0\].goal must be a number of m within 1e\+06 of 0, got 2000000.0"),
-        (ONE_GOAL, "set.plants must have a goal each, or none must have one"),
-        ({**plant(), "capsule": {"weight": 1.0}}, "set.capsule must have fields out of .*mu.*, got .*weight"),
-        ("[" * 100_000, r"bad\.json is not an evaluation set: "),
-        (LATE, r"changes\[0\]\['t'\] must be a number of seconds within \(0, 33\).*got 33.0"),
-    ],
-)
+@pytest.mark.parametrize(("content", "message"), MALFORMED)
 def test_malformed_sets_name_the_field_and_what_is_accepted(tmp_path, content, message):
     path = tmp_path / "bad.json"
     path.write_text(content if isinstance(content, str) else json.dumps(content))
@@ -68,7 +69,7 @@ HASHES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", SET_NAMES + TASK_SET_NAMES)
+@pytest.mark.parametrize("name", HASHES)
 def test_committed_sets_are_frozen_and_their_files_give_them_back(name):
     frozen = load_set(FOLDERS[-1] / f"{name}.json")
     assert (frozen.name, frozen.hash[:12]) == (name, HASHES[name])

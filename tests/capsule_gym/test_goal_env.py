@@ -28,8 +28,7 @@ def test_it_is_the_same_environment_with_other_observations(kwargs):
     batch = CapsuleVectorEnv(3, **GOAL, **kwargs, autoreset_mode="SAME_STEP", max_episode_steps=60)
     (seen, info), (plain, _) = env.reset(seed=5), other.reset(seed=5)
     batched, infos = batch.reset(seed=4)
-    rng = np.random.default_rng(0)
-    ends = set()
+    rng, ends = np.random.default_rng(0), set()
     for n in range(60):
         assert env.observation_space.contains(seen) and batch.observation_space.contains(batched)
         # Without the entries of the task, which know the goal.
@@ -59,6 +58,8 @@ def test_it_is_the_same_environment_with_other_observations(kwargs):
             found = batch.compute_reward(batched["achieved_goal"], batched["desired_goal"], infos)
             np.testing.assert_array_equal(found, rewards)
     assert True in ends or (kwargs and ends)
+    # At the goal, in motion and at rest.
+    assert env.compute_reward([[0.1, 0.05], [0.1, 0.0]], [[0.1, 0.0]] * 2, [{}, {}]) == pytest.approx([0.04, 0.1])
     assert not hasattr(CapsuleEnv(task="goal"), "compute_reward") and not hasattr(CapsuleVectorEnv(2), "compute_reward")
 
 

@@ -17,6 +17,11 @@ LOW, HIGH = (0.15, -7.0), (2.0, 0.0)
 # m/s: below this speed the platform may have stuck between two observations.
 SLOWEST = 0.02
 PLANTS = [(0.35, 0.3), (0.5, 0.01), (0.75, 0.05)]
+PAIRS = {"stick": (0.0, 0.0), "stops": (0.1, 0.0), "starts": (0.0, 0.1), "turns": (0.1, -0.1)}
+PAIRS |= {"slow before": (0.5 * SLOWEST, 0.3), "slow after": (-0.3, -0.5 * SLOWEST)}
+SHOWN = [{"initial_range": (1.0, 8.0)}, {"controller": "baselines:gait", "control_dt": 0.01}]
+SHOWN += [{"task": "goal", "disturbances": "real"}]
+SHOWN += [{"randomization": "real-wide", "stack_size": 2, "observe_parameters": True}]
 
 
 def states(M, mu, seconds=4.0, changes=(), capsule=CAPSULE):
@@ -80,11 +85,7 @@ def test_a_jump_brings_doubt_and_is_found():
     assert after[-1, 1] == pytest.approx(math.log(0.2), abs=0.05)
 
 
-@pytest.mark.parametrize(
-    ("x_dot", "next_x_dot"),
-    [(0.0, 0.0), (0.1, 0.0), (0.0, 0.1), (0.1, -0.1), (0.5 * SLOWEST, 0.3), (-0.3, -0.5 * SLOWEST)],
-    ids=["stick", "stops", "starts", "turns", "slow before", "slow after"],
-)
+@pytest.mark.parametrize(("x_dot", "next_x_dot"), PAIRS.values(), ids=PAIRS)
 def test_nothing_is_learnt_in_stick_and_where_it_turns(x_dot, next_x_dot):
     known = filtered(states(0.5, 0.05, 1.0))[1][-1]
     # The first pair may belong to a slip that began earlier.
@@ -106,15 +107,7 @@ def test_whatever_is_observed_the_estimates_stay_within_their_range(scale):
     assert np.linalg.eigvalsh(P).min() >= -1e-12
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"initial_range": (1.0, 8.0)},
-        {"controller": "baselines:gait", "control_dt": 0.01},
-        {"task": "goal", "disturbances": "real"},
-        {"randomization": "real-wide", "stack_size": 2, "observe_parameters": True},
-    ],
-)
+@pytest.mark.parametrize("options", SHOWN)
 @pytest.mark.parametrize("count", [1, 70])
 def test_an_environment_shows_the_estimates_of_a_filter_of_its_observations(count, options):
     steps = 150
@@ -122,8 +115,7 @@ def test_an_environment_shows_the_estimates_of_a_filter_of_its_observations(coun
     names = list(env.simulation.entries)
     first = names.index("M_estimate")
     dt, rng, memory = env.simulation.options.control_dt, np.random.default_rng(count), np.zeros((count, 9))
-    observations, _ = env.reset(seed=2)
-    ends = 0
+    (observations, _), ends = env.reset(seed=2), 0
     for _ in range(steps):
         estimates, memory = update(observations, memory, dt)
         np.testing.assert_array_equal(observations[:, first : first + 4], estimates)
@@ -144,8 +136,7 @@ def test_a_stack_holds_the_observations_of_the_steps_before(options):
     seen = [plain.reset(seed=1)[0]]
     found = stacked.reset(seed=1)[0]
     first = np.zeros(count, int)
-    rng = np.random.default_rng(0)
-    begins = 0
+    rng, begins = np.random.default_rng(0), 0
     for step in range(1, 100):
         for i in range(count):
             expected = [seen[max(first[i], step - 1 - n)][i] for n in range(size)]

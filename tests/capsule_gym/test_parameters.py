@@ -1,5 +1,6 @@
 """The plant's constants, their ranges and the options of an environment: invalid values and their errors."""
 
+import ast
 import dataclasses
 import math
 import re
@@ -7,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from capsule_gym import CapsuleVectorEnv, dynamics
+from capsule_gym import CapsuleEnv, CapsuleVectorEnv, dynamics
 from capsule_gym.config import EnvConfig
 from capsule_gym.parameters import RANDOMIZATIONS, Capsule, Randomization
 from capsule_gym.simulation import Simulation
@@ -25,13 +26,10 @@ def test_a_plant_is_computed_in_float64_even_if_its_constants_were_narrower():
 def test_constants_out_of_range_are_refused_by_name_value_and_what_is_accepted(field):
     lowest = "1" if field == "static_ratio" else "1e-12" if field in POSITIVE else "0"
     below = 0.999 if field == "static_ratio" else 9e-13 if field in POSITIVE else -5e-324
-    for value in (math.nan, math.inf, below, 1.1e12, 10**400):
-        said = f"Capsule.{field} must be a finite number from {lowest} to 1e+12, got {value!r}"
-        with pytest.raises(ValueError, match=re.escape(said)):
-            Capsule(**{field: value})
-    for value in ("0.3", None, True, np.True_, np.array(0.3)):
-        said = f"Capsule.{field} must be a finite number from {lowest} to 1e+12, got {value!r} of type"
-        with pytest.raises(TypeError, match=re.escape(said)):
+    for value in (math.nan, math.inf, below, 1.1e12, 10**400, "0.3", None, True, np.True_, np.array(0.3)):
+        error, more = (ValueError, "") if type(value) in (float, int) else (TypeError, " of type")
+        said = f"Capsule.{field} must be a finite number from {lowest} to 1e+12, got {value!r}{more}"
+        with pytest.raises(error, match=re.escape(said)):
             Capsule(**{field: value})
     if field in NON_NEGATIVE:
         assert getattr(Capsule(**{field: 0}).plant(), field) == 0.0
@@ -69,21 +67,16 @@ def test_the_plant_takes_another_mass_and_friction_and_checks_them():
                 check(M, mu)
 
 
-def largest_eigenvalue(theta, p):
-    """The largest eigenvalue, by size, of the pendulum linearised at rest at these angles, where a torque holds it."""
-    found = 0.0
-    for slip, mu in ((1.0, p.mu), (-1.0, p.mu * p.backward_ratio)):
-        normal = (p.M + p.m) * p.g - p.pivot_torque_on_contact * p.k * theta * np.sin(theta)
-        x_ddot = -slip * mu * normal / (p.M + p.m)
-        u = p.k * theta - p.m * p.l * (np.cos(theta) * x_ddot + p.g * np.sin(theta))
-        small = 1e-5
-        turns = [
-            dynamics.accelerations(theta + angle, rate, 0.0, slip, u, p).theta_ddot
-            for angle, rate in ((small, 0.0), (-small, 0.0), (0.0, small), (0.0, -small))
-        ]
-        by_angle, by_rate = (turns[0] - turns[1]) / (2.0 * small), (turns[2] - turns[3]) / (2.0 * small)
-        matrices = np.stack([np.zeros_like(theta), np.ones_like(theta), by_angle, by_rate], axis=-1)
-        found = max(found, np.abs(np.linalg.eigvals(matrices.reshape(-1, 2, 2))).max())
+def largest_eigenvalue(theta, p, x_dot=0.0):
+    """The largest eigenvalue, by size, of the motion linearised at these angles, where a torque holds the pendulum."""
+    found, offsets = 0.0, 1e-5 * np.concatenate([np.eye(3), -np.eye(3)]).T[..., None]
+    for slip in (1.0, -1.0):
+        still, pushed = (dynamics.accelerations(theta, 0.0, slip * x_dot, slip, u, p).theta_ddot for u in (0.0, 1.0))
+        (angle, rate, speed), u = offsets, still / (still - pushed)
+        turns, pushes, _ = dynamics.accelerations(theta + angle, rate, slip * x_dot + speed, slip, u, p)
+        motions = np.stack(np.broadcast_arrays(rate, turns, pushes))
+        slopes = (motions[:, :3] - motions[:, 3:]) / 2e-5
+        found = max(found, np.abs(np.linalg.eigvals(slopes.T)).max())
     return found
 
 
@@ -106,6 +99,11 @@ def test_the_fastest_rate_bounds_every_eigenvalue_closely(normal_force, close):
         # A lighter platform and a rougher floor give faster rates, so only one corner of the ranges has to be checked.
         assert capsule.fastest_rate(1.1 * capsule.M, capsule.mu) < rate
         assert capsule.fastest_rate(capsule.M, 0.9 * capsule.mu) < rate
+    # Constants that dominate the rate; the Stribeck curve is steepest at this velocity.
+    for fields in ({"viscous": 30.0}, {"motor_friction": 1.0}, {"stribeck_speed": 1e-3, "static_ratio": 2, "mu": 0.1}):
+        capsule, x_dot = Capsule(**fields), fields.get("stribeck_speed", 0.0) / math.sqrt(3.0)
+        found = largest_eigenvalue(np.linspace(-1.57, 1.57, 51), capsule.plant(), x_dot)
+        assert 0.85 < found / capsule.fastest_rate(capsule.M, capsule.mu) < 1.0
 
 
 def test_every_corner_of_the_ranges_is_checked():
@@ -149,6 +147,13 @@ def test_what_is_none_follows_from_the_others():
     assert (direct.residual_limit, direct.physics_dt, direct.physics_steps, direct.law_steps) == (2.0, 2e-3, 10, 1)
     law = Simulation(1, EnvConfig(controller="baselines:adaptive")).settings
     assert (law.residual_limit, law.physics_dt, law.physics_steps, law.law_steps) == (1.5, 1e-3, 1, 20)
+
+
+def test_the_documentation_states_defaults_and_ranges():
+    rows = dict(re.findall(r"\| `(\w+)` \| `(.*?)` \|", CapsuleEnv.__doc__))
+    assert (rows.pop("residual_limit"), rows.pop("capsule")) == ("torque_limit", "Capsule()")
+    assert EnvConfig(**{name: ast.literal_eval(text) for name, text in rows.items()}) == EnvConfig()
+    assert all(f'"{name}": {ranges}' in CapsuleEnv.__doc__ for name, ranges in RANDOMIZATIONS.items())
 
 
 @pytest.mark.parametrize("name", FIELDS)

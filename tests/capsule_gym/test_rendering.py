@@ -108,6 +108,7 @@ def test_an_environment_draws_every_step_in_its_window(no_screen):
         shown.append(pygame.surfarray.array3d(pygame.display.get_surface()))
     assert (shown[0] != shown[1]).any() and (shown[1] != shown[2]).any()
     env.close()
+    assert not pygame.display.get_init()
     with pytest.warns(UserWarning, match=r"draws nothing without a render_mode"):
         assert CapsuleEnv().render() is None
 

@@ -17,11 +17,12 @@ def test_sb3_batch_is_the_native_batch_with_terminal_observations(kwargs):
     kwargs = {**kwargs, "max_episode_steps": 11}
     ours = CapsuleSB3VecEnv(6, seed=4, **kwargs)
     native = CapsuleVectorEnv(6, autoreset_mode=AutoresetMode.SAME_STEP, **kwargs)
+    assert len({(ours.reset(), ours.step(np.ones((6, 1))), ours.batch.simulation.row(Row.M)[0])[2] for _ in "ab"}) == 2
+    ours.seed(4)
     assert ours.reset().tobytes() == native.reset(seed=4)[0].tobytes()
     with pytest.warns(UserWarning, match="draws nothing without a render_mode"):
         assert ours.get_images() == [None] * 6
-    rng = np.random.default_rng(0)
-    seen = set()
+    rng, seen = np.random.default_rng(0), set()
     returns, lengths = np.zeros(6), np.zeros(6, int)
     for _ in range(300):
         actions = rng.uniform(-1, 1, (6, 1)).astype(np.float32)
@@ -58,6 +59,7 @@ def test_interface_of_the_vec_env():
     with pytest.raises(AttributeError, match="attribute `batch`"):
         env.env_method("episode_metrics")
     assert [image.shape[2] for image in env.get_images()] == [3, 3, 3]
+    assert (env.close(), env.batch.closed)[1]
 
 
 def test_options_of_the_next_reset_reach_each_environment_and_only_that_reset():
@@ -76,7 +78,6 @@ def test_options_of_the_next_reset_reach_each_environment_and_only_that_reset():
 @pytest.mark.parametrize(
     ("kwargs", "entries"),
     [({"randomization": "wide"}, 2), ({"disturbances": "real", "randomization": "real-wide"}, 2 + 4 + 4 + 3)],
-    ids=["ideal", "disturbed"],
 )
 def test_a_privileged_critic_observes_the_plant_and_the_true_state(kwargs, entries):
     ours = CapsuleSB3VecEnv(70, seed=4, privileged=True, max_episode_steps=10, **kwargs)

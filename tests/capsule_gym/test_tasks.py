@@ -10,10 +10,11 @@ from capsule_gym.task import TASKS
 from capsule_gym.tasks.velocity import with_commands
 
 OTHERS = [name for name in TASKS if name != "speed"]
-# For each task: options of a reset, and the entry and value that `info` then shows.
+COMMANDS = [{"t": 0.1 * n, "v": 0.05 - 0.01 * n} for n in range(8)]
+# For each task: options of a reset, the entry and value that `info` then shows, and what its page says of the draws.
 GIVEN = {
-    "goal": ({"goal": -0.2}, "goal", -0.2),
-    "velocity": ({"commands": [{"t": 0.0, "v": 0.05}, {"t": 0.1, "v": -0.1}]}, "command", 0.05),
+    "goal": ({"goal": -0.2}, "goal", -0.2, {(0.05, 0.5, True)}),
+    "velocity": ({"commands": COMMANDS}, "command", 0.05, {(-0.1, 0.1, False), (4.0, 8.0, False)}),
 }
 
 
@@ -30,7 +31,11 @@ def test_what_an_episode_draws_are_numpys_numbers_and_a_reset_may_set_it(name):
                 signed = math.copysign(draw.low + (draw.high - draw.low) * abs(2 * share - 1), share - 0.5)
                 assert value == pytest.approx(signed if draw.signed else draw.low + (draw.high - draw.low) * share)
                 assert draw.low <= (abs(value) if draw.signed else value) <= draw.high
-    options, shown, value = GIVEN[name]
+    options, shown, value, draws = GIVEN[name]
+    ranges = str(own.defaults["randomization"]).replace("M in", "M uniform in")
+    weights = "`energy_weight={energy_weight:g}` and `termination_penalty={termination_penalty:g}`"
+    said = f"Capsule(static_ratio={own.defaults['capsule'].static_ratio})`, {ranges}, {weights.format(**own.defaults)}"
+    assert set(own.draws) == draws and said in " ".join(own.metrics.__globals__["__doc__"].split())
     assert CapsuleEnv(task=name).reset(seed=0, options=options)[1][shown] == value
     assert (batch.reset(options={key: [given] * 5 for key, given in options.items()})[1][shown] == value).all()
     # The plant and the first angle are the same draws as those of the speed task.
@@ -116,7 +121,7 @@ def test_the_goal_is_reached_after_a_second_of_rest_within_2_mm():
             assert info["held"] == pytest.approx(0.02 * (n + 1) * reached)
             assert observation[-3:] == pytest.approx([goal, np.tanh(goal / 0.02), min(1.0, info["held"])], rel=1e-5)
             metrics = env.episode_metrics(750)
-            assert metrics["success"] == (reached if n >= 49 else 0.0)
+            assert metrics["success"] == (reached if n >= 49 else 0.0) and metrics["backward_ratio"] == 0.0
             assert metrics["goal_time"] == pytest.approx(1.0 if metrics["success"] else 0.02 * (n + 1))
     # A step that began in slip does not count, and a reached goal stays reached.
     env.reset(options={"goal": 0.001, "mu": 0.4, "state": [0.0, 0.0, 0.0, 0.02]})

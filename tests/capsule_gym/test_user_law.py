@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 import threading
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
 from functools import partial
 from unittest.mock import Mock
@@ -108,15 +109,11 @@ def test_threads_that_compile_laws_and_functions_at_once_get_right_results():
             if function(3.0) != 3.0 * n + 1.0:
                 wrong.append(f"function {n}")
 
-    threads = [threading.Thread(target=make_environments, args=(first,)) for first in (0, 6)]
-    third = threading.Thread(target=compile_functions)
-    for thread in (*threads, third):
-        thread.start()
-    for thread in threads:
-        thread.join()
-    done.set()
-    third.join()
-    assert not wrong
+    with ThreadPoolExecutor(3) as pool:
+        last = pool.submit(compile_functions)
+        made = wait([pool.submit(make_environments, first) for first in (0, 6)]).done
+        done.set()
+    assert not wrong and [each.result() for each in (last, *made)] == [None] * 3
 
 
 class OwnError(Exception):
@@ -164,7 +161,7 @@ def test_an_exception_and_a_torque_that_is_not_finite_reach_the_caller(law, erro
     said = rf"{NOT_FINITE} {lost} \(step 0, state .*'x': -5\.5" if error is ValueError else "^too far$"
     with pytest.raises(error, match=said):
         env.reset(options={"state": states})
-    assert np.isfinite(env.simulation.row(Row.law_torque)).all()
+    assert np.isfinite(env.simulation.row(Row.law_torque)).all() and env.simulation.row(Row.law_torque)[lost] == 0.0
     assert (env.reset()[1]["law_torque"] == 0.1).all()
 
 

@@ -22,7 +22,7 @@ import baselines
 from capsule_gym import CapsuleEnv, CapsuleVectorEnv
 from capsule_gym.layout import LANES
 from capsule_gym.task import ENV_ID, METRICS, TASKS, Termination
-from tests.capsule_gym.fakes import picky_controller
+from tests.capsule_gym.fakes import flatten, picky_controller
 
 GOAL = TASKS["goal"][0]
 VARIANTS = [
@@ -98,6 +98,9 @@ def test_batch_equals_single_environments_across_resets(mode, kwargs, n, threads
             metrics = batch.episode_metrics()
             assert set(METRICS) <= set(metrics) <= set(b[4]["metrics"])
             assert_same_infos(metrics, b[4]["metrics"], rows)
+        # What a caller does with an info does not change later ones.
+        for part in (each for each in flatten(a[4]) if each.flags.writeable):
+            part.fill(0)
     assert resets.min() >= 3
 
 
@@ -136,7 +139,7 @@ def test_a_mask_holds_for_the_seeds():
     for each, kwargs in ((env, {"options": {"reset_mask": mask}}), (other, {})):
         each.reset(seed=7, **kwargs)
     env.reset(options={"reset_mask": ~mask})
-    for seed in (9, [9, 10, 11]):
+    for seed in (9, [9, 10, 11], np.array([9, 10, 11])):
         env.reset(seed=seed, options={"reset_mask": mask})
     expected = CapsuleVectorEnv(1, randomization="wide")
     expected.reset(seed=9)
@@ -157,11 +160,11 @@ def test_disabled_autoreset_stands_still_until_the_mask_names_it():
     _, _, terminated, _, info = env.step(np.zeros((3, 1), np.float32))
     assert terminated.tolist() == [False, True, False]
     assert info["termination"].tolist() == [Termination.none, Termination.pendulum, Termination.none]
+    assert info["_reward_progress"].all()
     metrics = env.episode_metrics()
     frozen = info["state"][1].copy()
     _, rewards, terminated, _, info = env.step(np.ones((3, 1), np.float32))
-    assert terminated.tolist() == [False, True, False]
-    assert rewards[1] == 0.0
+    assert terminated.tolist() == [False, True, False] and rewards[1] == 0.0
     assert info["_reward_progress"].tolist() == [True, False, True]
     assert np.array_equal(info["state"][1], frozen) and (info["M"] == 0.6).tolist() == [True, False, True]
     assert all(values[1] == metrics[name][1] for name, values in env.episode_metrics().items())
@@ -169,8 +172,7 @@ def test_disabled_autoreset_stands_still_until_the_mask_names_it():
     mask = np.array([False, True, False])
     _, info = env.reset(options={"reset_mask": mask})
     assert info["state"][1, 0] == pytest.approx(-np.pi / 3)
-    assert np.array_equal(info["state"][[0, 2]], before)
-    assert np.array_equal(info["_state"], mask)
+    assert np.array_equal(info["state"][[0, 2]], before) and np.array_equal(info["_state"], mask)
     assert not env.step(np.zeros((3, 1), np.float32))[2].any()
 
 
@@ -228,14 +230,16 @@ def test_a_copy_goes_on_with_the_episodes_bit_for_bit_and_on_its_own(make_copy, 
 def test_options_per_environment():
     env = CapsuleVectorEnv(3)
     changes = [[], [{"t": 0.02, "M": 0.8, "mu": 0.3}], []]
-    options = {"M": [0.5, 0.6, 0.7], "mu": 0.05, "changes": changes, "state": [0.1, -0.2, 3.0, 0.0]}
+    options = {"M": np.array([0.5, 0.6, 0.7]), "mu": 0.05, "changes": changes, "state": [0.1, -0.2, 3.0, 0.0]}
     _, info = env.reset(seed=0, options=options)
     assert info["state"].tolist() == [[0.1, -0.2, 3.0, 0.0]] * 3
-    assert info["M"].tolist() == [0.5, 0.6, 0.7]
-    assert info["mu"].tolist() == [0.05] * 3
+    assert info["M"].tolist() == [0.5, 0.6, 0.7] and info["mu"].tolist() == [0.05] * 3
     for M in (0.6, 0.8):
         assert env.step(np.zeros((3, 1), np.float32))[4]["M"].tolist() == [0.5, M, 0.7]
     assert (env.reset()[1]["M"] < 0.56).all()
+    states, mask = 0.1 * np.arange(12.0).reshape(3, 4), np.array([False, True, True])
+    _, info = env.reset(options={"reset_mask": mask, "state": states, "mu": [0.1, 0.2, 0.3]})
+    assert (info["state"][1:] == states[1:]).all() and info["mu"][1:].tolist() == [0.2, 0.3]
 
 
 def test_changes_of_a_later_reset_apply_in_every_block():
@@ -247,11 +251,12 @@ def test_changes_of_a_later_reset_apply_in_every_block():
 
 
 def test_no_step_before_every_environment_has_begun():
-    env = CapsuleVectorEnv(3)
-    env.reset(seed=0, options={"reset_mask": np.array([True, False, False])})
+    env, first = CapsuleVectorEnv(3, disturbances="real"), np.array([True, False, False])
+    _, info = env.reset(seed=0, options={"reset_mask": first})
+    assert np.array_equal(info["_capsule"], first) and np.array_equal(info["capsule"]["_m"], first)
     with pytest.raises(gym.error.ResetNeeded):
         env.step(np.zeros((3, 1), np.float32))
-    env.reset(options={"reset_mask": np.array([False, True, True])})
+    env.reset(options={"reset_mask": ~first})
     assert np.isfinite(env.step(np.zeros((3, 1), np.float32))[1]).all()
 
 
@@ -274,10 +279,9 @@ def test_one_environment_that_diverges_ends_alone(mode):
         assert env.observation_space.contains(found[0]) and np.isfinite(found[1]).all()
         if step == 0:
             info = found[4].get("final_info", found[4])
-            assert found[2][lost].all() and not found[3].any()
+            assert found[2][lost].all() and not found[3].any() and (found[1][lost] == -10.0).all()
             assert (info["termination"][lost] == Termination.diverged).all()
             assert (info["state"][lost] == states[lost]).all() and np.isfinite(info["normal_force"]).all()
-            assert (found[1][lost] == -10.0).all()
 
 
 def test_an_interrupted_step_waits_for_its_other_threads():
