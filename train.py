@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -152,6 +153,8 @@ def _report(failure: threading.ExceptHookArgs) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = read_args(arguments)
+    if args.wandb and find_spec("wandb") is None:
+        refuse(PROG, '--wandb needs wandb: pip install "capsule-gym[wandb]"')
     before, threading.excepthook = threading.excepthook, _report
     try:
         return _train(args)

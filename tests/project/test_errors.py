@@ -198,6 +198,7 @@ COMMANDS = [
     (demo, ["adaptive", "--slow"], "--slow"),
     (demo, ["goal"], "policy must be for the task 'speed' of the set 'paper', got 'goal', which is for 'goal'"),
     (train, ["--tota", "4"], "--tota"),
+    (train, ["--wandb"], r'--wandb needs wandb: pip install "capsule-gym\[wandb\]"$'),
     (train, ["--resume", "nowhere"], "nowhere"),
     (train, ["--row", "fastest"], "--row: a row must be one of residual-ppo, "),
     (train, ["--row", "direct-ppo", "--task", "residual"], "--task must stay direct with --row direct-ppo,"),
@@ -207,7 +208,8 @@ COMMANDS = [
 @pytest.mark.parametrize(("main", "words", "message"), COMMANDS, ids=[message for *_, message in COMMANDS])
 def test_an_invalid_command_line_ends_with_2_and_names_the_option(main, words, message, monkeypatch, tmp_path, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(sys.modules, "ray", None)
+    for library in ("ray", "wandb"):
+        monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(SystemExit) as ended:
         main(words)
     assert ended.value.code == 2

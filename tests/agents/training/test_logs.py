@@ -8,7 +8,6 @@ import pytest
 from tqdm import tqdm
 
 from agents.training import callbacks
-from agents.training.config import RunError
 from agents.training.loop import begin, train
 from tests.agents.training.small import log, small
 
@@ -49,8 +48,6 @@ def test_the_log_holds_the_terms_of_the_reward(tmp_path, monkeypatch):
 
 def test_weights_and_biases_is_not_needed_unless_it_is_asked_for(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "wandb", None)
-    with pytest.raises(RunError, match=r'pip install "capsule-gym\[wandb\]"'):
-        train_briefly(tmp_path / "run", wandb=True)
     assert train_briefly(tmp_path / "run")[1]
 
 
