@@ -20,6 +20,8 @@ from baselines.laws.feedback_linearisation import feedback_linearising
 from baselines.laws.gains import known_parameters
 from baselines.laws.gait import gait
 from baselines.laws.profiles import TABLE_1, seven_phases, six_phases
+from benchmarks import fresh_draws, identification, rig, throughput, training
+from benchmarks import sensitivity as derivatives
 from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Randomization, identify, native, sensitivity
 from capsule_gym.checks import first_cause
 from capsule_gym.config import find_task
@@ -176,6 +178,14 @@ COMMANDS = [
     (distil, ["nobody"], "NAME must be one of .*, got 'nobody'"),
     (study, [], "NAME must be one or several of"),
     (study, ["direct-ppo", "--jobs", "0"], "--jobs must be an integer >= 1, got 0"),
+    *((each.main, ["--plants", "0"], "--plants: must be an integer >= 1, got '0'") for each in (identification, rig)),
+    (rig.main, ["--total-steps", "-1"], "--total-steps: must be an integer >= 1, got '-1'"),
+    (derivatives.main, ["--trajectories", "0"], "--trajectories: must be an integer >= 1, got '0'"),
+    (throughput.main, ["--turns", "0"], "--turns: must be an integer >= 1, got '0'"),
+    (throughput.main, ["--figure", "nowhere/speed"], "--figure must name a file in a folder that exists, got 'nowhere"),
+    (training.main, ["--seeds", "0"], "--seeds: must be an integer >= 1, got '0'"),
+    *((identification.main, ["--amplitude", a], rf"--amplitude must be .* \(N m\), got {a}") for a in ("nan", "9.0")),
+    (fresh_draws.main, ["pd", "lqrr"], "lqrr: no results in lqrr.npz; `python -m agents.leaderboard NAME` writes"),
     (study, ["direct-ppo", "--jobs", "2", "--backend", "ray"], "--jobs needs --backend loky"),
     (study, ["direct-ppo", "--backend", "ray"], "--backend ray needs Ray: pip install 'capsule-gym"),
     (export, ["direct-ppo"], "at least one of --c and --onnx must be given"),
