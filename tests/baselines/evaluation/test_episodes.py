@@ -54,6 +54,10 @@ def test_training_settings_do_not_change_the_episodes():
     kwargs = {"randomization": "wide", "initial_noise": 0.3, "num_envs": 7, "max_episode_steps": 3}
     kwargs |= {"autoreset_mode": "SAME_STEP"}
     assert evaluate(Sine(0.3, env_kwargs=kwargs), TINY, horizon=1.0) == plain
+    # Nor does an observation of M and mu that the environment shows of no plant by default.
+    change, shows = {"t": 0.1, "M": 4.0, "mu": 2.0}, {"observe_parameters": True}
+    heavy = parse_set({"name": "x", "plants": [{"M": 3.0, "mu": 1.5, "seed": 0, "changes": [change]}]})
+    assert evaluate(Sine(0.3, env_kwargs=shows), heavy, horizon=0.2) == evaluate(Sine(0.3), heavy, horizon=0.2)
     # The policy determines the control interval; the duration of the episode stays the same.
     assert evaluate(Sine(0.3, env_kwargs={"control_dt": 0.01}), TINY, horizon=1.0)[0]["duration"] == pytest.approx(1.0)
 
