@@ -241,7 +241,7 @@ def test_a_report_shows_readings_residuals_and_correlations(fit, log, tmp_path, 
 def test_command_and_lost_readings(log, tmp_path):
     path = tmp_path / "log.csv"
     generator = np.random.default_rng(0)
-    with path.open("w", newline="") as file:
+    with path.open("w", newline="", encoding="utf-8-sig") as file:
         writer = csv.writer(file)
         writer.writerow(log)
         for row in zip(*(column[:1000] for column in log.values()), strict=True):
@@ -251,6 +251,12 @@ def test_command_and_lost_readings(log, tmp_path):
     found = {line.split()[0]: line.split()[1:] for line in done.stdout.splitlines()[1:]}
     assert "lag" not in found and float(found["c"][0]) == pytest.approx(TRUTH["c"], rel=0.03)
     assert float(found["latency"][0]) == pytest.approx(0.008, abs=1e-3)
+    # Decimal commas.
+    path.write_text("t,torque,theta\n0,0,0\n0,01,0,1,0,2\n")
+    with pytest.raises(
+        ValueError, match=r"a row of log must be of one number for each of \['t', 'torque', 'theta'\], got"
+    ):
+        read_log(path)
 
 
 def test_a_wrong_model_warns():
