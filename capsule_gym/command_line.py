@@ -42,13 +42,8 @@ def _integer(least: int) -> Any:
             raise ValueError(f"must be an integer >= {least}, got {words[0]!r}")
         return int(value)
 
-    return tyro.constructors.PrimitiveConstructorSpec(
-        nargs=1,
-        metavar="N",
-        instance_from_str=read,
-        is_instance=lambda value: isinstance(value, int),
-        str_from_instance=lambda value: [str(value)],
-    )
+    back: Any = {"is_instance": lambda value: isinstance(value, int), "str_from_instance": lambda value: [str(value)]}
+    return tyro.constructors.PrimitiveConstructorSpec(nargs=1, metavar="N", instance_from_str=read, **back)
 
 
 Count = Annotated[int, _integer(0)]
