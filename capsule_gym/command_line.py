@@ -19,8 +19,9 @@ try:
     import tyro
     from tyro.conf import Positional, arg
 except ImportError as error:
-    _package = getattr(sys.modules["__main__"].__spec__, "name", "").partition(".")[0]
-    _extra = {"agents": "train", "baselines": "paper", "benchmarks": "bench"}.get(_package, "render")
+    _package, _, _own = getattr(sys.modules["__main__"].__spec__, "name", "").partition(".")
+    _own = _own if _own in ("export", "identify") else "render"
+    _extra = {"agents": "train", "baselines": "paper", "benchmarks": "bench"}.get(_package, _own)
     raise ImportError(f'this command needs tyro: pip install "capsule-gym[{_extra}]"') from error
 
 __all__ = ["Count", "Positional", "PositiveCount", "arg", "check_output", "command", "parse", "refuse"]

@@ -100,8 +100,7 @@ class EvaluationSet:
         if disturbances == "none" and any(plant.capsule for plant in self.plants):
             disturbances = Disturbances(stick_threshold=0.0, x_noise=0.0)
         # An environment that shows M and mu bounds them by its randomization; resets replace what it draws.
-        shown = [{"M": plant.M, "mu": plant.mu} for plant in self.plants]
-        shown += [change for plant in self.plants for change in plant.changes]
+        shown = [each for plant in self.plants for each in ({"M": plant.M, "mu": plant.mu}, *plant.changes)]
         M, mu = (max(each[name] for each in shown) for name in ("M", "mu"))
         own = {**EPISODE_SETTINGS, "randomization": Randomization(M=(M, M), mu=(mu, mu))}
         return {"task": self.task, "capsule": capsule, **own, "disturbances": disturbances}
@@ -212,7 +211,7 @@ def load_set(name_or_path: str | Path) -> EvaluationSet:
     """
     frozen = next((folder for folder in FOLDERS if folder.is_dir()), FOLDERS[-1])
     names = SET_NAMES + FURTHER_SET_NAMES + TASK_SET_NAMES
-    path = frozen / f"{name_or_path}.json" if name_or_path in names else Path(name_or_path)
+    path = frozen / f"{name_or_path}.json" if name_or_path in names else Path(str(name_or_path))
     # Unlike the methods of Path, this function accepts names that no file can have.
     if not os.path.isfile(path):
         raise ValueError(

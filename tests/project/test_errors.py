@@ -1,8 +1,10 @@
 """What is refused: invalid arguments of functions and commands, and missing libraries; the error names them."""
 
+import importlib
 import re
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -157,6 +159,7 @@ CALLS = [
     (lambda: rollout(Simulation(2), load_policy("residual-ppo"), 9), ValueError, "policy .* 5 entries, .*takes 10"),
     (lambda: rollout(Simulation(2), load_policy("direct-ppo"), 0), ValueError, "steps must be an integer >= 1, got 0"),
     (lambda: load_set("papre"), ValueError, "^set must be one of .*, or the path of a JSON file, got 'papre'"),
+    (lambda: load_set(None), ValueError, "^set must be one of .* got 'None'"),
     (lambda: load_set("x" * 10_000), ValueError, "^set must be one of .* got 'xx"),
     (lambda: load_set("/dev/null"), ValueError, "^set must be one of .* got '/dev"),
     (lambda: load_set("a\0b"), ValueError, "^set must be one of .* got 'a"),
@@ -234,6 +237,7 @@ MISSING = [
     ("jinja2", lambda: Exported("direct-ppo").c(), "--c needs jinja2"),
     ("onnx", lambda: Exported("direct-ppo").onnx(), "--onnx needs onnx"),
     ("matplotlib", lambda: style().__enter__(), "figures need matplotlib"),
+    ("scipy.linalg", lambda: importlib.reload(importlib.import_module("capsule_gym.shooting")), "identify needs scipy"),
     ("scipy.special", lambda: estimate(np.arange(12.0).reshape(3, 4)), "intervals need scipy"),
 ]
 
@@ -243,6 +247,17 @@ def test_a_missing_library_is_named_with_its_extra(library, call, message, monke
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(ImportError, match=rf"^{message}: pip install \"capsule-gym\[\w+\]\"$"):
         call()
+
+
+EXTRAS = {"capsule_gym.demo": "render", "capsule_gym.export": "export", "baselines.tuning": "paper"}
+
+
+@pytest.mark.parametrize(("name", "extra"), EXTRAS.items())
+def test_a_command_without_tyro_names_the_extra_of_all_that_it_needs(name, extra, monkeypatch):
+    monkeypatch.setitem(sys.modules, "tyro", None)
+    monkeypatch.setitem(sys.modules, "__main__", SimpleNamespace(__spec__=SimpleNamespace(name=name)))
+    with pytest.raises(ImportError, match=rf"needs tyro: pip install \"capsule-gym\[{extra}\]\"$"):
+        importlib.reload(sys.modules["capsule_gym.command_line"])
 
 
 def test_the_first_cause_of_an_error_is_one_line():
