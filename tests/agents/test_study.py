@@ -144,8 +144,8 @@ def test_failures_and_ctrl_c_have_their_exit_status(tmp_path, monkeypatch, capsy
         return {jobs[0]: "lost"}
 
     monkeypatch.setattr("agents.study.train_all", train)
-    revisions = ["0123456789ab", "0123456789ab+", "0123456789ab", "0123456789ab"]
-    monkeypatch.setattr("agents.training.checkpoint.git_revision", lambda _: revisions.pop(0))
+    revisions = iter("0123456789ab 0123456789ab+ 0123456789ab 0123456789ab".split())
+    monkeypatch.setattr("agents.training.checkpoint.git_revision", lambda _: next(revisions))
     words = ["direct-ppo", "--seeds", "0", "1", "--jobs", "3", "--runs", str(tmp_path), "--publish"]
     # Before the training.
     with pytest.raises(SystemExit, match="2"):

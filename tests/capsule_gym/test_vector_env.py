@@ -225,7 +225,7 @@ def test_a_copy_goes_on_with_the_episodes_bit_for_bit_and_on_its_own(make_copy, 
         env.reset(seed=5)
 
 
-def test_options_per_environment():
+def test_options_per_environment_also_of_a_later_reset_apply_in_every_block():
     env = CapsuleVectorEnv(3)
     changes = [[], [{"t": 0.02, "M": 0.8, "mu": 0.3}], []]
     options = {"M": [0.5, 0.6, 0.7], "mu": 0.05, "changes": changes, "state": [0.1, -0.2, 3.0, 0.0]}
@@ -236,9 +236,6 @@ def test_options_per_environment():
     for M in (0.6, 0.8):
         assert env.step(np.zeros((3, 1), np.float32))[4]["M"].tolist() == [0.5, M, 0.7]
     assert (env.reset()[1]["M"] < 0.56).all()
-
-
-def test_changes_of_a_later_reset_apply_in_every_block():
     n = 2 * LANES
     env, first_block = CapsuleVectorEnv(n), np.arange(n) < LANES
     for mask in (np.ones(n, bool), first_block):

@@ -128,20 +128,10 @@ def test_data_are_recorded_from_a_batch():
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("[!c_]*.py")), ids=lambda path: path.stem)
 def test_a_missing_library_is_named_with_its_extra(path, monkeypatch):
-    for module in (
-        "d3rlpy",
-        "minari",
-        "optuna",
-        "ray",
-        "sb3_contrib",
-        "skrl",
-        "stable_baselines3",
-        "tianshou",
-        "torchrl",
-    ):
+    for module in "d3rlpy minari optuna ray sb3_contrib skrl stable_baselines3 tianshou torchrl".split():
         monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(ImportError) as caught:
         runpy.run_path(str(path))
-    extras = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     (named,) = re.findall(r'# pip install -e "\.\[(\S+)\]"', "".join(traceback.format_exception(caught.value)))
+    extras = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     assert all(f"\n{extra} = [" in extras for extra in named.split(","))

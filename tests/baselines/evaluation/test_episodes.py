@@ -32,15 +32,12 @@ def test_episodes_equal_those_of_single_environments():
     assert episodes[2]["mean_speed"] != episodes[0]["mean_speed"]
 
 
-def test_episodes_start_at_the_angle_of_the_set():
+def test_episodes_start_at_the_angle_of_the_set_and_end_early_where_they_fail():
     content = {"M": 0.5, "mu": 0.01, "seed": 0}
     chosen = parse_set({"name": "starts", "plants": [content, content | {"theta": 0.0}]})
     rest, upright = evaluate(Sine(0.0), chosen, horizon=0.5)
     assert rest["largest_theta"] > 1.0 > upright["largest_theta"] == 0.0
     assert "theta" not in rest and upright["theta"] == 0.0
-
-
-def test_failed_episodes_end_early_and_are_counted():
     # Full torque swings the ball into the platform at once.
     episodes = evaluate(Sine(1.5, period=10.0), TINY, horizon=4.0)
     assert failures(episodes) == 3
