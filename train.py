@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -129,10 +130,14 @@ def _read_resumed(run: Path, arguments: Sequence[str] | None) -> Args:
         option = "--" + name.replace("_", "-")
         must = f"{option} must stay {old[name]} with --resume"
         refuse(PROG, f"{must}, got {new[name]}; only --total-steps may be changed")
-    if not (args.trust_controller or (is_own(before.controller) and not before.wrapper)):
-        code = before.wrapper or before.controller
+    if (code := _foreign_code(before)) and not args.trust_controller:
         refuse(PROG, f"{run / CONFIG} names code to import, {code!r}: --trust-controller if it may run")
     return args
+
+
+def _foreign_code(config: Config) -> tuple[str, ...] | str | None:
+    """The wrappers or the control law outside this package that a run imports, if any."""
+    return config.wrapper or (None if is_own(config.controller) else config.controller)
 
 
 def _check_same_kind(before: Args, args: Args, chosen_by: str) -> None:
@@ -152,6 +157,8 @@ def _report(failure: threading.ExceptHookArgs) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = read_args(arguments)
+    if args.wandb and find_spec("wandb") is None:
+        refuse(PROG, '--wandb needs wandb: pip install "capsule-gym[wandb]"')
     before, threading.excepthook = threading.excepthook, _report
     try:
         return _train(args)
@@ -193,9 +200,10 @@ def _train(args: Args) -> int:
                 raise RunError(str(error)) from error
             what = f"{config.algo.upper()} on {config.env}, {config.task} torque"
             print(f"Training {what}, seed {config.seed}, in {run}.")
-        QUIET_EXIT.message = f"Stopped. To resume: python train.py --resume {run}"
+        hint = f"To resume: python train.py --resume {run}" + " --trust-controller" * bool(_foreign_code(config))
+        QUIET_EXIT.message = f"Stopped. {hint}"
         if not loop.train(run, config.total_steps, wandb=args.wandb):
-            print(f"\nStopped; saved. To resume: python train.py --resume {run}")
+            print(f"\nStopped; saved. {hint}")
             return INTERRUPTED
         print(f"Trained; the best policy on validation plants is {run / BEST / (MODEL if config.wrapper else POLICY)}.")
         if compared:

@@ -153,6 +153,18 @@ def results_table(jobs: Sequence[Job]) -> str:
     return text_table(rows, left=1)
 
 
+def check_committed(job: Job) -> None:
+    """Raises a RunError for a run that has begun, or would begin now, with code that is not committed."""
+    # Imported here, since it needs torch.
+    from agents.training.checkpoint import git_revision
+
+    path, revision = job.run / CONFIG, git_revision(Path(__file__).parent)
+    if path.exists():
+        revision = json.loads(path.read_text(encoding="utf-8")).get("revision")
+    if not re.fullmatch(r"[0-9a-f]+", str(revision)):
+        raise RunError(f"--publish needs runs of committed code, got the revision {revision!r} of {job.run}")
+
+
 def copy_policy(job: Job, checkpoints: Path = CHECKPOINTS) -> Path:
     """Copies a run's best policy and its evaluations into the folder of its row and seed, which it returns.
 
@@ -163,9 +175,7 @@ def copy_policy(job: Job, checkpoints: Path = CHECKPOINTS) -> Path:
     """
     if not job.finished:
         raise RunError(f"{job.run} is not finished")
-    revision = json.loads((job.run / CONFIG).read_text(encoding="utf-8")).get("revision")
-    if not re.fullmatch(r"[0-9a-f]+", str(revision)):
-        raise RunError(f"{job.run} must be a run of committed code, got the revision {revision!r}: train it again")
+    check_committed(job)
     folder = checkpoints / job.row / f"seed-{job.config.seed}"
     folder.mkdir(parents=True, exist_ok=True)
     for path in (job.run / EVALUATIONS, job.run / BEST / POLICY):
@@ -218,6 +228,8 @@ def main(
                 f"{job.run} contains an unfinished run: --resume continues what is your own, reading the pickles of "
                 "its checkpoints"
             )
+        if publish and not job.finished:
+            check_committed(job)
     try:
         failures = train_all(planned, jobs, backend)
     except KeyboardInterrupt:

@@ -17,7 +17,7 @@ from capsule_gym.evaluation_sets import load_set
 FIRST_SEED, PLANTS = 31_000_000, 400
 
 
-@command("python -m benchmarks.fresh_draws")
+@command("python -m benchmarks.fresh_draws", ValueError)
 def main(rows: Annotated[Positional[tuple[str, ...]], arg(metavar="ROW")] = ()) -> int:
     """Evaluates rows of the leaderboard's main table on new plants; fails if a mean speed differs from the table.
 
@@ -31,12 +31,11 @@ def main(rows: Annotated[Positional[tuple[str, ...]], arg(metavar="ROW")] = ()) 
     """
     differing = 0
     lines = [["row", "set", "published (cm/s)", "new", "standard errors", "failures", ""]]
-    for name in rows or chain(*GROUPS.values()):
-        row = load_row(ROOT / RESULTS / f"{name}.npz")
+    for row in [load_row(ROOT / RESULTS / f"{name}.npz") for name in rows or chain(*GROUPS.values())]:
         for set_name in MAIN_SETS:
             like = load_set(set_name)
             drawn = validation_set(set_name, "new", FIRST_SEED, PLANTS, like.capsule, "speed", like.disturbances)
-            episodes, before = evaluate(name, drawn), row.score(set_name, SPEED.name)
+            episodes, before = evaluate(row.name, drawn), row.score(set_name, SPEED.name)
             now, published = scores(episodes, SPEED.name), estimate(before, mean=True)
             error = sum(each.mean(axis=0).var(ddof=1) / each.shape[1] for each in (before, now)) ** 0.5
             errors = (now.mean() - published.value) / error
@@ -44,7 +43,7 @@ def main(rows: Annotated[Positional[tuple[str, ...]], arg(metavar="ROW")] = ()) 
             differing += differs
             cells = [f"{published.value:.2f} [{published.low:.2f}, {published.high:.2f}]", f"{now.mean():.2f}"]
             cells += [f"{errors:+.1f}", f"{failures(episodes)}/{len(episodes)}"]
-            lines.append([name, set_name, *cells, "differs" if differs else ""])
+            lines.append([row.name, set_name, *cells, "differs" if differs else ""])
     print(f"{text_table(lines, left=2)}\n{differing} of {len(lines) - 1} means differ")
     return int(differing > 0)
 

@@ -13,7 +13,8 @@ import numpy as np
 from tqdm import tqdm
 
 from capsule_gym import CapsuleEnv, Excitation, identify, record
-from capsule_gym.command_line import Count, command
+from capsule_gym.checks import check_number
+from capsule_gym.command_line import Count, PositiveCount, command
 from capsule_gym.identification import OTHERS, RANGES
 from capsule_gym.parameters import RANDOMIZATIONS, REAL, Capsule, Disturbances
 
@@ -42,9 +43,9 @@ def make_logs(
             yield log, {**truth, "latency": round(truth["latency"] / PHYSICS_DT) * PHYSICS_DT}
 
 
-@command("python -m benchmarks.identification")
+@command("python -m benchmarks.identification", ValueError)
 def main(
-    plants: Count = 150,
+    plants: PositiveCount = 150,
     seed: Count = 0,
     sensors: Literal["white", "real"] = "real",
     amplitude: float = Excitation.amplitude,
@@ -61,6 +62,7 @@ def main(
         sensors: Errors of the sensors: white noise, or noise, bias and drift.
         amplitude: Root mean square of the excitation, N m. With 0.55 it ends a quarter of the episodes.
     """
+    check_number("--amplitude", amplitude, "a number from 0 to 1 (N m)", 0.0, 1.0)
     rows, seconds, chi2 = [], [], list[float]()
     for log, truth in tqdm(make_logs(plants, seed, SENSORS[sensors], amplitude), total=plants, mininterval=10.0):
         start = time.process_time()

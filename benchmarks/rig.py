@@ -13,7 +13,7 @@ import numpy as np
 from agents.training.presets import PRESETS
 from baselines.evaluation.episodes import evaluate, validation_set
 from capsule_gym import CapsuleEnv, Excitation, Policy, identify, record
-from capsule_gym.command_line import Count, command
+from capsule_gym.command_line import PositiveCount, command
 
 HIDDEN: dict[str, Any] = {"randomization": "real-wide", "disturbances": "real"}
 CONFIG = replace(PRESETS["direct", "ppo"], stack_size=4)
@@ -51,7 +51,7 @@ def identified(seed: int) -> dict[str, Any]:
 
 
 @command("python -m benchmarks.rig")
-def main(plants: Count = 20, total_steps: Count = 1_000_000) -> None:
+def main(plants: PositiveCount = 20, total_steps: PositiveCount = 1_000_000) -> None:
     """Compares agents trained on identified, on the paper's and on wide ranges, on hidden plants.
 
     Examples:

@@ -8,7 +8,7 @@ import numpy as np
 
 from capsule_gym import Capsule, sensitivity
 from capsule_gym._core import TRAJECTORY
-from capsule_gym.command_line import Count, command
+from capsule_gym.command_line import PositiveCount, command
 from capsule_gym.trajectory import constant_inputs, simulate
 
 NAMES = ("torque", "M", "mu", "k", "c")
@@ -58,7 +58,7 @@ def errors(count: int, seed: int) -> tuple[np.ndarray, float]:
 
 
 @command("python -m benchmarks.sensitivity")
-def main(trajectories: Count = 300) -> None:
+def main(trajectories: PositiveCount = 300) -> None:
     """Compares derivatives of x(2 s) with extrapolated differences, and their cost with that of a trajectory.
 
     Examples:

@@ -29,8 +29,7 @@ from baselines.drawing import BLUE, MUTED, new_figure, save, style
 from benchmarks import mujoco
 from benchmarks.measurement import machine, rates, report
 from capsule_gym import ENV_ID, native, task
-from capsule_gym.checks import check_count
-from capsule_gym.command_line import Count, check_output, command
+from capsule_gym.command_line import PositiveCount, check_output, command
 from capsule_gym.config import DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, EnvConfig
 from capsule_gym.layout import LANES, Row
 from capsule_gym.parameters import Capsule
@@ -191,7 +190,7 @@ def draw(measured: Mapping[str, float], stem: Path) -> None:
 
 
 @command(COMMAND, ValueError)
-def main(markdown: Path | None = None, figure: Path | None = None, turns: Count = 30) -> int:
+def main(markdown: Path | None = None, figure: Path | None = None, turns: PositiveCount = 30) -> int:
     """Environment steps per second, and ratios to other environments and to plain C; fails if a ratio is too small.
 
     Plain C needs a compiler, MuJoCo the extra `bench`; what is not installed is left out.
@@ -206,7 +205,7 @@ def main(markdown: Path | None = None, figure: Path | None = None, turns: Count 
         turns: Measurements of every contender, in turns.
     """
     check_output("--markdown", markdown, overwrite=True)
-    check_count("--turns", turns)
+    check_output("--figure", figure, overwrite=True)
     found = contenders()
     floors = {pair: floor for pair, floor in FLOORS.items() if set(pair) <= set(found)}
     sizes = {name: BATCH if name.endswith(f", {BATCH}") else 1 for name in found}

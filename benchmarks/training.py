@@ -24,7 +24,7 @@ from agents.training.presets import PRESETS
 from baselines.evaluation.episodes import evaluate, scores
 from baselines.evaluation.policies import wrap_policy
 from benchmarks.measurement import machine, report
-from capsule_gym.command_line import Count, check_output, command
+from capsule_gym.command_line import PositiveCount, check_output, command
 from capsule_gym.evaluation_sets import EvaluationSet
 from capsule_gym.task import ENV_ID
 
@@ -165,7 +165,7 @@ CONTENDERS: dict[str, Callable[[int, Clock], None]] = {
 
 
 @command(COMMAND, ValueError)
-def main(markdown: Path | None = None, seeds: Count = 3) -> None:
+def main(markdown: Path | None = None, seeds: PositiveCount = 3) -> None:
     """Processor time until an agent moves the capsule at 15 cm/s, for several trainers.
 
     Examples:

@@ -19,38 +19,36 @@ try:
     import tyro
     from tyro.conf import Positional, arg
 except ImportError as error:
-    _package = getattr(sys.modules["__main__"].__spec__, "name", "").partition(".")[0]
-    _extra = {"agents": "train", "baselines": "paper", "benchmarks": "bench"}.get(_package, "render")
+    _package, _, _own = getattr(sys.modules["__main__"].__spec__, "name", "").partition(".")
+    _own = _own if _own in ("export", "identify") else "render"
+    _extra = {"agents": "train", "baselines": "paper", "benchmarks": "bench"}.get(_package, _own)
     raise ImportError(f'this command needs tyro: pip install "capsule-gym[{_extra}]"') from error
 
-__all__ = ["Count", "Positional", "arg", "check_output", "command", "parse", "refuse"]
+__all__ = ["Count", "Positional", "PositiveCount", "arg", "check_output", "command", "parse", "refuse"]
 
 T = TypeVar("T")
 # No option --no-fast in addition to --fast.
 NO_NEGATIONS = (tyro.conf.FlagCreatePairsOff,)
 
 
-def _count(text: str) -> int:
-    try:
-        value = float(text.replace("_", ""))
-    except ValueError:
-        value = math.nan
-    if not value.is_integer() or value < 0:
-        raise ValueError(f"must be an integer >= 0, got {text!r}")
-    return int(value)
+def _integer(least: int) -> Any:
+    """Reads an integer, also in the form 8e6, that is not below the least."""
+
+    def read(words: Sequence[str]) -> int:
+        try:
+            value = float(words[0].replace("_", ""))
+        except ValueError:
+            value = math.nan
+        if not value.is_integer() or value < least:
+            raise ValueError(f"must be an integer >= {least}, got {words[0]!r}")
+        return int(value)
+
+    back: Any = {"is_instance": lambda value: isinstance(value, int), "str_from_instance": lambda value: [str(value)]}
+    return tyro.constructors.PrimitiveConstructorSpec(nargs=1, metavar="N", instance_from_str=read, **back)
 
 
-Count = Annotated[
-    int,
-    tyro.constructors.PrimitiveConstructorSpec(
-        nargs=1,
-        metavar="N",
-        instance_from_str=lambda words: _count(words[0]),
-        is_instance=lambda value: isinstance(value, int),
-        str_from_instance=lambda value: [str(value)],
-    ),
-]
-"""An integer >= 0, also in the form 8e6."""
+Count = Annotated[int, _integer(0)]
+PositiveCount = Annotated[int, _integer(1)]
 
 
 def parse(kind: Callable[..., T], prog: str, arguments: Sequence[str] | None = None, *, default: T | None = None) -> T:

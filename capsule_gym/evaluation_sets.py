@@ -24,7 +24,7 @@ from capsule_gym.checks import (
 )
 from capsule_gym.config import check_object, find_task
 from capsule_gym.files import canonical_hash
-from capsule_gym.parameters import CONSTANTS, NOMINAL, Capsule, Disturbances
+from capsule_gym.parameters import CONSTANTS, NOMINAL, Capsule, Disturbances, Randomization
 from capsule_gym.task import CHANGE, CONTROL_DT, HORIZON, LARGEST_STATE, START_THETA, TASKS, THETA_LIMIT
 
 SET_NAMES = ("nominal", "paper", "wide", "extrapolation", "drift")
@@ -99,7 +99,11 @@ class EvaluationSet:
         disturbances = self.disturbances
         if disturbances == "none" and any(plant.capsule for plant in self.plants):
             disturbances = Disturbances(stick_threshold=0.0, x_noise=0.0)
-        return {"task": self.task, "capsule": capsule, **EPISODE_SETTINGS, "disturbances": disturbances}
+        # An environment that shows M and mu bounds them by its randomization; resets replace what it draws.
+        shown = [each for plant in self.plants for each in ({"M": plant.M, "mu": plant.mu}, *plant.changes)]
+        M, mu = (max(each[name] for each in shown) for name in ("M", "mu"))
+        own = {**EPISODE_SETTINGS, "randomization": Randomization(M=(M, M), mu=(mu, mu))}
+        return {"task": self.task, "capsule": capsule, **own, "disturbances": disturbances}
 
     @property
     def horizon(self) -> float:
@@ -207,7 +211,7 @@ def load_set(name_or_path: str | Path) -> EvaluationSet:
     """
     frozen = next((folder for folder in FOLDERS if folder.is_dir()), FOLDERS[-1])
     names = SET_NAMES + FURTHER_SET_NAMES + TASK_SET_NAMES
-    path = frozen / f"{name_or_path}.json" if name_or_path in names else Path(name_or_path)
+    path = frozen / f"{name_or_path}.json" if name_or_path in names else Path(str(name_or_path))
     # Unlike the methods of Path, this function accepts names that no file can have.
     if not os.path.isfile(path):
         raise ValueError(

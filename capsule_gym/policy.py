@@ -263,7 +263,9 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
                 f"{short_repr(name)}{_law_named(name) or nearest(name, pretrained())}"
             )
         folder = path.absolute().parent
-        name = folder.parent.name if folder.name == "best" else folder.name
+        folder = folder.parent if folder.name == "best" else folder
+        # As `policy_names` names a row's run.
+        name = "/".join(folder.parts[-2:]) if folder.name.startswith("seed-") else folder.name
     if (size := path.stat().st_size) > LARGEST_FILE:
         raise ValueError(f"{path} is not a policy file: it must have at most {LARGEST_FILE} bytes, got {size}")
     try:

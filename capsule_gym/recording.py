@@ -29,7 +29,10 @@ SHORTEST = 2.0
 def read_log(log: Any) -> dict[str, np.ndarray]:
     """The columns of a log, float64, with NaN where a reading is missing, after all checks of `identify`."""
     if isinstance(log, (str, os.PathLike)):
-        rows = list(csv.DictReader(Path(log).read_text(encoding="utf-8").splitlines()))
+        # Spreadsheets write a mark in front of the first name.
+        rows = list(csv.DictReader(Path(log).read_text(encoding="utf-8-sig").splitlines()))
+        for row in rows:
+            require(None not in row, "a row of log", f"of one number for each of {[*row][:-1]}", [*row.values()])
         log = {name: [row[name] or "nan" for row in rows] for name in (rows[0] if rows else {})}
     require(isinstance(log, Mapping), "log", "the path of a CSV file or a mapping of columns", log, TypeError)
     columns: dict[str, np.ndarray] = {}

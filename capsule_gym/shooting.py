@@ -11,13 +11,17 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import Akima1DInterpolator, CubicHermiteSpline
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_banded
-from scipy.optimize import minimize
-from scipy.signal import lfilter
 
 from capsule_gym.parameters import REAL, SENSORS, Capsule
 from capsule_gym.trajectory import PLANT, STATE, constant_inputs, simulate
+
+try:
+    from scipy.interpolate import Akima1DInterpolator, CubicHermiteSpline
+    from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_banded
+    from scipy.optimize import minimize
+    from scipy.signal import lfilter
+except ImportError as error:
+    raise ImportError('identify needs scipy: pip install "capsule-gym[identify]"') from error
 
 # Standard deviations of noise and drift before they are estimated; the position's are this project's choice.
 NOISE = {name: (getattr(REAL, f"{name}_noise"), getattr(REAL, f"{name}_drift")) for name in SENSORS}

@@ -7,7 +7,7 @@ import argparse
 from collections.abc import Callable, Iterator
 
 import gymnasium as gym
-import minari
+import minari  # pip install -e ".[minari]"
 import numpy as np
 from minari.data_collector import EpisodeBuffer
 

@@ -5,7 +5,7 @@ MINARI_DATASETS_PATH=runs/data python examples/offline_rl.py --quality mixed
 
 import argparse
 
-import d3rlpy
+import d3rlpy  # pip install -e ".[d3rlpy]"
 import minari
 import numpy as np
 from d3rlpy.algos import BCConfig, IQLConfig

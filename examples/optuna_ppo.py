@@ -3,7 +3,7 @@
 import argparse
 from typing import Any
 
-import optuna
+import optuna  # pip install -e ".[tune,sb3]"
 from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecNormalize, sync_envs_normalization

@@ -5,7 +5,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from stable_baselines3 import PPO
+from stable_baselines3 import PPO  # pip install -e ".[sb3]"
 from stable_baselines3.common.callbacks import BaseCallback
 
 from baselines.evaluation.episodes import evaluate, validation_set

@@ -2,7 +2,7 @@
 
 import argparse
 
-from ray.rllib.algorithms.ppo import PPOConfig
+from ray.rllib.algorithms.ppo import PPOConfig  # pip install -e ".[rllib]"
 
 
 def main() -> None:

@@ -2,7 +2,7 @@
 
 import argparse
 
-from stable_baselines3 import PPO
+from stable_baselines3 import PPO  # pip install -e ".[sb3]"
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecNormalize
 

@@ -2,7 +2,7 @@
 
 import argparse
 
-from tianshou.highlevel.config import OnPolicyTrainingConfig
+from tianshou.highlevel.config import OnPolicyTrainingConfig  # pip install -e ".[tianshou]"
 from tianshou.highlevel.env import EnvFactoryRegistered, VectorEnvType
 from tianshou.highlevel.experiment import ExperimentConfig, PPOExperimentBuilder
 

@@ -3,7 +3,7 @@
 import argparse
 
 import gymnasium as gym
-from torchrl.envs import GymEnv, GymWrapper
+from torchrl.envs import GymEnv, GymWrapper  # pip install -e ".[torchrl]"
 
 ID = "capsule_gym:CapsuleStickSlip-v0"
 

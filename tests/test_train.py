@@ -84,10 +84,11 @@ def test_a_run_is_never_overwritten(tmp_path, capsys):
     assert "--resume" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("words", "name"),
-    [("", "residual-ppo"), ("--row direct-ppo", "direct-ppo"), ("--env CapsuleGoal-v0", "goal-direct-ppo")],
-)
+NAMES = {"": "residual-ppo", "--row direct-ppo": "direct-ppo", "--env CapsuleGoal-v0": "goal-direct-ppo"}
+NAMES |= dict.fromkeys(("--controller my:law", "--wrapper my:Wrapper"), "residual-ppo")
+
+
+@pytest.mark.parametrize(("words", "name"), NAMES.items())
 def test_runs_that_begin_at_once_have_folders_of_their_own(words, name, tmp_path, monkeypatch, capsys):
     runs = []
     monkeypatch.setattr(train, "RUNS", tmp_path)
@@ -97,7 +98,8 @@ def test_runs_that_begin_at_once_have_folders_of_their_own(words, name, tmp_path
         assert train.main([*words.split(), "--seed", "3", "--no-comparison"]) == 130
     assert len(set(runs)) == 2 and {run.parent for run, _ in runs} == {tmp_path} and {seed for _, seed in runs} == {3}
     assert all(run.name.startswith(f"{name}-seed3-2") for run, _ in runs)
-    assert f"saved. To resume: python train.py --resume {runs[1][0]}\n" in capsys.readouterr().out
+    trust = " --trust-controller" * ("my:" in words)
+    assert f"saved. To resume: python train.py --resume {runs[1][0]}{trust}\n" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("error", "said"), [(OSError("full"), ""), (ValueError("odd"), "ValueError: odd")])

@@ -640,6 +640,17 @@ export async function drive(name, { disturbances, ...options } = {}) {
   return episode;
 }
 
+/** Returns the length of a network by its header and widths, in the order of `capsule_gym.network.pack`, or NaN. */
+function networkSize([layers, , , , ...rest], entries) {
+  const padded = (width) => Math.ceil(width / CORE.padding) * CORE.padding;
+  const first = padded(4) - 4;
+  const widths = rest.slice(first, first + layers + 1);
+  const whole = widths.every((width) => Number.isInteger(width) && width > 0);
+  if (!whole || widths.length !== layers + 1 || widths[0] !== entries || widths.at(-1) !== 1) return NaN;
+  const units = widths.slice(1).reduce((sum, width, n) => sum + padded(width) * (1 + widths[n]), 0);
+  return padded(4) + padded(layers + 1) + 2 * padded(entries) + units;
+}
+
 /** Adds a policy of your own to `drivers`, as `web.data.describe_policy` describes it in Python. */
 export function addDriver(driver) {
   const { name, task, controller, settings, network } = driver;
@@ -652,11 +663,15 @@ export function addDriver(driver) {
     const [size, given] = [CORE.settings.length, settings?.[kind]?.length];
     if (given !== size) throw new RangeError(`settings.${kind} must be ${size} numbers, got ${given}`);
   }
-  checkNumber("settings.entries", settings.entries, 1, 1e4);
+  checkCount("settings.entries", settings.entries, 10_001);
   checkNumber("settings.control_dt", settings.control_dt, Number.MIN_VALUE, Number.MAX_VALUE);
   checkNumber("settings.steps", settings.steps, 1, Number.MAX_SAFE_INTEGER);
   if (!Array.isArray(network)) throw new TypeError(`network must be an array of numbers, got ${String(network)}`);
   network.forEach((number, n) => checkNumber(`network[${n}]`, number));
+  if (network.length !== networkSize(network, settings.entries)) {
+    const accepted = `as web.data.describe_policy gives it, for ${settings.entries} entries`;
+    throw new RangeError(`network must be ${accepted}, got ${network.length} numbers`);
+  }
   const added = { ...driver, network: Float64Array.from(network) };
   DRIVERS.push(added);
   drivers.push(describe(added));

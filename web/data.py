@@ -65,7 +65,7 @@ def pack_data(module: bytes) -> str:
     """The archive with all data for the JavaScript, compressed, in base64; `module` is the compiled core."""
     archive = Archive()
     # The names and sizes of what the core takes.
-    names = "ROWS", "SETTINGS", "BATCH", "CELLS", "HISTORY_ROWS"
+    names = "ROWS", "SETTINGS", "BATCH", "CELLS", "HISTORY_ROWS", "PADDING"
     core = {name.lower(): getattr(_core, name) for name in names}
     # The fields of a task's memory, those shown in `info`, and the draws at a reset, whose rows follow the rest.
     tasks = {}

@@ -149,12 +149,10 @@ def start_wandb(run: Path, config: Config) -> Any:
     """Starts a run of Weights & Biases, which follows TensorBoard's log.
 
     Raises:
-        RunError: if wandb is not installed or does not start.
+        RunError: if wandb does not start.
     """
-    try:
-        import wandb
-    except ImportError:
-        raise RunError('--wandb needs wandb: pip install "capsule-gym[wandb]"') from None
+    import wandb
+
     # The same folder with the same settings resumes the same run.
     identity = canonical_hash([str(run.resolve()), {**config.to_dict(), "total_steps": None}])[:16]
     options: dict[str, Any] = {"project": "capsule_gym", "resume": "allow", "sync_tensorboard": True}

@@ -20,9 +20,10 @@ from baselines.evaluation.statistics import estimate
 from baselines.policies import ScriptedPolicy
 from capsule_gym import __version__
 from capsule_gym.checks import check_number
+from capsule_gym.config import EnvConfig
 from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec, load_set
 from capsule_gym.network import rollout
-from capsule_gym.parameters import CONSTANTS, NOMINAL, Capsule, Disturbances, Randomization
+from capsule_gym.parameters import CONSTANTS, LONGEST_STEP, NOMINAL, Capsule, Disturbances, Randomization
 from capsule_gym.resets import Stream, draw_plant, random_stream
 from capsule_gym.task import CONTROL_DT, START_THETA, TORQUE_LIMIT
 
@@ -147,13 +148,15 @@ def evaluate(
     if isinstance(policy, (str, Path)):
         policy = find_candidate(str(policy))
     if isinstance(policy, Candidate):
+        check_task(policy, chosen)
         return [episode for each in policy.policies for episode in evaluate(each, chosen, horizon=horizon)]
     policy = wrap_policy(policy, env_kwargs=env_kwargs)
     check_task(Candidate(policy.name, (policy,), ""), chosen)
     settings: dict[str, Any] = {**policy.env_kwargs, **chosen.env_kwargs}
-    seconds, control_dt = chosen.horizon, settings.get("control_dt", CONTROL_DT)
+    seconds, control_dt = chosen.horizon, EnvConfig(control_dt=settings.get("control_dt", CONTROL_DT)).control_dt
     if horizon is not None:
-        seconds = check_number("horizon", horizon, f"a finite number >= {control_dt:g} (s)", control_dt)
+        accepted = f"a number from {control_dt:g} to {LONGEST_STEP:g} (s)"
+        seconds = check_number("horizon", horizon, accepted, control_dt, LONGEST_STEP)
     steps, seeds = round(seconds / control_dt), [plant.seed for plant in chosen.plants]
     batch = {"num_envs": len(seeds), "max_episode_steps": steps, "autoreset_mode": AutoresetMode.DISABLED}
     env = capsule_gym.CapsuleVectorEnv(**{**settings, **batch})

@@ -198,7 +198,7 @@ def find_candidate(name_or_path: str, *, trust: bool = False, trust_controller: 
     """
     if REFERENCE.fullmatch(name_or_path):
         if not trust:
-            raise ValueError(f"importing policy {name_or_path!r} runs its code; --trust allows it")
+            raise ValueError(f"importing policy {name_or_path!r} runs its code; --trust allows it, or pass the object")
         # Finds modules in the current folder, as for a script.
         sys.path.insert(0, "")
         try:

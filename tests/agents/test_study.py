@@ -144,5 +144,12 @@ def test_failures_and_ctrl_c_have_their_exit_status(tmp_path, monkeypatch, capsy
         return {jobs[0]: "lost"}
 
     monkeypatch.setattr("agents.study.train_all", train)
-    assert main(["direct-ppo", "--seeds", "0", "1", "--jobs", "3", "--runs", str(tmp_path), "--publish"]) == status
+    revisions = iter("0123456789ab 0123456789ab+ 0123456789ab 0123456789ab".split())
+    monkeypatch.setattr("agents.training.checkpoint.git_revision", lambda _: next(revisions))
+    words = ["direct-ppo", "--seeds", "0", "1", "--jobs", "3", "--runs", str(tmp_path), "--publish"]
+    # Before the training.
+    with pytest.raises(SystemExit, match="2"):
+        main(words)
+    assert "--publish needs runs of committed code, got the revision '0123456789ab+' of" in capsys.readouterr().err
+    assert main(words) == status
     assert said in "".join(capsys.readouterr())

@@ -52,7 +52,7 @@ def test_a_constant_system_has_the_gains_of_the_algebraic_riccati_equation():
     np.testing.assert_allclose(gains, np.tile(B @ P @ A / (R + B @ P @ B), (4, 1)), rtol=1e-9)
 
 
-def test_the_committed_cycle_is_closed_and_its_regulator_stable():
+def test_the_committed_cycle_is_closed_and_its_regulator_a_stable_one_of_the_designs():
     content = {name: np.array(values) for name, values in json.loads(lqr.FILE.read_text(encoding="utf-8")).items()}
     states, distance, A, B = lqr.linearise(Transitions(Problem(), 9), content["states"][0], content["torques"])
     np.testing.assert_allclose(states[:-1], content["states"], atol=1e-9)
@@ -61,9 +61,6 @@ def test_the_committed_cycle_is_closed_and_its_regulator_stable():
     for a, b, k in zip(A, B, content["gains"], strict=True):
         free, closed = a @ free, (a - np.outer(b, k)) @ closed
     assert np.abs(np.linalg.eigvals(closed)).max() < 1.0 < np.abs(np.linalg.eigvals(free)).max()
-
-
-def test_the_committed_regulator_is_one_of_the_designs():
     content = json.loads(lqr.FILE.read_text(encoding="utf-8"))
     designs = [each for each in lqr.candidates() if len(each["torques"]) == len(content["torques"])]
     differences = [max(np.abs(np.subtract(each[name], content[name])).max() for name in content) for each in designs]

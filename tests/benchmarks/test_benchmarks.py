@@ -109,14 +109,11 @@ def test_rates_are_bars_of_their_colours(tmp_path, saved_figures):
     assert {path.name for path in tmp_path.iterdir()} == {"speed.svg", "speed.png"}
 
 
-def test_every_contender_steps_or_resets(monkeypatch):
+def test_every_contender_steps_or_resets_and_begins_anew_after_an_episode(monkeypatch):
     monkeypatch.setattr(throughput, "TURN_SECONDS", 1e-3)
     found = throughput.contenders()
     assert {each for pair in throughput.FLOORS for each in pair} <= {*found, "capsule, plain C, 1024"}
     assert all(throughput.seconds_per_step(make(), 1) > 0.0 for make in found.values())
-
-
-def test_a_contender_begins_anew_after_the_end_of_an_episode(monkeypatch):
     made, envs = gym.make, []
     monkeypatch.setattr(throughput.gym, "make", lambda *args, **kwargs: envs.append(made(*args, **kwargs)) or envs[-1])
     for reset in (False, True):

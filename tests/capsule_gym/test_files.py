@@ -15,7 +15,7 @@ def lowest_free_descriptor():
         return file.fileno()
 
 
-def test_a_file_appears_whole_and_replaces_what_was_there(tmp_path, monkeypatch):
+def test_a_file_replaces_what_was_there_whole_or_not_at_all(tmp_path, monkeypatch):
     path, synchronised = tmp_path / "result.json", []
     monkeypatch.setattr(os, "fsync", lambda descriptor: synchronised.append(os.fstat(descriptor).st_ino))
     free = lowest_free_descriptor()
@@ -25,13 +25,9 @@ def test_a_file_appears_whole_and_replaces_what_was_there(tmp_path, monkeypatch)
     synchronise(tmp_path)
     assert list(tmp_path.iterdir()) == [path] and synchronised[-1] == tmp_path.stat().st_ino
     assert lowest_free_descriptor() <= free
-
-
-def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path):
-    path = tmp_path / "table.csv"
     write_atomically(path, "old")
     with pytest.raises(RuntimeError), replacing(path) as temporary:
-        assert (temporary.suffix, temporary.parent) == (".csv", tmp_path)
+        assert (temporary.suffix, temporary.parent) == (".json", tmp_path)
         temporary.write_text("half", encoding="utf-8")
         assert path.read_text(encoding="utf-8") == "old"
         raise RuntimeError

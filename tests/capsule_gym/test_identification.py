@@ -105,7 +105,7 @@ def test_quantities_segments_and_first_states_by_hand():
         assert problem.segments == list(zip((2, 82, 162, 242, 322), ends, strict=True))
 
 
-def test_errors_are_whitened_by_the_covariance_of_noise_and_drift():
+def test_errors_are_whitened_by_their_covariance_and_give_the_sizes_of_noise_and_drift():
     problem, rng = make_small_problem(), np.random.default_rng(0)
     noise, drift, time = problem.noise["theta"] = (0.02, 0.05, 0.3)
     rows = rng.uniform(size=400) > 0.1
@@ -113,9 +113,6 @@ def test_errors_are_whitened_by_the_covariance_of_noise_and_drift():
     covariance = drift**2 * np.exp(-np.abs(np.subtract.outer(T, T)) / time) + noise**2 * np.eye(400)
     expected = np.linalg.solve(np.linalg.cholesky(covariance[rows][:, rows]), errors[rows])
     np.testing.assert_allclose(problem.whiten("theta", errors, rows), expected, rtol=1e-8, atol=1e-9)
-
-
-def test_sizes_of_noise_and_drift_are_those_of_the_errors():
     count, rng, kept = 40_000, np.random.default_rng(1), math.exp(-0.01 / 0.2)
     drift = lfilter([math.sqrt(1.0 - kept**2)], [1.0, -kept], 0.05 * rng.normal(size=count))
     problem = make_small_problem(count, theta=drift + 0.02 * rng.normal(size=count))
@@ -182,7 +179,7 @@ def test_chi2_is_what_past_torques_and_the_motion_explain_of_the_residuals():
     assert problem.statistic(np.zeros(3)) == pytest.approx(explained / 102.0) and 0.7 < explained / 102.0 < 1.3
 
 
-def test_intervals_contain_the_truth(fit):
+def test_intervals_contain_the_truth_and_are_arguments_of_the_environment(fit):
     for name, (low, high) in fit.intervals(0.999).items():
         truth = {**TRUTH, "motor_friction": 0.06, **MOTOR, "x_dot_bias": 0.01}.get(name, 0.0)
         assert low <= truth <= high, name
@@ -193,9 +190,6 @@ def test_intervals_contain_the_truth(fit):
     found = fit.disturbances
     assert found.theta_noise == pytest.approx(0.01, rel=0.1) and found.theta_drift < 0.003
     assert found.theta_dot_noise == pytest.approx(0.1, rel=0.1) and found.x_dot_noise == pytest.approx(0.01, rel=0.1)
-
-
-def test_results_are_arguments_of_the_environment(fit):
     options = fit.env_kwargs(0.95)
     assert options["randomization"] == fit.randomization(0.95) and options["disturbances"].latency[0] > 0.005
     _, info = CapsuleEnv(**options).reset(seed=0)
@@ -241,7 +235,7 @@ def test_a_report_shows_readings_residuals_and_correlations(fit, log, tmp_path, 
 def test_command_and_lost_readings(log, tmp_path):
     path = tmp_path / "log.csv"
     generator = np.random.default_rng(0)
-    with path.open("w", newline="") as file:
+    with path.open("w", newline="", encoding="utf-8-sig") as file:
         writer = csv.writer(file)
         writer.writerow(log)
         for row in zip(*(column[:1000] for column in log.values()), strict=True):
@@ -251,6 +245,12 @@ def test_command_and_lost_readings(log, tmp_path):
     found = {line.split()[0]: line.split()[1:] for line in done.stdout.splitlines()[1:]}
     assert "lag" not in found and float(found["c"][0]) == pytest.approx(TRUTH["c"], rel=0.03)
     assert float(found["latency"][0]) == pytest.approx(0.008, abs=1e-3)
+    # Decimal commas.
+    path.write_text("t,torque,theta\n0,0,0\n0,01,0,1,0,2\n")
+    with pytest.raises(
+        ValueError, match=r"a row of log must be of one number for each of \['t', 'torque', 'theta'\], got"
+    ):
+        read_log(path)
 
 
 def test_a_wrong_model_warns():

@@ -35,7 +35,7 @@ def test_constants_out_of_range_are_refused_by_name_value_and_what_is_accepted(f
         assert getattr(Capsule(**{field: 0}).plant(), field) == 0.0
 
 
-def test_painleves_paradox_is_refused_exactly_where_the_slip_equations_can_be_singular():
+def test_painleves_paradox_is_refused_exactly_where_the_slip_equations_are_singular():
     rng, theta = np.random.default_rng(3), np.linspace(-math.pi, math.pi, 200_001)
     outcomes = set()
     for _ in range(60):
@@ -57,9 +57,6 @@ def test_painleves_paradox_is_refused_exactly_where_the_slip_equations_can_be_si
         else:
             Capsule(**fields, mu=mu)
     assert outcomes == {True, False}
-
-
-def test_the_plant_takes_another_mass_and_friction_and_checks_them():
     assert Capsule().plant(M=0.7, mu=0.2) == Capsule(M=0.7, mu=0.2).plant()
     for M, mu in ((0.0, 0.1), (math.nan, 0.1), (0.5, -1.0), (0.01, 3.0), (1e300, 0.1), (0.5, 1e300)):
         for check in (Capsule().plant, Capsule().check_plant):

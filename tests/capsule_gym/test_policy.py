@@ -102,8 +102,9 @@ def test_a_name_on_disk_does_not_hide_a_pretrained_policy(tmp_path, monkeypatch)
     assert load_policy(Path("direct-ppo")).training_seed == 3
 
 
-def test_a_run_folder_means_its_best_policy(tmp_path):
-    run = tmp_path / "my-run"
+@pytest.mark.parametrize("name", ["my-run", "my-row/seed-0"])
+def test_a_run_folder_means_its_best_policy(name, tmp_path):
+    run = tmp_path / name
     (run / "best").mkdir(parents=True)
     with pytest.raises(ValueError, match=r"a run's folder, which holds best/policy.safetensors or policy.safetensors"):
         load_policy(run)
@@ -112,7 +113,7 @@ def test_a_run_folder_means_its_best_policy(tmp_path):
     make_policy(training_seed=2).save(run / "best" / POLICY)
     for path, seed in ((run, 2), (str(run), 2), (run / POLICY, 1), (run / "best", 2), (run / "best" / POLICY, 2)):
         loaded = load_policy(path)
-        assert (loaded.name, loaded.training_seed) == ("my-run", seed)
+        assert (loaded.name, loaded.training_seed) == (name, seed)
 
 
 def test_another_law_asks_for_consent(tmp_path):

@@ -47,7 +47,7 @@ def draw_scenes():
     return np.concatenate(drawn)
 
 
-def test_the_frames_are_those_that_were_looked_at():
+def test_the_frames_are_those_that_were_looked_at_and_hold_nothing_of_those_before():
     with Image.open(EXPECTED) as picture:
         expected = np.asarray(picture.convert("RGB"), float)
     drawn = draw_scenes()
@@ -56,9 +56,6 @@ def test_the_frames_are_those_that_were_looked_at():
     # Robot, grid and ruler of the scenes without a rival have no text.
     scenes = (each.reshape(len(SCENES), -1, *expected.shape[1:])[::2, 22:65] for each in (drawn, expected))
     np.testing.assert_allclose(*scenes, atol=1.0)
-
-
-def test_a_frame_holds_nothing_of_the_frames_before_it():
     renderer, rng = Renderer(Capsule(), "rgb_array", 50, 1.5), np.random.default_rng(0)
     for n in range(24):
         state = dict(zip(NAMES, rng.normal(0.0, (0.5, 0.4, 0.2, 0.6, 9.0, 0.2, 0.1)), strict=True))

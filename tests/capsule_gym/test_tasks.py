@@ -83,16 +83,13 @@ def test_velocity_is_measured_as_its_definition_says():
     assert metrics["unsettled"] == 1.0
 
 
-def test_velocity_draws_its_commands_from_the_range_that_is_given():
+def test_velocity_draws_its_commands_and_a_platform_that_moves_as_it_is_told_has_no_error():
     batch = CapsuleVectorEnv(512, task=with_commands(0.15, 0.2), controller="baselines:velocity_pulses")
     commands = batch.reset(seed=0)[1]["command"]
     assert 0.15 <= commands.min() < 0.151 and 0.199 < commands.max() <= 0.2
     for ends, message in [((-0.3, 0.1), "low must be .* within 0.2 of 0"), ((0.1, 0.05), "high must be .* not below")]:
         with pytest.raises(ValueError, match=message):
             with_commands(*ends)
-
-
-def test_a_platform_that_moves_as_it_is_told_has_no_velocity_error():
     # Without friction and torque, a platform in motion goes on.
     env = CapsuleEnv(task="velocity", randomization="none")
     env.reset(seed=0, options={"commands": [{"t": 0.0, "v": 0.08}], "mu": 0.0, "state": [0.0, 0.0, 0.0, 0.08]})

@@ -62,15 +62,12 @@ def test_a_constant_without_effect_has_its_derivative(name):
     np.testing.assert_allclose(slope, expected, rtol=1e-5, atol=1e-8)
 
 
-def test_torques_and_state():
+def test_torques_and_state_and_no_derivative_by_friction_in_stick():
     torques = draw(np.random.default_rng(2))[1][:30]
     found = sensitivity(START, torques, ("torque", "torques", "state"), control_dt=0.01).derivatives
     np.testing.assert_allclose(found["torques"] @ torques, found["torque"], rtol=1e-12, atol=1e-15)
     # A torque acts on no earlier state, and x on nothing but itself.
     assert not np.triu(found["torques"][:, 1]).any()
     assert np.array_equal(found["state"][0], np.eye(4)) and np.array_equal(found["state"][-1, :, 2], [0, 0, 1, 0])
-
-
-def test_stick_has_no_derivative_by_friction():
     found = sensitivity((0.1, 0.0, 0.0, 0.0), [0.0] * 20, ("mu", "static_ratio"), capsule=Capsule(mu=0.5))
     assert not found.events.any() and not any(slopes.any() for slopes in found.derivatives.values())

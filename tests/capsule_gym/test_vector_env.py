@@ -227,7 +227,7 @@ def test_a_copy_goes_on_with_the_episodes_bit_for_bit_and_on_its_own(make_copy, 
         env.reset(seed=5)
 
 
-def test_options_per_environment():
+def test_options_per_environment_also_of_a_later_reset_apply_in_every_block():
     env = CapsuleVectorEnv(3)
     changes = [[], [{"t": 0.02, "M": 0.8, "mu": 0.3}], []]
     options = {"M": np.array([0.5, 0.6, 0.7]), "mu": 0.05, "changes": changes, "state": [0.1, -0.2, 3.0, 0.0]}
@@ -240,9 +240,6 @@ def test_options_per_environment():
     states, mask = 0.1 * np.arange(12.0).reshape(3, 4), np.array([False, True, True])
     _, info = env.reset(options={"reset_mask": mask, "state": states, "mu": [0.1, 0.2, 0.3]})
     assert (info["state"][1:] == states[1:]).all() and info["mu"][1:].tolist() == [0.2, 0.3]
-
-
-def test_changes_of_a_later_reset_apply_in_every_block():
     n = 2 * LANES
     env, first_block = CapsuleVectorEnv(n), np.arange(n) < LANES
     for mask in (np.ones(n, bool), first_block):

@@ -2,9 +2,11 @@
 
 import os
 import re
+import runpy
 import shutil
 import subprocess
 import sys
+import traceback
 from pathlib import Path
 
 import gymnasium as gym
@@ -122,3 +124,14 @@ def test_data_are_recorded_from_a_batch():
 
     for seed, episode in zip((5, 6), offline_data.episodes(offline_data.actor("random"), 5), strict=False):
         replay(gym.make(ID), episode, seed)
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("[!c_]*.py")), ids=lambda path: path.stem)
+def test_a_missing_library_is_named_with_its_extra(path, monkeypatch):
+    for module in "d3rlpy minari optuna ray sb3_contrib skrl stable_baselines3 tianshou torchrl".split():
+        monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(ImportError) as caught:
+        runpy.run_path(str(path))
+    (named,) = re.findall(r'# pip install -e "\.\[(\S+)\]"', "".join(traceback.format_exception(caught.value)))
+    extras = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    assert all(f"\n{extra} = [" in extras for extra in named.split(","))

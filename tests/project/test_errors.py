@@ -1,8 +1,10 @@
 """What is refused: invalid arguments of functions and commands, and missing libraries; the error names them."""
 
+import importlib
 import re
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +22,8 @@ from baselines.laws.feedback_linearisation import feedback_linearising
 from baselines.laws.gains import known_parameters
 from baselines.laws.gait import gait
 from baselines.laws.profiles import TABLE_1, seven_phases, six_phases
+from benchmarks import fresh_draws, identification, rig, throughput, training
+from benchmarks import sensitivity as derivatives
 from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Randomization, identify, native, sensitivity
 from capsule_gym.checks import first_cause
 from capsule_gym.config import find_task
@@ -54,6 +58,7 @@ KNOWN = {name: getattr(NOMINAL, name) for name in PLANT} | dict.fromkeys(OTHERS,
 GAIT = known_parameters("gait")
 GOALS, REAL = CapsuleEnv(task="goal", goal_env=True), CapsuleEnv(disturbances="real")
 ORIGIN = (0.0, 0.0, 0.0, 0.0)
+NO_SETS = ("x" * 10_000, "/dev/null", "a\0b", None)
 CALLS = [
     (lambda: CapsuleEnv(randomization=Randomization(M=(0.001, 0.5), mu=(5.0, 20.0))), ValueError, "Painleve"),
     *((lambda k=k: k(0.5), TypeError, "positional") for k in (Capsule, Config, Disturbances, Randomization)),
@@ -131,6 +136,9 @@ CALLS = [
     (lambda: evaluate(lambda seen: np.zeros(3), "nominal"), ValueError, r"of shape \(100, 1\), got array"),
     (lambda: evaluate(lambda seen: np.full((100, 1), np.nan), "nominal"), ValueError, "must be finite"),
     (lambda: evaluate(lambda seen: "full", "nominal"), ValueError, "got 'full'"),
+    (lambda: evaluate(Sine(0.3), horizon=1e9), ValueError, r"horizon must be a number from 0\.02 to 1e\+06 .*, got 1"),
+    (lambda: evaluate(len, env_kwargs={"control_dt": 0}), ValueError, "^control_dt must be a finite number .*, got 0"),
+    (lambda: evaluate("goal/seed-0"), ValueError, "for the task 'speed' .*, got 'goal/seed-0', which is"),
     (lambda: evaluate(3), TypeError, r"policy must be an object with predict.* got a int"),
     (lambda: evaluate(Sine), TypeError, r"policy must be an object with predict.* got the class"),
     (lambda: estimate([1.0, 2.0, 3.0]), ValueError, r"scores must have the shape .* got \(3,"),
@@ -166,9 +174,10 @@ CALLS = [
     (lambda: rollout(Simulation(2), load_policy("residual-ppo"), 9), ValueError, "policy .* 5 entries, .*takes 10"),
     (lambda: rollout(Simulation(2), load_policy("direct-ppo"), 0), ValueError, "steps must be an integer >= 1, got 0"),
     (lambda: load_set("papre"), ValueError, "^set must be one of .*, or the path of a JSON file, got 'papre'"),
-    (lambda: load_set("x" * 10_000), ValueError, "^set must be one of .* got 'xx"),
-    (lambda: load_set("/dev/null"), ValueError, "^set must be one of .* got '/dev"),
-    (lambda: load_set("a\0b"), ValueError, "^set must be one of .* got 'a"),
+    *(
+        (lambda n=n: load_set(n), ValueError, f"^set must be one of .* got '{n!s:.4}".replace("\0", ".*"))
+        for n in NO_SETS
+    ),
     (lambda: load_policy("residual-pppo"), ValueError, r"direct-ppo, .*residual-ppo, .*did you mean 'residual-ppo'\?"),
     (lambda: load_policy("direct_ppo"), ValueError, r"direct-ppo, .*residual-ppo, .*did you mean 'direct-ppo'\?$"),
     (lambda: load_policy("direct-sac/seed-9"), ValueError, r"did you mean 'direct-sac/seed-\d'\?"),
@@ -186,10 +195,16 @@ def test_an_invalid_argument_is_named(call, error, message):
         call()
 
 
+COUNTS = [*(("--plants", each) for each in (identification, rig)), ("--total-steps", rig)]
+COUNTS += [("--trajectories", derivatives), ("--turns", throughput), ("--seeds", training)]
 COMMANDS = [
     (distil, ["nobody"], "NAME must be one of .*, got 'nobody'"),
     (study, [], "NAME must be one or several of"),
     (study, ["direct-ppo", "--jobs", "0"], "--jobs must be an integer >= 1, got 0"),
+    *((each.main, [name, "0"], f"{name}: must be an integer >= 1, got '0'") for name, each in COUNTS),
+    (throughput.main, ["--figure", "nowhere/speed"], "--figure must name a file in a folder that exists, got 'nowhere"),
+    *((identification.main, ["--amplitude", a], rf"--amplitude must be .* \(N m\), got {a}") for a in ("nan", "9.0")),
+    (fresh_draws.main, ["pd", "lqrr"], "lqrr: no results in lqrr.npz; `python -m agents.leaderboard NAME` writes"),
     (study, ["direct-ppo", "--jobs", "2", "--backend", "ray"], "--jobs needs --backend loky"),
     (study, ["direct-ppo", "--backend", "ray"], "--backend ray needs Ray: pip install 'capsule-gym"),
     (export, ["direct-ppo"], "at least one of --c and --onnx must be given"),
@@ -212,6 +227,7 @@ COMMANDS = [
     (demo, ["adaptive", "--slow"], "--slow"),
     (demo, ["goal"], "policy must be for the task 'speed' of the set 'paper', got 'goal', which is for 'goal'"),
     (train, ["--tota", "4"], "--tota"),
+    (train, ["--wandb"], r'--wandb needs wandb: pip install "capsule-gym\[wandb\]"$'),
     (train, ["--resume", "nowhere"], "nowhere"),
     (train, ["--row", "fastest"], "--row: a row must be one of residual-ppo, "),
     (train, ["--row", "direct-ppo", "--task", "residual"], "--task must stay direct with --row direct-ppo,"),
@@ -221,7 +237,8 @@ COMMANDS = [
 @pytest.mark.parametrize(("main", "words", "message"), COMMANDS, ids=[message for *_, message in COMMANDS])
 def test_an_invalid_command_line_ends_with_2_and_names_the_option(main, words, message, monkeypatch, tmp_path, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(sys.modules, "ray", None)
+    for library in ("ray", "wandb"):
+        monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(SystemExit) as ended:
         main(words)
     assert ended.value.code == 2
@@ -233,8 +250,10 @@ MISSING = [
     ("jinja2", lambda: Exported("direct-ppo").c(), "--c needs jinja2"),
     ("onnx", lambda: Exported("direct-ppo").onnx(), "--onnx needs onnx"),
     ("matplotlib", lambda: style().__enter__(), "figures need matplotlib"),
+    ("scipy.linalg", lambda: importlib.reload(importlib.import_module("capsule_gym.shooting")), "identify needs scipy"),
     ("scipy.special", lambda: estimate(np.arange(12.0).reshape(3, 4)), "intervals need scipy"),
 ]
+EXTRAS = {"capsule_gym.demo": "render", "capsule_gym.export": "export", "baselines.tuning": "paper"}
 
 
 @pytest.mark.parametrize(("library", "call", "message"), MISSING, ids=[library for library, *_ in MISSING])
@@ -242,6 +261,14 @@ def test_a_missing_library_is_named_with_its_extra(library, call, message, monke
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(ImportError, match=rf"^{message}: pip install \"capsule-gym\[\w+\]\"$"):
         call()
+
+
+@pytest.mark.parametrize(("name", "extra"), EXTRAS.items())
+def test_a_command_without_tyro_names_the_extra_of_all_that_it_needs(name, extra, monkeypatch):
+    monkeypatch.setitem(sys.modules, "tyro", None)
+    monkeypatch.setitem(sys.modules, "__main__", SimpleNamespace(__spec__=SimpleNamespace(name=name)))
+    with pytest.raises(ImportError, match=rf"needs tyro: pip install \"capsule-gym\[{extra}\]\"$"):
+        importlib.reload(sys.modules["capsule_gym.command_line"])
 
 
 def test_the_first_cause_of_an_error_is_one_line():

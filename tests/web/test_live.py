@@ -95,7 +95,9 @@ def test_a_policy_of_ones_own_gives_the_bits_of_the_one_that_came_with_the_modul
         }
         const refused = [];
         const attempts = [{}, { name: 1 }, { name: "a", task: "moon" }, { name: "a", settings: { ideal: [] } }];
-        for (const wrong of [...attempts, { name: "a", network: [NaN] }]) {
+        attempts.push({ name: "a", settings: { ...mine.settings, entries: 9 } });
+        attempts.push(...[mine.network.slice(8), [1], [NaN]].map((network) => ({ name: "a", network })));
+        for (const wrong of attempts) {
           try { live.addDriver({ ...mine, ...wrong }); } catch (error) { refused.push(error.message); }
         }
         show([worlds, live.drivers.at(-1), refused]);
@@ -104,7 +106,8 @@ def test_a_policy_of_ones_own_gives_the_bits_of_the_one_that_came_with_the_modul
     assert own[0] == own[1]
     assert shown["name"] == "mine" and shown["controlDt"] == described["settings"]["control_dt"]
     assert "network" not in shown
-    words = ["got mine", "must be a string, got 1", "got moon", "settings.ideal must be", "network[0]"]
+    words = ["got mine", "must be a string, got 1", "got moon", "settings.ideal must be", "for 9 entries, got"]
+    words += ["for 10 entries, got", "for 10 entries, got 1", "network[0]"]
     for message, word in zip(refused, words, strict=True):
         assert word in message
 

@@ -8,7 +8,6 @@ import pytest
 from tqdm import tqdm
 
 from agents.training import callbacks
-from agents.training.config import RunError
 from agents.training.loop import begin, train
 from tests.agents.training.small import log, small
 
@@ -47,14 +46,7 @@ def test_the_log_holds_the_terms_of_the_reward(tmp_path, monkeypatch):
     assert line["episodes/reward_termination"] in {-10.0 * share for share in (0.0, 0.5, 1.0)}
 
 
-def test_weights_and_biases_is_not_needed_unless_it_is_asked_for(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "wandb", None)
-    with pytest.raises(RunError, match=r'pip install "capsule-gym\[wandb\]"'):
-        train_briefly(tmp_path / "run", wandb=True)
-    assert train_briefly(tmp_path / "run")[1]
-
-
-def test_weights_and_biases_follows_a_run_under_the_same_name(tmp_path, monkeypatch):
+def test_weights_and_biases_follows_a_run_under_the_same_name_where_it_is_asked_for(tmp_path, monkeypatch):
     begun = []
     wandb = SimpleNamespace(init=lambda **options: begun.append(options) or wandb, finish=lambda: begun.append("end"))
     monkeypatch.setitem(sys.modules, "wandb", wandb)
@@ -62,3 +54,5 @@ def test_weights_and_biases_follows_a_run_under_the_same_name(tmp_path, monkeypa
         train_briefly(tmp_path / folder, total_steps=256, wandb=True)
     assert begun[1::2] == ["end"] * 3 and begun[0]["id"] == begun[4]["id"] != begun[2]["id"]
     assert (begun[0]["name"], begun[0]["project"], begun[0]["sync_tensorboard"]) == ("a", "capsule_gym", True)
+    monkeypatch.setitem(sys.modules, "wandb", None)
+    assert train_briefly(tmp_path / "run")[1]

@@ -30,7 +30,7 @@ def test_trajectories_give_the_speeds_on_file_to_the_last_bit():
     assert len(some.check()) == 1 + 3
 
 
-def test_the_plants_of_the_sets_are_solved_themselves():
+def test_the_plants_of_the_sets_are_solved_themselves_and_others_are_interpolated():
     known = known_results()
     np.testing.assert_allclose(known.results[Problem().key].grids, solver.GRIDS, rtol=0.007)
     plants = set_plants()
@@ -43,9 +43,6 @@ def test_the_plants_of_the_sets_are_solved_themselves():
     again, coarse = (archive.solve_plant(Problem(M=M, mu=mu), known, shape) for (M, mu), shape in runs)
     assert (again.choices[:, 0] == known.arrays["plants torques"][722]).all()
     assert 0.9 < coarse.metrics["mean_speed"][0] / solved[1] < 1.01
-
-
-def test_speeds_between_the_plants():
     assert optimal_speed(0.75, 0.1) == known_results().results[Problem(M=0.75, mu=0.1).key].mean_speed
     assert optimal_speed(0.625, 0.1) == pytest.approx(0.5 * (optimal_speed(0.5, 0.1) + optimal_speed(0.75, 0.1)))
     with pytest.raises(ValueError, match=r"M must be in \[0.35, 1.0\] kg and mu in \[0.005, 0.5\], got M=0.3, mu=0.1"):

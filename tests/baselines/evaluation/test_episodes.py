@@ -32,15 +32,12 @@ def test_episodes_equal_those_of_single_environments():
     assert episodes[2]["mean_speed"] != episodes[0]["mean_speed"]
 
 
-def test_episodes_start_at_the_angle_of_the_set():
+def test_episodes_start_at_the_angle_of_the_set_and_end_early_where_they_fail():
     content = {"M": 0.5, "mu": 0.01, "seed": 0}
     chosen = parse_set({"name": "starts", "plants": [content, content | {"theta": 0.0}]})
     rest, upright = evaluate(Sine(0.0), chosen, horizon=0.5)
     assert rest["largest_theta"] > 1.0 > upright["largest_theta"] == 0.0
     assert "theta" not in rest and upright["theta"] == 0.0
-
-
-def test_failed_episodes_end_early_and_are_counted():
     # Full torque swings the ball into the platform at once.
     episodes = evaluate(Sine(1.5, period=10.0), TINY, horizon=4.0)
     assert failures(episodes) == 3
@@ -53,6 +50,10 @@ def test_training_settings_do_not_change_the_episodes():
     kwargs = {"randomization": "wide", "initial_noise": 0.3, "num_envs": 7, "max_episode_steps": 3}
     kwargs |= {"autoreset_mode": "SAME_STEP"}
     assert evaluate(Sine(0.3, env_kwargs=kwargs), TINY, horizon=1.0) == plain
+    # Nor does an observation of M and mu that the environment shows of no plant by default.
+    change, shows = {"t": 0.1, "M": 4.0, "mu": 2.0}, {"observe_parameters": True}
+    heavy = parse_set({"name": "x", "plants": [{"M": 3.0, "mu": 1.5, "seed": 0, "changes": [change]}]})
+    assert evaluate(Sine(0.3, env_kwargs=shows), heavy, horizon=0.2) == evaluate(Sine(0.3), heavy, horizon=0.2)
     # The policy determines the control interval; the duration of the episode stays the same.
     assert evaluate(Sine(0.3, env_kwargs={"control_dt": 0.01}), TINY, horizon=1.0)[0]["duration"] == pytest.approx(1.0)
 

@@ -18,7 +18,7 @@ def torque(controller, theta, theta_dot, x_dot):
     return controller.law(theta, theta_dot, 0.0, x_dot, controller.memory, (0.0, 0.0))[0]
 
 
-def test_the_law_without_guard_is_a_polynomial_of_the_state():
+def test_the_law_is_a_polynomial_of_the_state_and_its_guard_proportional_to_the_excess():
     states = np.random.default_rng(0).uniform(-1.0, 1.0, (200, 3)) * (1.2, 8.0, 0.6)
     states[::5, 2] = 0.0
     a, b, c = (states / (1.0, 5.0, 0.3)).T
@@ -29,9 +29,6 @@ def test_the_law_without_guard_is_a_polynomial_of_the_state():
     expected = TORQUE_LIMIT * (cubic + step * np.sign(c))
     found = [torque(gait(FREE), *state) for state in states.tolist()]
     np.testing.assert_allclose(found, np.clip(expected, -TORQUE_LIMIT, TORQUE_LIMIT), rtol=1e-9, atol=1e-12)
-
-
-def test_the_guard_opposes_the_rate_in_proportion_to_its_excess():
     *_, gain, threshold = known_parameters("gait")
     for theta in (-0.6, 0.0, 0.3):
         limit = math.sqrt(threshold / math.cos(theta))

@@ -14,16 +14,13 @@ def call(controller, state, memory, step):
     return controller.law(*state, memory, controller.reference[step % len(controller.reference)])
 
 
-def test_a_series_has_its_harmonics_and_their_derivative():
+def test_a_series_has_its_harmonics_and_the_open_loop_depends_on_the_time_alone():
     values, derivatives = periodic.fourier(SERIES)
     phase = 2.0 * math.pi * np.arange(500) / 500
     expected = 0.1 + 0.3 * np.cos(phase) + 0.2 * np.cos(3 * phase) - 0.4 * np.sin(2 * phase) + 0.1 * np.sin(4 * phase)
     np.testing.assert_allclose(values, expected, atol=1e-12)
     differences = (np.roll(values, -1) - np.roll(values, 1)) / (2.0 * LAW_DT)
     np.testing.assert_allclose(derivatives, differences, atol=0.02 * np.abs(derivatives).max())
-
-
-def test_the_open_loop_depends_on_the_time_alone():
     controller = periodic.open_loop((*SERIES[:2], 3.0, *SERIES[3:]))
     values, _ = periodic.fourier((*SERIES[:2], 3.0, *SERIES[3:]))
     for step in (0, 100, 250, 730):
@@ -39,7 +36,7 @@ def test_pd_is_zero_on_its_reference_and_opposes_the_error():
     assert call(controller, (theta_d, theta_d_dot - 2.0, 0.0, 0.0), (0.0,), 20)[0] == pytest.approx(0.6)
 
 
-def test_the_oscillator_approaches_the_unit_circle_at_its_rate():
+def test_the_oscillator_approaches_the_unit_circle_and_its_torque_is_a_polynomial():
     omega, constants = 5.0, (0.0,) * 6 + (0.2,) + (1.0, 0.0, 0.0) + (0.0,) * 3 + (1.0, 0.1)
     controller = periodic.oscillator((omega, 20.0, *constants))
     memory, torques = (0.1, 0.0), []
@@ -54,9 +51,6 @@ def test_the_oscillator_approaches_the_unit_circle_at_its_rate():
     # Spring and damper.
     (still, _), (moved, _) = (call(controller, (*s, 0.0, 0.0), memory, 0) for s in ((0.0, 0.0), (0.3, 2.0)))
     assert moved - still == pytest.approx(-0.3 - 0.2)
-
-
-def test_the_oscillators_torque_is_a_polynomial_of_its_state():
     real, imaginary, E_a, E_b = np.array([(0.7, -0.3, 0.2), (0.5, 0.4, -0.6), (0.3, -0.2, 0.5), (-0.4, 0.6, 0.1)])
     controller = periodic.oscillator((5.0, 20.0, *E_a, *E_b, 0.2, *real, *imaginary, 0.0, 0.0))
     state, z = np.array([0.4, 0.3, 0.7, -0.2]), 0.6 - 0.5j

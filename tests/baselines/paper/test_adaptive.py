@@ -61,16 +61,13 @@ def test_regularised_law_over_the_ranges(laws):
     assert (light["M"], light["mu"]) == pytest.approx(LIGHT) and light["rise"] > 0.1 and 0.05 < light["rising"] < 0.5
 
 
-def test_unregularised_law_fails_on_most_of_the_ranges(laws):
+def test_unregularised_law_fails_on_most_of_the_ranges_whatever_the_choices(laws):
     _, corrected, limited = laws
     # At the edge, small perturbations change which plants fail, but nearly all plants fail.
     assert corrected.failures >= 7 and limited.failures >= 3
     assert not corrected.runs[4]["failed"] and corrected.runs[4]["M"] == 0.5
     # eta never decreases, and on some plant it reaches its bound.
     assert limited.worst("eta")["eta"] == pytest.approx(UNREGULARISED.eta_bound)
-
-
-def test_no_choice_saves_the_plants_of_another_mass():
     off = np.array([M != 0.5 for M, _ in study.plant_grid()])
     for choices in ({"beta": 10.0, "eta_0": 0.1}, {"beta": 1e-4, "n": 3}):
         failed, _ = run_cycles(adaptive(regularised=False, **choices), study.plant_grid())
@@ -95,13 +92,10 @@ def test_variants_change_one_choice_at_a_time_or_are_corners(monkeypatch):
     assert {each for each, failed in found.items() if failed} == {own, *(each for each in found if each[3] == 10_000)}
 
 
-def test_error_on_the_nominal_plant_is_that_of_the_zero_order_hold():
+def test_errors_are_those_of_the_zero_order_hold_and_fall_off_the_nominal_plant():
     slow, fast = (run_cycles(adaptive(dt=dt), [(0.5, 0.01), LIGHT], cycles=1, shown=(1,))[1][0] for dt in (1e-3, 2e-4))
     # The rows are the errors of angle and rate, and delta_theta; the columns are the plants.
     assert slow / fast == pytest.approx(np.array([[5.0, 1.0]] * 3), rel=0.1)
-
-
-def test_errors_fall_over_many_cycles_off_the_nominal_plant_and_do_not_vanish():
     errors = run_cycles(adaptive(), [LIGHT, HEAVY], cycles=60, shown=(1, 60))[1]
     fall = errors[0] / errors[-1]
     assert (fall[0] > 5.0).all() and (fall[2] > 2.0).all() and (fall[2] < 5.0).all()

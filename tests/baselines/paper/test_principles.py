@@ -41,7 +41,7 @@ def test_principles_3_and_4_by_hand(form):
         assert standstill.limit[0] == pytest.approx(limit, rel=1e-9)
 
 
-def test_lemma_1_is_neither_sufficient_nor_necessary():
+def test_lemma_1_is_neither_sufficient_nor_necessary_and_lemma_2_by_hand():
     # (10) is not sufficient for contact: upright at 15 rad/s with a = 0.
     flying = state(0.0, 15.0, -0.0923 * 15.0 / ML)
     assert lemma_1(flying, PAPER).load[0] == pytest.approx(0.0, abs=1e-9)
@@ -50,9 +50,6 @@ def test_lemma_1_is_neither_sufficient_nor_necessary():
     # (10) is not necessary for contact: upright, the acceleration does not enter (7).
     standing = state(0.0, 10.0, 400.0)
     assert lemma_1(standing, NEWTON).ratio[0] > 1.0 > principle_3(standing, NEWTON).ratio[0]
-
-
-def test_lemma_2_by_hand():
     printed = lemma_2(state(-0.5, 0.2, 0.7), PAPER)
     assert printed.load[0] == pytest.approx(0.7 + 0.04 - 0.18 + 0.01846)
     assert printed.limit == pytest.approx(WEIGHT / ML * 0.01 / math.sqrt(1.0001))

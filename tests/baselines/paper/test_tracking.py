@@ -42,13 +42,10 @@ def test_epc_is_faster_wherever_it_moves(maps):
     assert np.nanmax(ratio) == pytest.approx(0.88, abs=0.02) and np.isnan(ratio[maps[1] <= 0.01]).all()
 
 
-def test_speed_without_friction_and_with_very_much():
+def test_speeds_without_friction_with_very_much_and_as_published():
     # Without friction, the centre of mass stays at rest, and the platform is back after every closed cycle.
     assert speed_map(PROPOSED, [0.3, 1.0], [0.0]) == pytest.approx(0.0, abs=1e-4)
     assert (speed_map(PROPOSED, [1.0], [2.0]) == 0.0).all()
-
-
-def test_no_friction_gives_both_published_speeds():
     frictions = []
     for profile, published in ((PROPOSED, 0.642), (EPC, 0.629)):
         (mu,) = friction_for(profile, published)
