@@ -161,19 +161,20 @@ class Capsule:
         It is the largest absolute eigenvalue of the motion linearised at rest, over all angles and both directions of
         slip (docs/physics.md). It is larger for lighter platforms and more friction.
         """
-        mu *= max(1.0, self.backward_ratio)
-        share = self.m / (M + self.m)
+        kinetic, share = mu * max(1.0, self.backward_ratio), self.m / (M + self.m)
+        mu = kinetic * (self.static_ratio if self.stribeck_speed else 1.0)
         # The share of the inertia that remains in slip at the worst angle; Painleve's condition keeps it positive.
-        inertia = self.m * self.l * self.l * (1.0 - share * (1.0 + math.sqrt(1.0 + mu * mu)) / 2.0)
-        if inertia <= 0.0:  # by rounding
+        remains = 1.0 - share * (1.0 + math.sqrt(1.0 + mu * mu)) / 2.0
+        if remains <= 0.0:  # by rounding
             return math.inf
+        inertia = self.m * self.l * self.l * remains
         # The paper's normal force, which the pivot's torque changes, adds this share of that torque at most.
         pivot = 0.5 * mu * share * self.l if self.normal_force == "paper" else 0.0
         # The friction of the motor is steepest at rest, the Stribeck curve, which falls, at v_s / sqrt(3).
         damping = (1.0 + pivot) * (self.c + _core.MOTOR_SLOPE * self.motor_friction / _core.MOTOR_WIDTH) / inertia
         weight = self.m * self.g * self.l
-        steepest = 0.65 * mu * (self.static_ratio - 1.0) * self.g / self.stribeck_speed if self.stribeck_speed else 0.0
-        floor = self.viscous / M + steepest * (M + self.m) / M
+        steepest = 0.65 * (mu - kinetic) * self.g / self.stribeck_speed if self.stribeck_speed else 0.0
+        floor = (self.viscous / (M + self.m) + steepest) / remains
         lowest = (1.0 - (1.0 + math.pi) * pivot) * self.k - weight * math.sqrt(1.0 + mu * mu)
         highest = (1.0 + (1.0 + math.pi) * pivot) * self.k + weight * mu
         rates = []
