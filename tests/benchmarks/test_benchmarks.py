@@ -41,6 +41,19 @@ def test_the_errors_of_the_documentation_are_those_of_the_step():
     assert f"|{'|'.join(cells)}|2.4 s|" in (ROOT / "docs/error_table.md").read_text(encoding="utf-8")
 
 
+def test_mujoco_is_compared_by_its_errors_and_its_creep(monkeypatch):
+    fake = {"build": lambda friction, step, capsule: (capsule, []), "creep": lambda model, data, load: load}
+    # The plant itself, 1 mm too far.
+    fake["hold"] = lambda capsule, u, torque: u.append(torque) or accuracy.run(u, capsule, 1e-3) + np.eye(4)[2] / 1e3
+    monkeypatch.setattr(accuracy, "mujoco", SimpleNamespace(FRICTIONS=("own",), **fake))
+    monkeypatch.setattr(accuracy, "SECONDS", 0.1)
+    head, (name, speed, *errors), own = accuracy.compare_mujoco()
+    assert f"|{'|'.join(head)}|" in (ROOT / "docs/error_table.md").read_text(encoding="utf-8")
+    assert (name, speed) == ("capsule_gym", "0") and max(float(each.split()[0]) for each in errors) < 1e-4
+    load = 0.5 * 0.1 * (Capsule().M + Capsule().m) * Capsule().g  # half of the friction's limit
+    assert own == ["MuJoCo, own", f"{load:.0e}", *["1.0e+00 (1.0e+00)"] * 4]
+
+
 def test_errors_and_coverage_of_identified_plants(monkeypatch, capsys):
     truth = {"M": 0.5, "mu": 0.1, "latency": 0.01, "lag": 0.0}
     # Estimates that are off by a tenth, of which the interval of M alone contains the truth.
@@ -158,14 +171,23 @@ class Hoard(gym.Env):
 
 def test_the_loop_learns_what_pays_in_the_end(monkeypatch):
     monkeypatch.setattr(training.gym, "make", lambda *_, **__: Hoard())
-    seen = []
+    seen, updates = [], []
 
     def check(steps, policy):
         seen.append((steps, policy().start([0, 1])(np.float32([[0.0, -1.0], [0.0, 1.0]])).ravel()))
         return len(seen) < 4
 
-    training.train_loop(0, SimpleNamespace(check=check))
+    def record(adam, *_):
+        (group,) = adam.param_groups
+        updates.append((group["lr"], [float(each.detach().square().sum()) for each in group["params"]]))
+
+    with pytest.importorskip("torch.optim.optimizer").register_optimizer_step_pre_hook(record):
+        training.train_loop(0, SimpleNamespace(check=check))
     assert [steps for steps, _ in seen] == [0, 2048, 4096, 6144]
+    # 10 epochs in batches of 64, at a rate that falls to zero in 1,000,000 steps.
+    assert [rate for rate, _ in updates] == pytest.approx(3e-4 * (1.0 - 2048e-6 * np.repeat(range(3), 320)))
+    # Orthogonal weights of 2, 64, 64 and 1 units with gains of sqrt(2), sqrt(2), and 0.01 or 1; no biases, deviation 1.
+    assert updates[0][1] == pytest.approx([4.0, 0.0, 128.0, 0.0, 1e-4, 0.0, 4.0, 0.0, 128.0, 0.0, 1.0, 0.0, 0.0])
     assert max(abs(seen[0][1])) < 0.05 and (seen[-1][1] * [-1.0, 1.0] < -0.3).all(), seen
 
 
@@ -211,7 +233,7 @@ def test_mujoco_has_the_same_plant_and_about_the_same_friction(friction):
     module = pytest.importorskip("mujoco")
     torques = np.random.default_rng(0).uniform(-0.5, 0.5, 100)
     capsule = Capsule(mu=0.1 if friction else 0.0)
-    model, data = build(friction or FRICTIONS[0], 1e-3, capsule)
+    model, data = build(friction or "frictionloss", 1e-3, capsule)
     model.opt.integrator = module.mjtIntegrator.mjINT_RK4
     state = [hold(model, data, torque) for torque in torques][-1]
     difference = np.abs(state - accuracy.run(torques, capsule, 1e-3)).max()
