@@ -74,7 +74,8 @@ def test_a_file_has_the_pictures_that_were_asked_for(tmp_path, capsys):
         demo.main(["adaptive", "--seconds", "0.1", "-o", str(tmp_path / "out.gif")])
     with Image.open(tmp_path / "out.gif") as picture:
         assert picture.n_frames == 11
-    assert len(pictures("pd", "--seconds", "0.2", "--speed", "0.5", "--overwrite")) == 11
+    assert len(pictures("pd", "--seconds", "0.2", "--speed", "0.5", "--M", "0.6", "--overwrite")) == 11
+    assert f"M = 0.6 kg, mu = {PLANT.mu:g}" in capsys.readouterr().out
 
 
 def test_held_keys_apply_torque_and_cancel_each_other(monkeypatch):

@@ -172,9 +172,8 @@ def test_the_posterior_follows_a_curve_of_lag_and_latency(monkeypatch):
 
 def test_chi2_is_what_past_torques_and_the_motion_explain_of_the_residuals():
     problem, rng = make_small_problem(x_dot=np.where(np.arange(400) % 5 == 0, np.nan, T)), np.random.default_rng(2)
-    motion, u, rows = rng.normal(size=(400, 2)), problem.log["torque"], [np.arange(2, 400)] * 2
-    rows[1] = rows[1][rows[1] % 5 > 0]
-    r = [rng.normal(size=len(rows[0])), 1.2 * rng.normal(size=len(rows[1]))]
+    motion, u, n = rng.normal(size=(400, 2)), problem.log["torque"], np.arange(2, 400)
+    r, rows = [rng.normal(size=398), 1.2 * rng.normal(size=319)], [n, n[n % 5 > 0]]
     problem.predict = lambda *_, **__: (np.where(np.arange(400)[:, None] < 2, np.nan, motion)[..., None], None)
     problem.residuals = lambda *_, **__: (np.concatenate(r), None)
     past = [np.concatenate([np.zeros(lag), u[:-lag]]) for lag in range(1, 100)]
