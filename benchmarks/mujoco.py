@@ -10,9 +10,13 @@ from capsule_gym import task
 from capsule_gym.parameters import Capsule
 
 XML = Path(__file__).with_name("capsule.xml").read_text(encoding="utf-8")
-# Friction of the joint x, or of a sphere on a plane with settings that MuJoCo documents against slip; `stiff` has the
-# smallest time constant, in steps, and the largest impedance of a contact that it accepts.
-FRICTIONS = ("frictionloss", "contact", "impratio", "no-slip", "stiff", "no-slip, discrete")
+# Friction of the joint x, or of a sphere on a plane, and the options that MuJoCo documents against slip.
+FRICTIONS = {
+    **{"frictionloss": 'integrator="implicitfast"', "contact": 'integrator="implicitfast"'},
+    **{"impratio": 'integrator="implicitfast" impratio="100"'},
+    **{"no-slip": 'integrator="implicitfast" noslip_iterations="50"', "stiff": 'integrator="implicitfast"'},
+    **{"no-slip, discrete": 'integrator="discrete" noslip_iterations="50"'},
+}
 
 
 def build(friction: str, timestep: float, capsule: Capsule) -> tuple[Any, Any]:
@@ -20,21 +24,15 @@ def build(friction: str, timestep: float, capsule: Capsule) -> tuple[Any, Any]:
     import mujoco
 
     contact = friction != "frictionloss"
+    # The smallest time constant, in steps, and the largest impedance of a contact that MuJoCo accepts.
+    stiff = f'solref="{2.0 * timestep} 1" solimp="0.9999 0.9999 0.001 0.5 2"' if friction == "stiff" else ""
+    values = {**vars(capsule), "timestep": timestep, "options": FRICTIONS[friction], "stiff": stiff}
     coulomb = 0.0 if contact else capsule.mu * (capsule.M + capsule.m) * capsule.g
-    spec = mujoco.MjSpec.from_string(Template(XML).substitute(vars(capsule), coulomb=coulomb))
-    spec.option.timestep = timestep
-    kinds = mujoco.mjtIntegrator
-    spec.option.integrator = kinds.mjINT_DISCRETE if "discrete" in friction else kinds.mjINT_IMPLICITFAST
-    spec.option.impratio = 100.0 if friction == "impratio" else 1.0
-    spec.option.noslip_iterations = 50 if "no-slip" in friction else 0
-    if not contact:
-        spec.delete(spec.joint("y"))
-        spec.delete(spec.joint("z"))
-        spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    for geom in spec.geoms if friction == "stiff" else ():
-        geom.solref, geom.solimp = (2.0 * timestep, 1.0), (0.9999, 0.9999, 0.001, 0.5, 2.0)
+    spec = mujoco.MjSpec.from_string(Template(XML).substitute(values, coulomb=coulomb))
+    for part in () if contact else (spec.joint("y"), spec.joint("z"), spec.geom("foot")):
+        spec.delete(part)
     data = mujoco.MjData(model := spec.compile())
-    for settling in range(1 + (round(1.0 / timestep) if contact else 0)):
+    for settling in range(1 + contact * round(1.0 / timestep)):
         if settling:
             mujoco.mj_step(model, data)
         for joint, angle in (("theta", task.START_THETA), ("x", 0.0)):

@@ -75,7 +75,7 @@ class Problem:
         self.growths = np.log(np.divide(self.high, self.low, out=np.ones(len(scaled)), where=scaled))
         # The density of a prior that is uniform in the quantity itself grows with it.
         self.densities = np.where([name == "mu" and self.log_mu for name in self.names], 0.0, self.growths)
-        latest = self.ranges.get("latency", (0.0, self.known.get("latency", 0.0)))[1]
+        latest = self.ranges["latency"][1] if "latency" in self.ranges else self.known["latency"]
         # Readings before the first of a segment, which begins earlier by the longest latency.
         self.lead = math.ceil((latest + self.h) / self.period - 1e-9)
         self.commands = np.repeat(self.log["torque"], self.steps)
@@ -94,7 +94,7 @@ class Problem:
         Returns:
             Shape (segments * components,).
         """
-        size, stride = (max(2, round(each / self.period)) for each in (seconds, DISTANCE))
+        size, stride = round(seconds / self.period), round(DISTANCE / self.period)
         t, columns = self.log["t"], []
         self.segments = [(first, min(first + size, len(t))) for first in range(self.lead, len(t) - size // 2, stride)]
         for name in STATE:
@@ -124,10 +124,10 @@ class Problem:
         (values, scale), states = self.values(unknowns[:count]), unknowns[count:].reshape(-1, width)
         constants: dict[str, Any] = {name: values[name] for name in PLANT if name in values}
         inputs = constant_inputs(Capsule(**constants))
-        share, fall = 1.0, 0.0
-        if (lag := values["lag"]) > 0.0:
-            share = 1.0 - math.exp(-self.h / lag)
-            fall = (share - 1.0) * self.h / (lag * lag)
+        # Without a lag the share is 1.
+        lag = max(values["lag"], 1e-9)
+        share = 1.0 - math.exp(-self.h / lag)
+        fall = (share - 1.0) * self.h / (lag * lag)
         # The motor's torque, as `Disturbed::drive` computes it, and its derivative by the lag.
         motor = lfilter([share], [1.0, share - 1.0], self.commands)
         motor_slope = lfilter([1.0], [1.0, share - 1.0], fall * (self.commands - np.append(0.0, motor[:-1])))

@@ -41,19 +41,31 @@ def test_the_errors_of_the_documentation_are_those_of_the_step():
     assert f"|{'|'.join(cells)}|2.4 s|" in (ROOT / "docs/error_table.md").read_text(encoding="utf-8")
 
 
+def test_mujoco_is_compared_by_its_errors_and_its_creep(monkeypatch):
+    fake = {"build": lambda friction, step, capsule: (capsule, []), "creep": lambda model, data, load: load}
+    fake["hold"] = lambda capsule, u, torque: u.append(torque) or accuracy.run(u, capsule, 1e-3) + np.eye(4)[2] / 1e3
+    monkeypatch.setattr(accuracy, "mujoco", SimpleNamespace(FRICTIONS=("1 mm ahead",), **fake))
+    monkeypatch.setattr(accuracy, "SECONDS", 0.1)
+    head, (name, speed, *errors), ahead = accuracy.compare_mujoco()
+    assert f"|{'|'.join(head)}|\n" in (ROOT / "docs/error_table.md").read_text(encoding="utf-8")
+    assert (name, speed) == ("capsule_gym", "0") and max(float(each.split()[0]) for each in errors) < 1e-4
+    load = 0.5 * 0.1 * (Capsule().M + Capsule().m) * Capsule().g  # half of the friction's limit
+    assert ahead == ["MuJoCo, 1 mm ahead", f"{load:.0e}", *["1.0e+00 (1.0e+00)"] * 4]
+
+
 def test_errors_and_coverage_of_identified_plants(monkeypatch, capsys):
-    truth = {"M": 0.5, "mu": 0.1, "latency": 0.01, "lag": 0.0}
+    truth = {"M": 0.5, "mu": 0.1, "latency": 0.01, "lag": 0.005}
     # Estimates that are off by a tenth, of which the interval of M alone contains the truth.
     found = {name: 1.1 * value for name, value in truth.items()}
     intervals = {name: (0.0 if name == "M" else value, 9.0) for name, value in found.items()}
-    fit = SimpleNamespace(estimates=found, intervals={0.95: intervals}.get, chi2=1.5)
+    fits = (SimpleNamespace(estimates=found, intervals={0.95: intervals}.get, chi2=chi2) for chi2 in (1.0, 2.0, 3.0))
     monkeypatch.setattr(identification, "make_logs", lambda count, *_: [(truth, truth)] * count)
-    monkeypatch.setattr(identification, "identify", lambda _: fit)
+    monkeypatch.setattr(identification, "identify", lambda _: next(fits))
     identification.main(["--plants", "3"])
     _, *words, last = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert words[0] == ["M", "0.05", "10.0%", "100.0%"] and words[1] == ["mu", "0.01", "10.0%", "0.0%"]
-    assert words[2] == ["latency", "0.001", "0.0%"] and words[-1] == ["latency", "+", "lag", "0.001"]
-    assert last[:8] == ["chi2:", "1.50,", "90", "%", "within", "1.50", "to", "1.50;"]
+    assert words[2] == ["latency", "0.001", "0.0%"] and words[-1] == ["latency", "+", "lag", "0.0015"]
+    assert " ".join(last) == "chi2: 2.00, 90 % within 1.10 to 2.90; 0.0 s a fit"
 
 
 def test_logs_are_of_plants_that_the_prior_contains():
@@ -114,6 +126,8 @@ def test_every_contender_steps_or_resets_and_begins_anew_after_an_episode(monkey
     found = throughput.contenders()
     assert {each for pair in throughput.FLOORS for each in pair} <= {*found, "capsule, plain C, 1024"}
     assert all(throughput.seconds_per_step(make(), 1) > 0.0 for make in found.values())
+    page = (ROOT / "docs/speed_tables.md").read_text(encoding="utf-8")
+    assert all(re.search(rf"\|{a}\|.*\|{b}\|{floor:g}\|", page) for (a, b), floor in throughput.FLOORS.items())
     made, envs = gym.make, []
     monkeypatch.setattr(throughput.gym, "make", lambda *args, **kwargs: envs.append(made(*args, **kwargs)) or envs[-1])
     for reset in (False, True):
@@ -155,14 +169,22 @@ class Hoard(gym.Env):
 
 def test_the_loop_learns_what_pays_in_the_end(monkeypatch):
     monkeypatch.setattr(training.gym, "make", lambda *_, **__: Hoard())
-    seen = []
+    seen, updates = [], []
 
     def check(steps, policy):
         seen.append((steps, policy().start([0, 1])(np.float32([[0.0, -1.0], [0.0, 1.0]])).ravel()))
         return len(seen) < 4
 
-    training.train_loop(0, SimpleNamespace(check=check))
+    def record(adam, *_):
+        (group,) = adam.param_groups
+        updates.append((group["lr"], [float(each.detach().square().sum()) for each in group["params"]]))
+
+    with pytest.importorskip("torch.optim.optimizer").register_optimizer_step_pre_hook(record):
+        training.train_loop(0, SimpleNamespace(check=check))
     assert [steps for steps, _ in seen] == [0, 2048, 4096, 6144]
+    # 10 epochs in batches of 64, at a falling rate, from orthogonal weights with gains sqrt(2), sqrt(2), and 0.01 or 1.
+    assert [rate for rate, _ in updates] == pytest.approx(3e-4 * (1.0 - 2048e-6 * np.repeat(range(3), 320)))
+    assert updates[0][1] == pytest.approx([4.0, 0.0, 128.0, 0.0, 1e-4, 0.0, 4.0, 0.0, 128.0, 0.0, 1.0, 0.0, 0.0])
     assert max(abs(seen[0][1])) < 0.05 and (seen[-1][1] * [-1.0, 1.0] < -0.3).all(), seen
 
 
@@ -208,7 +230,7 @@ def test_mujoco_has_the_same_plant_and_about_the_same_friction(friction):
     module = pytest.importorskip("mujoco")
     torques = np.random.default_rng(0).uniform(-0.5, 0.5, 100)
     capsule = Capsule(mu=0.1 if friction else 0.0)
-    model, data = build(friction or FRICTIONS[0], 1e-3, capsule)
+    model, data = build(friction or "frictionloss", 1e-3, capsule)
     model.opt.integrator = module.mjtIntegrator.mjINT_RK4
     state = [hold(model, data, torque) for torque in torques][-1]
     difference = np.abs(state - accuracy.run(torques, capsule, 1e-3)).max()

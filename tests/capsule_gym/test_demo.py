@@ -9,7 +9,7 @@ from capsule_gym.env import shown_state
 from capsule_gym.evaluation_sets import load_set
 from capsule_gym.task import Termination
 
-Image = pytest.importorskip("PIL.Image")
+Image, ImageSequence = pytest.importorskip("PIL.Image"), pytest.importorskip("PIL.ImageSequence")
 pygame = pytest.importorskip("pygame")
 
 PAPER = load_set("paper")
@@ -54,31 +54,28 @@ def test_a_window_without_a_display_is_an_error(monkeypatch, capfd):
 
 
 def test_a_file_has_the_pictures_that_were_asked_for(tmp_path, capsys):
-    path = tmp_path / "out.gif"
-    assert demo.main(["direct-ppo", "--rival", "pd", "--seconds", "0.4", "-o", str(path)]) == 0
+    def pictures(*options, path=tmp_path / "out.gif"):
+        assert demo.main([*options, "-o", str(path)]) == 0
+        with Image.open(path) as picture:
+            assert picture.info["duration"] == 40
+            return [np.asarray(each.convert("RGB"), int) for each in ImageSequence.Iterator(picture)]
+
+    both = pictures("direct-ppo", "--rival", "pd", "--seconds", "0.4")
     episodes = [Episode(find_policy(name), PAPER, PLANT) for name in ("direct-ppo", "pd")]
     for episode in episodes:
         episode.advance(0.4)
     speeds = "; ".join(f"{each.policy.name} {100.0 * state(each)['x'] / 0.4:.2f} cm/s" for each in episodes)
-    assert capsys.readouterr().out.startswith(f"{speeds} over 0.4 s on M = ")
-    with Image.open(path) as picture:
-        assert (picture.n_frames, picture.info["duration"]) == (11, 40)
-        first = np.asarray(picture.convert("RGB"))
-        picture.seek(10)
-        last = np.asarray(picture.convert("RGB"))
-        assert (first != last).any()
-    assert demo.main(["direct-ppo", "--seconds", "0.4", "-o", str(tmp_path / "alone.gif")]) == 0
-    with Image.open(tmp_path / "alone.gif") as picture:
-        picture.seek(10)
-        # Without the rival.
-        assert (np.abs(np.asarray(picture.convert("RGB"), int) - last).max(axis=2) > 8).sum() > 500
+    assert capsys.readouterr().out.startswith(f"{speeds} over 0.4 s on M = {PLANT.M:g} kg, mu = {PLANT.mu:g}")
+    assert len(both) == 11 and (both[0] != both[10]).any()
+    # Without the rival.
+    alone = pictures("direct-ppo", "--seconds", "0.4", path=tmp_path / "alone.gif")
+    assert (np.abs(alone[10] - both[10]).max(axis=2) > 8).sum() > 500
     with pytest.raises(SystemExit):
-        demo.main(["adaptive", "--seconds", "0.1", "-o", str(path)])
-    with Image.open(path) as picture:
+        demo.main(["adaptive", "--seconds", "0.1", "-o", str(tmp_path / "out.gif")])
+    with Image.open(tmp_path / "out.gif") as picture:
         assert picture.n_frames == 11
-    assert demo.main(["pd", "--seconds", "0.2", "--speed", "0.5", "-o", str(path), "--overwrite"]) == 0
-    with Image.open(path) as picture:
-        assert picture.n_frames == 11
+    assert len(pictures("pd", "--seconds", "0.2", "--speed", "0.5", "--M", "0.6", "--overwrite")) == 11
+    assert f"M = 0.6 kg, mu = {PLANT.mu:g}" in capsys.readouterr().out
 
 
 def test_held_keys_apply_torque_and_cancel_each_other(monkeypatch):

@@ -29,15 +29,12 @@ QEMU = ("qemu-system-arm", "-M", "mps2-an386", "-nographic", "-semihosting")
 # Many calls at a time; a law's state is theta, theta_dot, x, x_dot and the goal or command.
 HARNESS = """
 #include "NAME.h"
-int size(void);
 int size(void) { return (int)sizeof(NAME_memory); }
 #ifdef POLICY
-void act(int, const float *, float *);
 void act(int n, const float *o, float *a) {
   for (int i = 0; i < n; i++, o += NAME_ENTRIES) a[i] = NAME_act(o);
 }
 #else
-void law(int, int, NAME_memory *, const double *, double *);
 void law(int n, int begin, NAME_memory *memory, const double *s, double *torques) {
   NAME_reading r;
   for (int i = 0; i < n; i++, s += 5) {
@@ -54,7 +51,6 @@ COUNT = """
 #include "policy.h"
 #include <stdio.h>
 #define TIMER ((volatile uint32_t *)0xE000E010)
-float act(NAME_memory *, NAME_reading *, float *);
 float act(NAME_memory *memory, NAME_reading *reading, float *observation) {
   if (memory->called) NAME_law(memory, reading);
   else NAME_start(memory, reading);
@@ -63,9 +59,7 @@ float act(NAME_memory *memory, NAME_reading *reading, float *observation) {
 }
 #ifdef COUNT
 int main(void) {
-  static NAME_memory memory;
-  static NAME_reading reading;
-  static float observation[NAME_ENTRIES];
+  static NAME_memory memory; static NAME_reading reading; static float observation[NAME_ENTRIES];
   uint32_t begin, instructions = 0;
   TIMER[1] = 0xFFFFFF, TIMER[0] = 5;
   for (int i = 0; i < 100; i++) {
@@ -225,7 +219,6 @@ def test_loop_of_the_page(tmp_path):
     """The C of docs/export.md moves the motor."""
     page = (Path(__file__).parents[2] / "docs" / "export.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"```c\n(.*?)```", page, re.DOTALL)
-    code = code.replace("float rig_step(", "float rig_step(const float sensors[4]);\nfloat rig_step(")
     main = "int main(void) { float s[4] = {-1}; return !(rig_step(s) > 1 && rig_step(s) <= 1.5f); }\n"
     (tmp_path / "policy.h").write_text(Exported("residual-real", True).c(single=True))
     (tmp_path / "rig.c").write_text(code + main)

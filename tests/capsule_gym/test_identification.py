@@ -1,6 +1,5 @@
 """Identification: the predictor is the environment, the intervals contain the truth, invalid logs raise errors."""
 
-import csv
 import math
 import subprocess
 import sys
@@ -12,10 +11,11 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from capsule_gym import Capsule, CapsuleEnv, Disturbances, Excitation, identify, record
+from capsule_gym import Capsule, CapsuleEnv, Disturbances, Excitation, Randomization, identify, record
 from capsule_gym.identification import OTHERS
 from capsule_gym.recording import read_log
 from capsule_gym.shooting import PLANT, Problem
+from tests.figures import texts
 
 TRUTH = {"M": 0.6, "mu": 0.08, "m": 0.13, "l": 0.31, "k": 0.35, "c": 0.095, "viscous": 0.2, "static_ratio": 1.2}
 OPTIONS = {"randomization": "none", "control_dt": 0.01, "capsule": Capsule(**TRUTH, motor_friction=0.06)}
@@ -39,19 +39,18 @@ def fit(log):
     return identify(log)
 
 
-def make_problem(log):
+def make_problem(log, physics_dt=2e-3):
     """The problem of a log, and the shares of the true quantities."""
     truth = {**TRUTH, "motor_friction": 0.06, **MOTOR, "x_dot_bias": 0.01}
     ranges = {name: (0.5 * value, 1.5 * value) for name, value in truth.items()}
-    problem = Problem(read_log(log), ranges, False, dict.fromkeys(OTHERS, 0.0), 2e-3)
+    problem = Problem(read_log(log), ranges, False, dict.fromkeys(OTHERS, 0.0), physics_dt)
     return problem, np.where([name in PLANT for name in ranges], math.log(2.0) / math.log(3.0), 0.5)
 
 
 @pytest.mark.parametrize("physics_dt", [2e-3, 1e-3])
 def test_predictions_are_the_environments_readings(physics_dt):
     log = make_log(Disturbances(x_dot_bias=0.01, **MOTOR), 3.0, physics_dt=physics_dt)
-    problem, shares = make_problem(log)
-    problem = Problem(problem.log, problem.ranges, False, problem.known, physics_dt)
+    problem, shares = make_problem(log, physics_dt)
     problem.segments = [(problem.lead, len(log["t"]))]
     predicted, _ = problem.predict(np.append(shares, [0.0, 0.0, 0.0]), slopes=False)
     for n, name in enumerate(problem.sensors):
@@ -99,6 +98,7 @@ def test_quantities_segments_and_first_states_by_hand():
     M = 0.4 * 2.0**0.25
     assert values == pytest.approx({"lag": 0.0, "M": M, "mu": 0.04, "latency": 0.012})
     assert slopes == pytest.approx([M * math.log(2.0), 0.04 * math.log(16.0), 0.008])
+    assert problem.densities == pytest.approx([math.log(2.0), 0.0, 0.0])  # uniform in M and in the logarithm of mu
     expected = np.transpose([0.3 * np.sin(2.0 * T), 0.6 * np.cos(2.0 * T), T])[2::80]
     for seconds, ends in ((0.8, [82, 162, 242, 322, 400]), (0.2, [22, 102, 182, 262, 342])):
         np.testing.assert_allclose(problem.cut(seconds), expected.ravel(), atol=1e-3)
@@ -168,15 +168,16 @@ def test_the_posterior_follows_a_curve_of_lag_and_latency(monkeypatch):
 
 
 def test_chi2_is_what_past_torques_and_the_motion_explain_of_the_residuals():
-    problem, rng = make_small_problem(), np.random.default_rng(2)
-    motion, r, u = rng.normal(size=400), rng.normal(size=398), problem.log["torque"]
-    problem.predict = lambda *_, **__: (np.where(np.arange(400) < 2, np.nan, motion)[:, None, None], None)
-    problem.residuals = lambda *_, **__: (r, None)
+    problem, rng = make_small_problem(x_dot=np.where(np.arange(400) % 5 == 0, np.nan, T)), np.random.default_rng(2)
+    motion, u, n = rng.normal(size=(400, 2)), problem.log["torque"], np.arange(2, 400)
+    r, rows = [rng.normal(size=398), 1.2 * rng.normal(size=319)], [n, n[n % 5 > 0]]
+    problem.predict = lambda *_, **__: (np.where(np.arange(400)[:, None] < 2, np.nan, motion)[..., None], None)
+    problem.residuals = lambda *_, **__: (np.concatenate(r), None)
     past = [np.concatenate([np.zeros(lag), u[:-lag]]) for lag in range(1, 100)]
     motion[:2] = 0.0
-    X = np.transpose([np.ones(400), *past, np.sign(motion), np.abs(motion)])[2:]
-    explained = r @ X @ np.linalg.lstsq(X, r, rcond=None)[0]
-    assert problem.statistic(np.zeros(3)) == pytest.approx(explained / 102.0) and 0.7 < explained / 102.0 < 1.3
+    X = np.column_stack([np.ones(400), *past, np.sign(motion), np.abs(motion)])
+    both = [e @ X[own] @ np.linalg.lstsq(X[own], e, rcond=None)[0] / 104.0 for e, own in zip(r, rows, strict=True)]
+    assert problem.statistic(np.zeros(3)) == pytest.approx(np.mean(both)) and 0.7 < both[0] < 1.3
 
 
 def test_intervals_contain_the_truth_and_are_arguments_of_the_environment(fit):
@@ -190,18 +191,23 @@ def test_intervals_contain_the_truth_and_are_arguments_of_the_environment(fit):
     found = fit.disturbances
     assert found.theta_noise == pytest.approx(0.01, rel=0.1) and found.theta_drift < 0.003
     assert found.theta_dot_noise == pytest.approx(0.1, rel=0.1) and found.x_dot_noise == pytest.approx(0.01, rel=0.1)
-    options = fit.env_kwargs(0.95)
-    assert options["randomization"] == fit.randomization(0.95) and options["disturbances"].latency[0] > 0.005
+    options, intervals = fit.env_kwargs(), fit.intervals(0.95)
+    assert options["randomization"] == fit.randomization() == fit.randomization(0.95)
+    assert options["disturbances"].latency == intervals["latency"] and intervals["latency"][0] > 0.005
     _, info = CapsuleEnv(**options).reset(seed=0)
-    low, high = fit.intervals(0.95)["m"]
+    low, high = fit.intervals()["m"]
     assert low <= info["capsule"]["m"] <= high and info["disturbances"]["theta_noise"] == fit.disturbances.theta_noise
-    half, most = (np.array(list(fit.intervals(level).values())) for level in (0.5, 0.9))
+    half, most, whole = (np.array(list(fit.intervals(level).values())) for level in (0.5, 0.9, 1.0))
     assert ((half[:, 1] - half[:, 0]) < (most[:, 1] - most[:, 0])).all()
+    assert np.array_equal(whole.T, [fit.samples.min(axis=0), fit.samples.max(axis=0)])
 
 
 def test_what_is_not_determined_is_named(fit):
     sizes = [size for size, _ in fit.identified]
-    assert sizes == sorted(sizes) and sizes[0] < 0.02 and len(sizes) == len(fit.estimates)
+    assert sizes == sorted(sizes) and sizes[0] < 0.02 and len(sizes) == len(fit.estimates) and "array" not in repr(fit)
+    variances = 12.0 * fit.samples.var(axis=0, ddof=1) / (fit._problem.high - fit._problem.low) ** 2
+    assert np.square(sizes).sum() == pytest.approx(variances.sum()) and all(axis for _, axis in fit.identified)
+    assert fit.widths["latency"] ** 2 == pytest.approx(variances[list(fit.estimates).index("latency")], rel=1e-3)
     # The masses and the length follow from the torque's scale and g alone.
     assert np.corrcoef(fit.samples.T)[list(fit.estimates).index("m"), list(fit.estimates).index("l")] < -0.9
     # In this log the platform sticks for a quarter of the time; on a smooth floor it hardly does.
@@ -220,31 +226,40 @@ def test_a_single_quantity_is_estimated_alone(tmp_path):
     low, high = fit.intervals(0.999)["lag"]
     assert fit.covariance.shape == (1, 1) and low < 0.004 < high < low + 0.002
     fit.report(tmp_path / "fit.png")
+    # Without the sensors of velocities, and with a prior that does not contain M.
+    del known["M"], known["theta_dot_bias"], known["x_dot_bias"]
+    log, known = {name: log[name] for name in ("t", "torque", "theta")}, {**known, "lag": 0.004}
+    for low, high, end in ((0.3, 0.5, 0.5), (0.7, 0.9, 0.7)):
+        with pytest.warns(UserWarning, match="M lies at the end of its range") as caught:
+            fit = identify(log, known, Randomization(M=(low, high)))
+        assert fit.estimates == pytest.approx({"M": end}, abs=1e-3)
+        assert caught[0].filename == __file__ and fit.disturbances.unmeasured == ("theta_dot", "x_dot")
 
 
 def test_a_report_shows_readings_residuals_and_correlations(fit, log, tmp_path, saved_figures):
     fit.report(tmp_path / "fit.png")
-    *panels, correlations, _ = saved_figures[0].axes
+    *panels, correlations, bar = saved_figures[0].axes
     for left, right, name in zip(panels[::2], panels[1::2], list(log)[2:], strict=True):
         (t, measured), (_, predicted), (_, error) = (each.get_xydata().T for each in (*left.lines, *right.lines))
         assert np.array_equal(t, log["t"]) and np.array_equal(measured, log[name])
         assert np.array_equal(error, measured - predicted, equal_nan=True) and np.nanstd(error) < 0.5 * measured.std()
+        assert left.get_ylabel().startswith(f"{name} (") and t[0] == left.get_xlim()[0] < left.get_xlim()[1] <= t[-1]
+        assert left.get_subplotspec().is_first_col() and right.get_subplotspec().is_last_col() and right.get_ylabel()
     np.testing.assert_allclose(correlations.images[0].get_array(), np.corrcoef(fit.samples.T))
+    assert correlations.images[0].get_clim() == (-1.0, 1.0) and correlations.get_subplotspec().is_last_row()
+    assert texts(correlations.get_xticklabels()) == texts(correlations.get_yticklabels()) == list(fit.estimates)
+    assert texts(panels[0].get_legend().texts) == ["measured", "predicted"] and bar.get_ylabel() == "correlation"
 
 
 def test_command_and_lost_readings(log, tmp_path):
-    path = tmp_path / "log.csv"
-    generator = np.random.default_rng(0)
-    with path.open("w", newline="", encoding="utf-8-sig") as file:
-        writer = csv.writer(file)
-        writer.writerow(log)
-        for row in zip(*(column[:1000] for column in log.values()), strict=True):
-            writer.writerow([each if n < 2 or generator.uniform() > 0.1 else "" for n, each in enumerate(row)])
+    path, lost = tmp_path / "log.csv", np.random.default_rng(0).uniform(size=(1000, 5)) < 0.1
+    cells = np.where(lost & [False, False, True, True, True], "", np.transpose([*log.values()])[:1000].astype(str))
+    path.write_text("\n".join(map(",".join, [log, *cells])), encoding="utf-8-sig")
     command = [sys.executable, "-m", "capsule_gym.identify", str(path), "--known", "lag", "0.004"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     found = {line.split()[0]: line.split()[1:] for line in done.stdout.splitlines()[1:]}
     assert "lag" not in found and float(found["c"][0]) == pytest.approx(TRUTH["c"], rel=0.03)
-    assert float(found["latency"][0]) == pytest.approx(0.008, abs=1e-3)
+    assert float(found["latency"][0]) == pytest.approx(0.008, abs=1e-3) and "theta_bias" in found
     # Decimal commas.
     path.write_text("t,torque,theta\n0,0,0\n0,01,0,1,0,2\n")
     with pytest.raises(
@@ -272,10 +287,11 @@ def changed(**columns):
         (changed(torque=lambda u: 5.0 + 1e-6 * u), r"column 'torque' must be varied \(N m\), got .*5"),
         (changed(torque=lambda u: np.where(u > 0.5, np.nan, u)), "column 'torque' must be finite numbers"),
         (changed(theta=np.degrees), "column 'theta' must be in rad"),
-        (changed(theta_dot=lambda w: 0.1 * w), "column 'theta_dot' must be the derivative of column 'theta'"),
+        (changed(theta_dot=lambda w: 0.4 * w), "column 'theta_dot' must be the derivative of column 'theta'.* 2.[45]"),
         (changed(theta_dot=lambda w: np.where(np.arange(len(w)) % 50, w / 9.0, np.nan)), "column 'theta_dot' must be"),
         (changed(x_dot=lambda v: v[:-1]), "column 'x_dot' must be one number for each row"),
-        (lambda log: {name: column[:50] for name, column in log.items()}, "column 't' must be .*, over at least 2 s"),
+        (lambda log: {name: column[::10] for name, column in log.items()}, "column 't' must be in equal steps"),
+        (lambda log: {name: each[150:200] for name, each in log.items()}, "column 't' must be .*, over at least 2 s"),
         (lambda log: {**log, "speed": log["x_dot"]}, "log must have columns out of"),
         (lambda log: {name: log[name] for name in ("t", "theta")}, "log must be of the columns 't', 'torque'"),
     ],
