@@ -117,7 +117,10 @@ def test_a_comparison_that_cannot_be_drawn_is_left_out_before_the_training(tmp_p
     before, run = threading.excepthook, tmp_path / "run"
     assert train.main([*TINY, "--run", str(run)]) == 0
     said = "Without a comparison at the end, since figures cannot be drawn: No space left on device\n"
-    assert capsys.readouterr().err == said
+    out, err = capsys.readouterr()
+    assert err == said and f"Training PPO on CapsuleStickSlip-v0, residual torque, seed 0, in {run}.\n" in out
+    assert out.endswith(f"Trained; the best policy on validation plants is {run / 'best' / 'policy.safetensors'}.\n")
+    assert train.QUIET_EXIT.message == f"Stopped. To resume: python train.py --resume {run}"
     assert threading.excepthook is before and not (run / "comparison.png").exists()
 
 

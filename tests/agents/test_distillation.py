@@ -49,6 +49,17 @@ def test_the_loss_is_linear_between_the_torques_of_the_expert(dataset):
     assert interpolated_regret(torch.from_numpy(dataset.regrets), best).max() < 1e-6 < 0.1 < dataset.regrets.max()
 
 
+@pytest.mark.parametrize("student", STUDENTS.values(), ids=STUDENTS)
+def test_the_expert_acts_less_and_less_and_the_step_size_falls_to_zero(student):
+    shares, updates, rates = zip(*dagger.schedule(student), strict=True)
+    acting, final = list(shares[: student.rounds]), rates[student.rounds :]
+    assert (acting[0], acting[-1], set(shares[student.rounds :])) == (1.0, 0.0, {None})
+    assert acting == sorted(acting, reverse=True) and all(high > low for high, low in rates)
+    assert sum(updates) == student.rounds * student.updates + student.final_updates
+    assert {high for high, _ in rates[: student.rounds]} == {final[0][0]} == {student.learning_rate}
+    assert [high for high, _ in final[1:]] + [0.0] == pytest.approx([low for _, low in final])
+
+
 def test_a_student_observes_the_estimates():
     assert STUDENTS[NAME].change_rate > 0.0
     data = collected(steps=150)

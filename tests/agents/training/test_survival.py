@@ -163,8 +163,9 @@ def test_a_run_is_trained_by_one_process_at_a_time(tmp_path, capsys, whole):
     with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
         assert holder.stdout.read(1) and command_line.main(["--resume", str(run), "--no-comparison"]) == 2
         holder.kill()
-    error = capsys.readouterr().err
+    out, error = capsys.readouterr()
     assert f"{run} is being trained by another process" in error and error.count("\n") == 1
+    assert out == f"Resuming {run} (seed 0) until 800 steps.\n"
     with locked(run):
         pass
 
