@@ -98,7 +98,7 @@ def test_cleanrl_runs_as_it_is(script, tmp_path):
     assert "episodic_return=" in run(f"{EXAMPLES}/cleanrl_scripts.py {path} {CLEANRL[script]}", tmp_path)
 
 
-def test_a_script_for_gymnasium_0_29_runs(tmp_path):
+def test_cleanrl_scripts_read_the_ends_of_gymnasium_0_29(tmp_path):
     (tmp_path / "old/scripts").mkdir(parents=True)
     (tmp_path / "old/scripts/script.py").write_text(OLD)
     (tmp_path / "old/utils.py").write_text("FIVE = 5.0")
@@ -162,7 +162,7 @@ def test_data_are_recorded_in_their_qualities(monkeypatch, capsys):
     assert noise.std() == pytest.approx(0.3, rel=0.1) and np.abs(medium.actions).max() == 1.0
 
 
-def test_goals_are_ahead_and_episodes_are_judged_by_their_ends():
+def test_sb3_sees_goals_ahead_and_judges_episodes_by_their_ends():
     from examples import sb3_her
 
     def assert_mirrored(found, expected, sign):
