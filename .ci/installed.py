@@ -15,11 +15,11 @@ for name in ("llvmlite", "numba", "pygame", "stable_baselines3", "torch"):
 laws = [("speed", None), *((law().task or "speed", name) for name, law in LAWS.items())]
 for task, law in laws:
     env = gym.make("capsule_gym:CapsuleStickSlip-v0", task=task, controller=law and f"baselines:{law}")
-    env.reset(seed=0)
+    env.reset()
     env.step(env.action_space.sample())
 for task in TASKS:
     env = gym.make(f"capsule_gym:Capsule{task.title().replace('Speed', 'StickSlip')}-v0")
-    env.reset(seed=0)
+    env.reset()
     env.step(env.action_space.sample())
 capsule_gym.load_policy("direct-ppo")
 for policy in ("direct-ppo/seed-1", "adaptive", find_law("gait")(), lambda observations: observations[:, :1]):

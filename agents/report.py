@@ -134,12 +134,12 @@ def draw_comparison(recordings: Mapping[str, Mapping[str, np.ndarray]], path: Pa
     end = max(each["t"][-1] for each in recordings.values())
     with style():
         figure = new_figure(5.5)
-        displacement, angle, torque = figure.subplots(3, 1, height_ratios=(1.5, 1.0, 1.0))
+        displacement, angle, torque = figure.subplots(3)
         for (name, each), colour in zip(recordings.items(), (MUTED, BLUE), strict=True):
             speed = 100.0 * (each["x"][-1] - each["x"][0]) / each["t"][-1]
             displacement.plot(each["t"], 100.0 * each["x"], color=colour, label=f"{name}: {speed:.2f} cm/s")
             angle.plot(each["t"], np.degrees(each["theta"]), color=colour)
-            torque.step(each["t"], each["torque"], color=colour, linewidth=1.0, where="pre")
+            torque.step(each["t"], each["torque"], color=colour)
         if plant.goal is not None:
             displacement.axhline(100.0 * plant.goal, color=MUTED, linestyle=":", label="goal")
         displacement.set(title=title, ylabel="displacement x (cm)", xlim=(0.0, end))

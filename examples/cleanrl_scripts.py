@@ -24,10 +24,10 @@ class SameStep(SyncVectorEnv):
         """Steps and returns the infos in gymnasium 0.29's format."""
         observations, rewards, terminated, truncated, info = super().step(actions)
         if "final_obs" in info:
-            ended, last = info["_final_obs"], info["final_info"]["episode"]
+            last = info["final_info"]["episode"]
             episodes = [{"episode": {name: last[name][i] for name in "rlt"}} for i in range(self.num_envs)]
             info["final_observation"] = info["final_obs"]
-            info["final_info"] = [episodes[i] if ended[i] else None for i in range(self.num_envs)]
+            info["final_info"] = [episodes[i] if ended else None for i, ended in enumerate(info["_final_obs"])]
         return observations, rewards, terminated, truncated, info
 
 

@@ -15,11 +15,10 @@ import capsule_gym
 
 ID = "capsule_gym:CapsuleStickSlip-v0"
 BATCH = 200
-EXPERT, MEDIUM = "direct-ppo", "efficient"
 DESCRIPTIONS = {
     "random": "Uniform random torque; every episode fails.",
-    "medium": f"The policy {MEDIUM} with Gaussian noise of standard deviation 0.3 on its action.",
-    "expert": f"The policy {EXPERT}.",
+    "medium": "The policy efficient with Gaussian noise of standard deviation 0.3 on its action.",
+    "expert": "The policy direct-ppo.",
     "mixed": "Equal parts of random, medium and expert.",
 }
 Act = Callable[[np.ndarray], np.ndarray]
@@ -30,12 +29,12 @@ def actor(quality: str) -> Act:
     rng = np.random.default_rng(0)
     if quality == "random":
         return lambda observations: rng.uniform(-1.0, 1.0, (len(observations), 1)).astype(np.float32)
-    policy = capsule_gym.load_policy(EXPERT if quality == "expert" else MEDIUM)
-    noise = 0.0 if quality == "expert" else 0.3
+    name, noise = {"medium": ("efficient", 0.3), "expert": ("direct-ppo", 0.0)}[quality]
+    policy = capsule_gym.load_policy(name)
 
     def act(observations: np.ndarray) -> np.ndarray:
-        actions = policy(observations)
-        return np.clip(actions + noise * rng.standard_normal(actions.shape), -1.0, 1.0).astype(np.float32)
+        actions = policy(observations) + noise * rng.standard_normal((len(observations), 1))
+        return np.clip(actions, -1.0, 1.0).astype(np.float32)
 
     return act
 
@@ -56,12 +55,12 @@ def episodes(act: Act, first_seed: int) -> Iterator[EpisodeBuffer]:
         observations = np.stack(seen)
         fields = [np.stack(column) for column in zip(*columns, strict=True)]
         for i, steps in enumerate(length):
-            own = (field[:steps, i] for field in fields)
-            yield EpisodeBuffer(None, first_seed + i, None, observations[: steps + 1, i], *own)
+            own = observations[: steps + 1, i], *(field[:steps, i] for field in fields)
+            yield EpisodeBuffer(None, first_seed + i, None, *own)
         first_seed += BATCH
 
 
-def record(quality: str, steps: int) -> None:
+def record(quality: str, steps: float) -> None:
     """Records one dataset of at least `steps` steps in Minari's folder."""
     parts = ("random", "medium", "expert") if quality == "mixed" else (quality,)
     buffers = []
@@ -86,14 +85,9 @@ def record(quality: str, steps: int) -> None:
     print(f"{quality}: {dataset.total_episodes} episodes, {dataset.total_steps} steps, mean return {score:.1f} cm")
 
 
-def main() -> None:
-    """Records all four datasets."""
+if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=float, default=1e6, help="of each dataset")
-    steps = int(parser.parse_args().steps)
+    args = parser.parse_args()
     for quality in DESCRIPTIONS:
-        record(quality, steps)
-
-
-if __name__ == "__main__":
-    main()
+        record(quality, args.steps)

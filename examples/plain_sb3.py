@@ -35,19 +35,12 @@ class LearningCurve(BaseCallback):
         return True
 
 
-def main() -> None:
-    """Trains and evaluates."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("task", choices=TASKS)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--steps", type=int, default=1_000_000)
-    parser.add_argument("--every", type=int, default=50_000, help="steps between evaluations")
-    args = parser.parse_args()
+parser = argparse.ArgumentParser(description=__doc__)
+parser.add_argument("task", choices=TASKS)
+parser.add_argument("--seed", type=int, default=0)
+parser.add_argument("--steps", type=int, default=1_000_000)
+parser.add_argument("--every", type=int, default=50_000, help="steps between evaluations")
+args = parser.parse_args()
 
-    curve = LearningCurve(args.task, args.every)
-    model = PPO("MlpPolicy", gym.make(ID, **TASKS[args.task]), seed=args.seed, device="cpu")
-    model.learn(args.steps, callback=curve)
-
-
-if __name__ == "__main__":
-    main()
+model = PPO("MlpPolicy", gym.make(ID, **TASKS[args.task]), seed=args.seed, device="cpu")
+model.learn(args.steps, callback=LearningCurve(args.task, args.every))

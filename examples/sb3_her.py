@@ -88,8 +88,7 @@ def evaluate(model: TQC) -> str:
     return f"distance from the goal: {distances}; {failed:.0%} failed"
 
 
-def main() -> None:
-    """Trains and evaluates."""
+if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=80_000)
     parser.add_argument("--seed", type=int, default=0)
@@ -123,7 +122,3 @@ def main() -> None:
     print("before:", evaluate(model))
     model.learn(args.steps)
     print("after:", evaluate(model))
-
-
-if __name__ == "__main__":
-    main()

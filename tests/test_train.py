@@ -72,16 +72,13 @@ def test_resume_asks_before_it_runs_code_from_elsewhere(name, code, tmp_path, ca
 def test_resume_refuses_other_changes(run, words, message, capsys):
     with pytest.raises(SystemExit) as stop:
         train.main(["--resume", str(run), *words])
-    assert stop.value.code == 2
     error = capsys.readouterr().err
-    assert message in error
-    assert "Traceback" not in error
+    assert stop.value.code == 2 and message in error and "Traceback" not in error
 
 
 def test_a_run_is_never_overwritten(tmp_path, capsys):
     (tmp_path / "config.json").write_text("{}")
-    assert train.main(["--run", str(tmp_path)]) == 2
-    assert "--resume" in capsys.readouterr().err
+    assert train.main(["--run", str(tmp_path)]) == 2 and "--resume" in capsys.readouterr().err
 
 
 NAMES = {"": "residual-ppo", "--row direct-ppo": "direct-ppo", "--env CapsuleGoal-v0": "goal-direct-ppo"}
@@ -119,7 +116,10 @@ def test_a_comparison_that_cannot_be_drawn_is_left_out_before_the_training(tmp_p
     before, run = threading.excepthook, tmp_path / "run"
     assert train.main([*TINY, "--run", str(run)]) == 0
     said = "Without a comparison at the end, since figures cannot be drawn: No space left on device\n"
-    assert capsys.readouterr().err == said
+    out, err = capsys.readouterr()
+    assert err == said and f"Training PPO on CapsuleStickSlip-v0, residual torque, seed 0, in {run}.\n" in out
+    assert out.endswith(f"Trained; the best policy on validation plants is {run / 'best' / 'policy.safetensors'}.\n")
+    assert train.QUIET_EXIT.message == f"Stopped. To resume: python train.py --resume {run}"
     assert threading.excepthook is before and not (run / "comparison.png").exists()
 
 
@@ -127,7 +127,6 @@ def test_an_inherited_environment_keeps_no_command_from_its_work(tmp_path):
     inherited = {"MPLBACKEND": "module://no_such_module", "PYTHONIOENCODING": "ascii", "LC_ALL": "xx_YY.UTF-8"}
     kept = {name: os.environ[name] for name in ("PATH", "SYSTEMROOT") if name in os.environ}
     words = [sys.executable, "train.py", *TINY, "--no-comparison", "--run", str(tmp_path / "µ")]
-    code = "import train; assert train._can_draw()"
-    for command in (words, [sys.executable, "-c", code]):
+    for command in (words, [sys.executable, "-c", "import train; assert train._can_draw()"]):
         done = subprocess.run(command, cwd=ROOT, env={**inherited, **kept}, capture_output=True, text=True)
         assert (done.returncode, done.stderr) == (0, "")

@@ -45,7 +45,7 @@ def compile_wasm(source: Path = CORE / "web.cpp") -> bytes:
 
 def build_module(archive: str) -> str:
     """The text of capsule.mjs with the archive inserted."""
-    return (SOURCES / "capsule.mjs").read_text("utf-8").replace('ARCHIVE = ""', f'ARCHIVE = "{archive}"', 1)
+    return (SOURCES / "capsule.mjs").read_text("utf-8").replace('ARCHIVE = ""', f'ARCHIVE = "{archive}"')
 
 
 def build_page(module: str) -> str:
@@ -65,7 +65,7 @@ def build_page(module: str) -> str:
     template = (folder / "index.html").read_text("utf-8")
     page = re.sub(r"/\* (style|import map) \*/", lambda match: parts[match[1]], template)
     # The address of the preview image must be absolute. SITE_URL is set when the site is deployed, as in mkdocs.yml.
-    return page.replace("../media/", (os.environ.get("SITE_URL") or "../") + "media/", 1)
+    return page.replace("../media/", (os.environ.get("SITE_URL") or "../") + "media/")
 
 
 @command(PROG, RuntimeError)
@@ -86,7 +86,7 @@ def main(output: Path = Path("site/live")) -> None:
     page = build_page(module)
     if not (output.parent / "index.html").is_file():
         # Hides the link to the documentation, which does not exist in the folder above.
-        page = page.replace('<a id="documentation"', '<a id="documentation" hidden', 1)
+        page = page.replace('<a id="documentation"', '<a id="documentation" hidden')
     types = (SOURCES / "capsule.d.mts").read_text(encoding="utf-8")
     for name, text in (("index.html", page), ("capsule.mjs", module), ("capsule.d.mts", types)):
         write_atomically(output / name, text)

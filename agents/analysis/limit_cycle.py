@@ -74,18 +74,18 @@ def draw(cycles: dict[str, np.ndarray]) -> Any:
     from matplotlib.patches import Patch
 
     figure = new_figure(8.2)
-    grid = figure.subplots(5, len(cycles), sharey="row", height_ratios=(1.0, 1.0, 1.0, 1.0, 1.35))
+    grid = figure.subplots(5, len(cycles), sharey="row")
     for column, (name, cycle) in zip(grid.T, cycles.items(), strict=True):
         t, degrees, begin = DT * np.arange(len(cycle)), np.degrees(cycle[:, 0]), 0
         for phase, group in itertools.groupby(np.sign(np.diff(cycle[:, 2])).tolist()):
             end = begin + len(list(group))
             for axes in column[:-1]:
-                axes.axvspan(t[begin], t[end], color=PHASES[phase][1], linewidth=0.0)
+                axes.axvspan(t[begin], t[end], facecolor=PHASES[phase][1])
             begin = end
         weight = (NOMINAL.M + NOMINAL.m) * NOMINAL.g
         series = degrees, 100.0 * cycle[:, 3], cycle[:, 4] / weight, cycle[:, 5]
         for axes, values, level in zip(column[:-1], series, (0.0, 0.0, 1.0, 0.0), strict=True):
-            axes.axhline(level, color=MUTED, linewidth=0.6)
+            axes.axhline(level, color=MUTED)
             axes.plot(t, values, color=INK)
             axes.set_xlim(0.0, t[-1])
             axes.grid(visible=False)
@@ -97,7 +97,7 @@ def draw(cycles: dict[str, np.ndarray]) -> Any:
     for axes, label in zip(grid[:, 0], LABELS, strict=True):
         axes.set_ylabel(label)
     figure.align_ylabels(grid[:, 0])
-    patches = [Patch(color=shade, label=phase) for phase, shade in PHASES.values()]
+    patches = [Patch(facecolor=shade, label=phase) for phase, shade in PHASES.values()]
     figure.legend(handles=patches, loc="outside upper left", ncols=len(patches))
     add_note(figure, "The time axes differ. A growing θ pushes the platform forward.")
     return figure

@@ -88,15 +88,15 @@ def draw_learning(learning: Mapping[str, Learning], label: str = SPEED.label) ->
 
     columns = min(4, len(learning))
     lines = math.ceil(len(learning) / columns)
-    figure = new_figure(max(2.6, 0.75 + 1.3 * lines))
+    figure = new_figure(1.4 + 1.2 * lines)
     grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
     for axes, (name, runs) in zip(grid.flat, learning.items(), strict=False):
         axes.set_title(name, parse_math=False)
         for steps, values in runs.values():
             # A run with a single evaluation is drawn as a point.
-            axes.plot(steps / 1e6, values, "." if len(values) == 1 else "-", color=MUTED, linewidth=0.5, alpha=0.6)
+            axes.plot(steps / 1e6, values, "." if len(values) == 1 else "-", color=MUTED, alpha=0.3)
         steps, value, low, high = learning_curve(runs)
-        axes.fill_between(steps / 1e6, low, high, color=BLUE, alpha=0.18, linewidth=0.0)
+        axes.fill_between(steps / 1e6, low, high, facecolor=BLUE, alpha=0.2)
         axes.plot(steps / 1e6, value, color=BLUE)
     axes.set_xlim(0.0, None)
     if label == SPEED.label:
@@ -111,7 +111,7 @@ def draw_learning(learning: Mapping[str, Learning], label: str = SPEED.label) ->
         grid.flat[n].set_visible(False)
         # The panel above an empty place shows the tick labels instead.
         grid.flat[n - columns].tick_params(labelbottom=True)
-    figure.supylabel(label, fontsize=8.0)
+    figure.supylabel(label, fontsize="medium")
     add_note(
         figure,
         "Horizontal: millions of agent steps. Evaluations on each run's validation plants, never on a frozen set; "
@@ -124,11 +124,11 @@ def draw_transport(rows: Sequence[Row]) -> Any:
     """Draws speed against cost of transport on the nominal plant, with the front of dynamic programming."""
     from matplotlib.ticker import LogLocator
 
-    figure = new_figure(max(4.4, 1.4 + 0.145 * len(rows)))
+    figure = new_figure(6.0)
     # Room for the labels on the right, whose width the layout underestimates.
     figure.get_layout_engine().set(rect=(0.0, 0.0, 0.985, 1.0))
     axes = figure.subplots()
-    axes.plot(*zip(*optimal_front(), strict=True), ".-", color=GREEN, markersize=4.0, label="dynamic programming")
+    axes.plot(*zip(*optimal_front(), strict=True), ".-", color=GREEN, label="dynamic programming")
     marks, absent = [], []
     for row in rows:
         cost, speed = (estimate(row.score("nominal", metric)) for metric in ("cost_of_transport", SPEED.name))
@@ -137,23 +137,23 @@ def draw_transport(rows: Sequence[Row]) -> Any:
             continue
         colour = BLUE if row.trained else INK
         if row.trained and all(math.isfinite(end) for end in (cost.low, cost.high, speed.low, speed.high)):
-            axes.plot([cost.low, cost.high], [speed.value] * 2, color=colour, linewidth=0.9)
-            axes.plot([cost.value] * 2, [speed.low, speed.high], color=colour, linewidth=0.9)
-        axes.plot(cost.value, speed.value, "o" if row.trained else "s", color=colour, markersize=4.0)
+            axes.plot([cost.low, cost.high], [speed.value] * 2, color=colour)
+            axes.plot([cost.value] * 2, [speed.low, speed.high], color=colour)
+        axes.plot(cost.value, speed.value, "o" if row.trained else "s", color=colour)
         marks.append((cost.value, speed.value, row.name, colour))
-    axes.plot([], [], "o-", color=BLUE, markersize=4.0, linewidth=0.9, label="trained, 95 % over seeds")
-    axes.plot([], [], "s", color=INK, markersize=4.0, label="scripted")
+    axes.plot([], [], "o-", color=BLUE, label="trained, 95 % over seeds")
+    axes.plot([], [], "s", color=INK, label="scripted")
     # Logarithmic: outside its training range, a policy can have thirty times the cost of the others.
     axes.set_xscale("log")
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter("{x:g}")
     axes.xaxis.set_minor_formatter("")
-    axes.set(xlabel="cost of transport", ylabel="mean speed (cm/s)", xlim=(0.1, None), ylim=(-0.5, None))
+    axes.set(xlabel="cost of transport", ylabel="mean speed (cm/s)")
     # Names next to the axes, the highest mark's first, with a line to each mark.
     for n, (x, y, name, colour) in enumerate(sorted(marks, key=lambda mark: -mark[1])):
         place = {"xytext": (1.01, 1.0 - (n + 0.5) / len(marks)), "textcoords": "axes fraction", "va": "center"}
-        line = {"arrowstyle": "-", "color": FAINT, "linewidth": 0.6, "relpos": (0.0, 0.5), "shrinkA": 0.0}
-        axes.annotate(name, (x, y), **place, color=colour, fontsize=7.5, parse_math=False, arrowprops=line, zorder=1)
+        line = {"arrowstyle": "-", "color": FAINT, "relpos": (0.0, 0.5)}
+        axes.annotate(name, (x, y), **place, color=colour, parse_math=False, arrowprops=line, zorder=1)
     # Outside: every corner inside the axes contains a front, a policy or a label's line.
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=4)
     axes.set_title("Speed against cost of transport, the paper's plant from 100 starts")

@@ -47,13 +47,12 @@ def draw(board: Mapping[str, Any]) -> str:
             axes.barh([y for y, *_ in bars], [speed for _, speed, _ in bars], BAR, color=colour, label=label)
             for y, speed, failed in (bar for bar in bars if bar[2] >= MARKED):
                 text = f"\N{MULTIPLICATION SIGN} {100.0 * failed:.0f} %"
-                axes.annotate(text, (max(speed, 0.0) + 0.15, y), va="center_baseline", fontsize=6.5)
+                axes.annotate(text, (max(speed, 0.0) + 0.15, y), va="center_baseline", fontsize="small")
         axes.set_yticks(range(len(lines)), [textwrap.fill(label, LABEL_COLUMNS) for label, _ in lines])
         for tick, (_, shown) in zip(axes.get_yticklabels(), lines, strict=True):
             tick.set_fontweight("normal" if shown else "bold")
         axes.set(xlabel="mean speed (cm/s); \N{MULTIPLICATION SIGN} failed episodes", ylim=(len(lines) - 0.4, -0.4))
         axes.set_xlim(left=0.0)
-        axes.tick_params(axis="y", length=0.0)
         axes.grid(visible=False, axis="y")
         figure.legend(loc="outside upper left")
         figure.savefig(content, format="svg", metadata={"Date": None, "Creator": None, "Description": digest(board)})

@@ -179,7 +179,7 @@ def evaluate_wrapped(model: BaseAlgorithm, config: Config, plants: EvaluationSet
     # Shares the statistics, which do not change.
     env = copy.copy(normalisation(model))
     env.set_venv(venv)
-    env.training = env.norm_reward = False
+    env.training = False
     found: dict[int, Episode] = {}
 
     def keep(step: dict[str, Any], _: Any) -> None:

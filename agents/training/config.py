@@ -58,7 +58,7 @@ class RunError(ValueError):
     """Raised if a run cannot be started or resumed; the message names the option or the file, and the reason."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Config:
     """Hyperparameters of every algorithm."""
 
@@ -186,7 +186,7 @@ class Config:
                     check_number(name, number, accepted, low, high, open_low=open_low)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class PPOConfig(Config):
     """Proximal policy optimisation."""
 
@@ -208,7 +208,7 @@ class PPOConfig(Config):
     """The critic also observes the true plant and, where sensors are disturbed, the true state; not under wrappers."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class OffPolicyConfig(Config):
     """Algorithms that learn from a replay buffer."""
 
@@ -229,7 +229,7 @@ class OffPolicyConfig(Config):
     """Time over which that noise is correlated, s: uncorrelated noise hardly swings the pendulum."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class SACConfig(OffPolicyConfig):
     """Soft actor-critic."""
 
@@ -239,14 +239,14 @@ class SACConfig(OffPolicyConfig):
     """Entropy of the action that the entropy coefficient aims at."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class TD3Config(OffPolicyConfig):
     """Twin delayed deep deterministic policy gradient."""
 
     algo: ClassVar[Algorithm] = "td3"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class TQCConfig(SACConfig):
     """Truncated quantile critics."""
 

@@ -49,15 +49,23 @@ def test_the_loss_is_linear_between_the_torques_of_the_expert(dataset):
     assert interpolated_regret(torch.from_numpy(dataset.regrets), best).max() < 1e-6 < 0.1 < dataset.regrets.max()
 
 
+def test_the_expert_acts_less_and_less_and_the_step_size_falls_to_zero():
+    student = STUDENTS[NAME]
+    shares, updates, rates = zip(*dagger.schedule(student), strict=True)
+    rounds, final = list(shares[: student.rounds]), rates[student.rounds :]
+    assert (rounds[0], rounds[-1]) == (1.0, 0.0) and rounds == sorted(rounds, reverse=True)
+    assert sum(updates) == student.rounds * student.updates + student.final_updates
+    assert rates[0][0] == final[0][0] == student.learning_rate and all(high > low for high, low in rates)
+    assert [high for high, _ in final[1:]] + [0.0] == pytest.approx([low for _, low in final])
+
+
 def test_a_student_observes_the_estimates():
     assert STUDENTS[NAME].change_rate > 0.0
     data = collected(steps=150)
     first, last = data.inputs[:4], data.inputs[-4:]
-    assert (first[:, 5:] == first[0, 5:]).all()
-    assert (last[:, 7] < 0.2 * first[:, 7]).all()
+    assert (first[:, 5:] == first[0, 5:]).all() and (last[:, 7] < 0.2 * first[:, 7]).all()
     policy = Network(data, 0).policy(NAME, STUDENTS[NAME], 0, "none")
-    given = (data.inputs - policy.mean) / np.sqrt(policy.variance + policy.epsilon)
-    given = np.clip(given, -policy.clip, policy.clip)
+    given = np.clip((data.inputs - policy.mean) / np.sqrt(policy.variance + policy.epsilon), -policy.clip, policy.clip)
     for weights, bias in policy.layers:
         given = np.tanh(given @ weights.T.astype(np.float64) + bias)
     np.testing.assert_allclose(policy(data.inputs), given, atol=1e-6)
@@ -84,15 +92,13 @@ def test_the_acting_policy_decides_the_states(dataset):
         return np.zeros((len(observations), 1), np.float32)
 
     alone = collected(expert_share=0.0, act=zero)
-    assert set(shapes) == {(4, 9)}
-    assert np.abs(alone.inputs[:, 4]).mean() < 0.1 < np.abs(dataset.inputs[:, 4]).mean()
+    assert set(shapes) == {(4, 9)} and np.abs(alone.inputs[:, 4]).mean() < 0.1 < np.abs(dataset.inputs[:, 4]).mean()
 
 
 def test_a_fit_lowers_the_loss_and_the_file_acts_as_the_network(dataset, tmp_path):
     network, rng = Network(dataset, 0), np.random.default_rng(0)
     losses = network.fit([dataset], 150, (3e-3, 0.0), 128, rng)
-    assert len(losses) == 150
-    assert np.mean(losses[-20:]) < 0.5 * np.mean(losses[:5])
+    assert len(losses) == 150 and np.mean(losses[-20:]) < 0.5 * np.mean(losses[:5])
     policy = network.policy("student", STUDENTS[NAME], 0, "none")
     policy.save(tmp_path / "policy.safetensors")
     actions, again = (each(dataset.inputs) for each in (load_policy(tmp_path), policy))
@@ -108,8 +114,7 @@ def test_the_same_seed_gives_the_same_policy_and_finished_runs_are_skipped(tmp_p
         assert command.main([NAME, "--seeds", "0", "--runs", str(tmp_path / folder)]) == 0
     assert torch.get_num_threads() == 1
     files = [tmp_path / name / NAME / "seed-0" / "policy.safetensors" for name in "ab"]
-    assert files[0].read_bytes() == files[1].read_bytes()
-    assert load_policy(files[0]).training_seed == 0
+    assert files[0].read_bytes() == files[1].read_bytes() and load_policy(files[0]).training_seed == 0
     before = files[0].stat().st_mtime_ns
     assert command.main([NAME, "--seeds", "0", "1", "--runs", str(tmp_path / "a")]) == 0
     assert files[0].stat().st_mtime_ns == before
@@ -138,17 +143,14 @@ def test_ctrl_c_keeps_the_best_policy_and_the_run_is_not_overwritten(tmp_path, m
 
     monkeypatch.setattr(dagger, "evaluate", evaluate)
     words = [NAME, "--seeds", "0", "--runs", str(tmp_path)]
-    assert command.main(words) == INTERRUPTED
-    assert len(evaluated) == 2
+    assert command.main(words) == INTERRUPTED and len(evaluated) == 2
     folder = tmp_path / NAME / "seed-0"
     assert sorted(path.name for path in folder.iterdir()) == ["config.json", "policy.safetensors"]
     record = json.loads((folder / "config.json").read_text())
     assert record["hyperparameters"] == json.loads(json.dumps(dataclasses.asdict(STUDENTS[NAME])))
     assert record["revision"] == load_policy(folder).revision
     kept, first = (policy(np.zeros((1, 9), np.float32)) for policy in (load_policy(folder), evaluated[0]))
-    assert kept.tobytes() == first.tobytes()
-    assert "kept" in capsys.readouterr().out
+    assert kept.tobytes() == first.tobytes() and "kept" in capsys.readouterr().out
     with pytest.raises(SystemExit) as stop:
         command.main(words)
-    assert stop.value.code == 2
-    assert "is an unfinished run" in capsys.readouterr().err
+    assert stop.value.code == 2 and "is an unfinished run" in capsys.readouterr().err

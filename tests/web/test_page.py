@@ -38,13 +38,11 @@ def browser():
 def open_page(browser, site):
     """Opens the page with a hash; at the end, checks that no page wrote to the console or requested another file."""
     live = (site / "index.html").as_uri()
-    contexts = []
-    said = []
+    contexts, said = [], []
 
     def opened(scene="", **settings):
-        context = browser.new_context(**{"viewport": SIZE, **settings})
-        contexts.append(context)
-        page = context.new_page()
+        contexts.append(browser.new_context(**{"viewport": SIZE, **settings}))
+        page = contexts[-1].new_page()
         page.set_default_timeout(PATIENCE)
         page.on("console", lambda message: said.append(f"{message.type}: {message.text}"))
         page.on("pageerror", lambda error: said.append(f"error: {error}"))
@@ -214,8 +212,7 @@ def test_check_replays_the_committed_episodes(open_page):
     page = open_page(PAUSED)
     page.press("#check", "Enter")
     shows(page, "verdict", "equal, bit for bit", 5 * PATIENCE)
-    bits = page.locator("#check-rows td:last-child").all_inner_texts()
-    assert bits == ["equal"] * len(COMMITTED)
+    assert page.locator("#check-rows td:last-child").all_inner_texts() == ["equal"] * len(COMMITTED)
     page.keyboard.press("Escape")
     assert page.locator("#checks").is_hidden()
     assert page.evaluate("document.activeElement.id") == "check"

@@ -20,8 +20,7 @@ def world(tmp_path, monkeypatch):
     monkeypatch.setattr(policies, "CHECKPOINTS", tmp_path / "checkpoints")
     for seed in (0, 1):
         write_run(tmp_path / "checkpoints" / "learnt" / f"seed-{seed}", seed)
-    for folder in ("docs", "docs/media"):
-        (tmp_path / folder).mkdir()
+    (tmp_path / "docs/media").mkdir(parents=True)
     (tmp_path / "README.md").write_text(README)
     return tmp_path
 

@@ -36,16 +36,14 @@ def test_malformed_files_raise_an_error(row, world):
     save_row(folder, row)
     path = folder / "learnt.npz"
     whole = path.read_bytes()
-    for content in (b"", b"PK", whole[:-40], whole[: len(whole) // 2]):
-        path.write_bytes(content)
-        with pytest.raises(ValueError, match=r"^learnt: learnt\.npz contains no results: "):
-            load_row(path)
     array = io.BytesIO()
     np.lib.format.write_array_header_1_0(array, {"descr": "<f8", "fortran_order": False, "shape": (2**50,)})
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("header.npy", array.getvalue())
-    with pytest.raises(ValueError, match="contains no results"):
-        load_row(path)
+    for content in (path.read_bytes(), b"", b"PK", whole[:-40], whole[: len(whole) // 2]):
+        path.write_bytes(content)
+        with pytest.raises(ValueError, match=r"^learnt: learnt\.npz contains no results: "):
+            load_row(path)
     row.header["training_seeds"] = [0]
     save_row(folder, row)
     with pytest.raises(ValueError, match="does not match its name or arrays"):

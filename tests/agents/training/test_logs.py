@@ -25,14 +25,15 @@ def test_the_log_holds_the_terms_of_the_reward(tmp_path, monkeypatch):
     screen = io.StringIO()
     monkeypatch.setattr(screen, "isatty", lambda: True)
     monkeypatch.setattr(callbacks, "tqdm", partial(tqdm, file=screen))
-    record, moved = callbacks.TrainingCallback._record_episodes, {}
+    record, moved, spent = callbacks.TrainingCallback._record_episodes, {}, {}
 
     def recorded(self):
         moved[self.num_timesteps] = np.median([100.0 * episode["distance"] for episode in self.model.ep_info_buffer])
+        spent[self.num_timesteps] = np.median([episode["energy"] for episode in self.model.ep_info_buffer])
         record(self)
 
     monkeypatch.setattr(callbacks.TrainingCallback, "_record_episodes", recorded)
-    _, finished = train_briefly(tmp_path / "run", total_steps=1000)
+    config, finished = train_briefly(tmp_path / "run", total_steps=1000)
     assert finished
     # The progress bar on a terminal ends at the total, which the last rollout exceeds.
     assert "100%" in screen.getvalue() and "1.00k/1.00k" in screen.getvalue()
@@ -41,7 +42,8 @@ def test_the_log_holds_the_terms_of_the_reward(tmp_path, monkeypatch):
     # Episodes without progress have an infinite cost, which is not logged.
     line = {name: float(value) for name, value in lines[768].items() if name.startswith(("episodes/", "evaluation/"))}
     assert {f"episodes/{name}" for name in WATCHED} | {"evaluation/stuck_fraction"} <= set(line)
-    assert 0.0 <= line["episodes/stuck_fraction"] <= 1.0 and line["episodes/reward_energy"] <= 1e-4
+    assert 0.0 <= line["episodes/stuck_fraction"] <= 1.0
+    assert line["episodes/reward_energy"] == pytest.approx(-config.energy_weight * spent[768], rel=1e-4)
     assert line["episodes/reward_progress"] == pytest.approx(moved[768], abs=1e-5)
     assert line["episodes/reward_termination"] in {-10.0 * share for share in (0.0, 0.5, 1.0)}
 

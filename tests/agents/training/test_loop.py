@@ -1,4 +1,3 @@
-import csv
 import dataclasses
 import itertools
 import json
@@ -34,8 +33,7 @@ def test_bootstrap_happens_at_time_limits_only():
     # Each environment takes 32 steps, in episodes of 20.
     ended, rewards = buffer.episode_starts[1:] == 1.0, buffer.rewards[:-1]
     failed = rewards < -0.9 * config.termination_penalty
-    assert (ended & ~failed).any() and failed.any()
-    assert np.array_equal(rewards > 500.0, ended & ~failed)
+    assert (ended & ~failed).any() and failed.any() and np.array_equal(rewards > 500.0, ended & ~failed)
 
 
 def test_a_run_folder_holds_what_a_policy_needs(tmp_path, capsys, monkeypatch):
@@ -49,19 +47,21 @@ def test_a_run_folder_holds_what_a_policy_needs(tmp_path, capsys, monkeypatch):
     with pytest.raises(FileExistsError):
         begin(run, config)
     content = json.loads((run / "config.json").read_text())
-    assert content["algo"] == "ppo" and content["seed"] == 0 and content["revision"]
-    assert content["env"]["controller"] == "baselines:adaptive"
+    assert (content["algo"], content["seed"], content["env"]["controller"]) == (
+        "ppo",
+        0,
+        "baselines:adaptive",
+    ) and content["revision"]
     assert {"torch", "stable-baselines3", "numpy", "gymnasium"} <= set(content["versions"])
-    with (run / "evaluations.csv").open() as file:
-        steps = [int(row["steps"]) for row in csv.DictReader(file)]
+    steps = [int(row["steps"]) for row in rows(run / "evaluations.csv")]
     assert steps == [256, 512, 768] and parameters(run / "best/model.zip") != parameters(run / "model.zip")
     assert log(run)[768]["evaluation/score"] and list((run / "logs").glob("events*"))
 
     policy = load_policy(run)
     assert json.loads(json.dumps(policy.env_kwargs)) == content["env"]
     assert (policy.training_seed, policy.revision) == (0, content["revision"])
-    assert train(run, 1024) and read_config(run) == dataclasses.replace(config, total_steps=1024)
-    assert "falls until 1,024 steps" in capsys.readouterr().out
+    assert train(run, 1024) and "falls until 1,024 steps" in capsys.readouterr().out
+    assert read_config(run) == dataclasses.replace(config, total_steps=1024)
     with pytest.raises(ValueError, match=r"^total_steps must be an integer >= 1024, the steps of the run, got 0$"):
         train(run, 0)
 
@@ -85,8 +85,7 @@ def test_a_run_in_another_environment_is_judged_by_its_task(tmp_path, monkeypatc
     run, whole = tmp_path / "run", finished(tmp_path / "whole", config)
     begin(run, config)
     train_until(run, 600, monkeypatch, killed=True)
-    assert train(run)
-    assert differences(run, whole) == []
+    assert train(run) and differences(run, whole) == []
     lines = rows(run / "evaluations.csv")
     assert {column, f"baseline_{column}", "failed"} < set(lines[-1])
     assert float(lines[-1][f"baseline_{column}"]) < float(lines[-1][column])

@@ -10,7 +10,7 @@ import pytest
 import train
 from agents.analysis.statistics import read_evaluations
 from agents.distillation.config import STUDENTS
-from agents.distillation.dagger import HIDDEN
+from agents.distillation.dagger import CLIP, EPSILON, HIDDEN, MIN_VARIANCE
 from agents.training.config import CONFIG, EVALUATIONS, RANGES, read_config
 from agents.training.presets import PRESETS, ROWS
 from baselines.evaluation.policies import CHECKPOINTS, checkpoint_names, find_candidate
@@ -37,6 +37,8 @@ def test_a_rows_settings_are_those_that_its_policies_were_trained_with(name):
     if name in STUDENTS:
         assert record["hyperparameters"] == json.loads(to_json(dataclasses.asdict(STUDENTS[name])))
         expected = STUDENTS[name].env_kwargs, IMITATION, HIDDEN
+        assert all((CLIP, EPSILON) == (each.clip, each.epsilon) for each in policies)
+        assert min(each.variance.min() for each in find_candidate("dp-distilled-wide").policies) == MIN_VARIANCE
     else:
         settings = ROWS[name]
         assert dataclasses.replace(read_config(CHECKPOINTS / name), seed=0) == settings

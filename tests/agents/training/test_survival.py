@@ -46,8 +46,7 @@ def steps_of(run):
 
 
 def scalars(run):
-    events = EventAccumulator(str(run / "logs"))
-    events.Reload()
+    events = EventAccumulator(str(run / "logs")).Reload()
     return {event.step: event.value for event in events.Scalars("evaluation/score")}
 
 
@@ -78,9 +77,7 @@ def test_a_run_that_was_killed_and_stopped_ends_with_the_same_policy(tmp_path, m
     # Random numbers drawn in between do not affect the run.
     for draw in (random.random, np.random.random, lambda: torch.rand(1)):
         draw()
-    assert train(run)
-    assert differences(run, whole[algo]) == []
-    assert scalars(run) == scalars(whole[algo])
+    assert train(run) and differences(run, whole[algo]) == [] and scalars(run) == scalars(whole[algo])
     assert len(list(run.glob("checkpoint-*"))) == 2 and all(map(checkpoint.is_whole, run.glob("checkpoint-*")))
 
 
@@ -115,9 +112,7 @@ def test_a_run_goes_on_from_the_checkpoint_before_a_damaged_one(tmp_path, capsys
     other = run / ".report.78.tmp.html"  # of a process that needs no lock
     for path in (*left, other):
         path.write_bytes(b"half")
-    assert train(run)
-    assert f"{newer} is damaged" in capsys.readouterr().err
-    assert differences(run, whole["ppo"]) == []
+    assert train(run) and f"{newer} is damaged" in capsys.readouterr().err and differences(run, whole["ppo"]) == []
     assert sorted(run.glob("checkpoint-*")) == [older, newer] and checkpoint.is_whole(newer)
     assert not any(path.exists() for path in left) and other.exists()
 
@@ -163,8 +158,9 @@ def test_a_run_is_trained_by_one_process_at_a_time(tmp_path, capsys, whole):
     with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
         assert holder.stdout.read(1) and command_line.main(["--resume", str(run), "--no-comparison"]) == 2
         holder.kill()
-    error = capsys.readouterr().err
+    out, error = capsys.readouterr()
     assert f"{run} is being trained by another process" in error and error.count("\n") == 1
+    assert out == f"Resuming {run} (seed 0) until 800 steps.\n"
     with locked(run):
         pass
 
@@ -284,8 +280,7 @@ def test_a_process_that_gets_a_signal_loses_nothing_before_its_last_checkpoint(t
     assert process.exitcode in ((0, -number) if number == signal.SIGKILL else (0, INTERRUPTED))
     assert "Traceback" not in (tmp_path / "error").read_text()
     assert all(map(checkpoint.is_whole, run.glob("checkpoint-*")))
-    assert train(run)
-    assert differences(run, whole["ppo"]) == []
+    assert train(run) and differences(run, whole["ppo"]) == []
 
 
 def test_a_full_disk_ends_a_training_with_one_line_and_damages_nothing(tmp_path, monkeypatch, whole):
@@ -296,5 +291,4 @@ def test_a_full_disk_ends_a_training_with_one_line_and_damages_nothing(tmp_path,
     error = (tmp_path / "error").read_text()
     assert process.exitcode == 2 and re.fullmatch(rf"train.py: error: .*{run}.*\n", error), error
     assert all(map(checkpoint.is_whole, run.glob("checkpoint-*")))
-    assert train(run)
-    assert differences(run, whole["ppo"]) == []
+    assert train(run) and differences(run, whole["ppo"]) == []
