@@ -161,8 +161,8 @@ class Capsule:
         It is the largest absolute eigenvalue of the motion linearised at rest, over all angles and both directions of
         slip (docs/physics.md). It is larger for lighter platforms and more friction.
         """
-        kinetic, share = mu * max(1.0, self.backward_ratio), self.m / (M + self.m)
-        mu = kinetic * (self.static_ratio if self.stribeck_speed else 1.0)
+        mu *= max(1.0, self.backward_ratio)
+        share = self.m / (M + self.m)
         # The share of the inertia that remains in slip at the worst angle; Painleve's condition keeps it positive.
         remains = 1.0 - share * (1.0 + math.sqrt(1.0 + mu * mu)) / 2.0
         if remains <= 0.0:  # by rounding
@@ -173,8 +173,8 @@ class Capsule:
         # The friction of the motor is steepest at rest, the Stribeck curve, which falls, at v_s / sqrt(3).
         damping = (1.0 + pivot) * (self.c + _core.MOTOR_SLOPE * self.motor_friction / _core.MOTOR_WIDTH) / inertia
         weight = self.m * self.g * self.l
-        steepest = 0.65 * (mu - kinetic) * self.g / self.stribeck_speed if self.stribeck_speed else 0.0
-        floor = (self.viscous / (M + self.m) + steepest) / remains
+        steepest = 0.65 * mu * (self.static_ratio - 1.0) * self.g / self.stribeck_speed if self.stribeck_speed else 0.0
+        floor = self.viscous / ((M + self.m) * remains) + steepest * (M + self.m) / M
         lowest = (1.0 - (1.0 + math.pi) * pivot) * self.k - weight * math.sqrt(1.0 + mu * mu)
         highest = (1.0 + (1.0 + math.pi) * pivot) * self.k + weight * mu
         rates = []
