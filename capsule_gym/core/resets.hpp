@@ -22,7 +22,9 @@ inline long long draw_episodes(const Batch& b, long long count) {
     if (i < 0 || i >= b.num_envs) return n;
     for (long long k = 0; k < b.draw_lines; k++) {
       const Draw& line = b.draw_table[k];
-      double share = draw(b.keys + 2 * i, (Word)line.stream, (Word)b.episodes[i], (int)line.place);
+      // Most lines are constants.
+      bool varies = line.range != 0.0 || line.distribution == SIGNED;
+      double share = varies ? draw(b.keys + 2 * i, (Word)line.stream, (Word)b.episodes[i], (int)line.place) : 0.0;
       b.drawn[k * b.num_envs + n] = number_at(share, line.low, line.range, line.distribution);
     }
   }
