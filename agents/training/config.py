@@ -58,7 +58,7 @@ class RunError(ValueError):
     """Raised if a run cannot be started or resumed; the message names the option or the file, and the reason."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Config:
     """Hyperparameters of every algorithm."""
 
