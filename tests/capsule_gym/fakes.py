@@ -8,8 +8,6 @@ SCRATCH = {"action", "active", "mass_ratio", "before_x", "read_before_x", "slip"
     *("next_theta", "next_theta_dot", "next_x", "next_x_dot"),
     *("theta_ddot", "x_ddot", "first_normal_force", "least_normal_force"),
 }
-
-
 EPISODE_ROWS = [row for name, row in vars(Row).items() if name not in SCRATCH]
 
 

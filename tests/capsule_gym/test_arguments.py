@@ -18,10 +18,9 @@ from capsule_gym.simulation import MOST_ENVS
 from capsule_gym.task import CHANGE
 
 # numpy may warn of imaginary parts, and of numbers beyond float32, before an action is refused.
-pytestmark = [
-    pytest.mark.filterwarnings("ignore::numpy.exceptions.ComplexWarning"),
-    pytest.mark.filterwarnings("ignore:overflow encountered in cast"),
-]
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::numpy.exceptions.ComplexWarning", "ignore:overflow encountered in cast"
+)
 
 # Infinite in an episode without forward travel, or in one that has not been stepped.
 INFINITE = ("cost_of_transport", "backward_ratio", "smallest_normal_ratio")
@@ -61,12 +60,12 @@ def check_finite(where, value):
         assert value is None or np.isfinite(value).all(), f"{where} is not finite: {value}"
 
 
-def check_reset(env, names=(), **arguments):
-    """Resets the environment and checks the result, unless the arguments are refused."""
-    result = taken(names, env.reset, **arguments)
+def check(env, method="reset", names=(), **arguments):
+    """Calls a method of the environment and checks the observations and the info, unless the arguments are refused."""
+    result = taken(names, getattr(env, method), **arguments)
     if result is not None:
         assert env.observation_space.contains(result[0])
-        check_finite("info", result[1])
+        check_finite("info", result[-1])
 
 
 OWN = {CapsuleEnv: [each.name for each in dataclasses.fields(EnvConfig)]}
@@ -80,7 +79,7 @@ def test_an_argument_of_an_environment(kind, name, value):
     if name != "num_envs" or not isinstance(value, int) or not 1000 < value <= MOST_ENVS:
         env = taken((name,), kind, **{name: value})
         if env is not None:
-            check_reset(env, seed=0)
+            check(env, seed=0)
 
 
 PARTS = {Capsule: "capsule", Randomization: "randomization", Disturbances: "disturbances"}
@@ -95,7 +94,7 @@ def test_a_constant_a_range_and_a_disturbance(kind, name, value, log_mu):
     if made is not None:
         env = taken(("Randomization", "physics_dt"), CapsuleEnv, observe_parameters=True, **{PARTS[kind]: made})
         if env is not None:
-            check_reset(env, seed=0)
+            check(env, seed=0)
 
 
 @lru_cache
@@ -118,24 +117,20 @@ OPTIONS = {
 @given(data=st.data())
 def test_an_option_of_a_reset(batch, name, data):
     value = data.draw(anything | OPTIONS[name])
-    check_reset(made(batch), (name, "physics_dt"), seed=0, options={name: value})
+    check(made(batch), "reset", (name, "physics_dt"), seed=0, options={name: value})
 
 
 @pytest.mark.parametrize("batch", [False, True])
 @given(seed=anything | st.integers(0) | st.lists(st.integers(0) | st.none(), min_size=3, max_size=3))
 def test_a_seed_of_a_reset(batch, seed):
-    check_reset(made(batch), ("seed",), seed=seed)
+    check(made(batch), "reset", ("seed",), seed=seed)
 
 
 @pytest.mark.parametrize("batch", [False, True])
 @given(actions=anything | arrays.arrays(np.float32, st.sampled_from([(1,), (3, 1)])))
 def test_the_actions_of_a_step(batch, actions):
-    env = made(batch)
-    env.reset(seed=0)
-    result = taken(("action", "actions"), env.step, **{"actions" if batch else "action": actions})
-    if result is not None:
-        assert env.observation_space.contains(result[0])
-        check_finite("info", result[4])
+    made(batch).reset(seed=0)
+    check(made(batch), "step", ("action", "actions"), **{"actions" if batch else "action": actions})
 
 
 PLANTS = {

@@ -24,6 +24,14 @@ def test_a_law_is_called_at_the_start_and_after_each_interval():
     assert env.simulation.world[0, ROWS, 0] == 21.0
 
 
+def law_of(gain):
+    return lambda theta, theta_dot, x, x_dot, memory, reference: (gain * theta, memory)
+
+
+COLUMN = np.zeros(3)
+compiled = numba.njit(lambda theta, theta_dot, x, x_dot, memory, reference: (COLUMN[int(reference[1])], memory))
+GAINS = [(10**400, ValueError), (1j, TypeError), ([], TypeError)]
+TRIAL = r"^the control law of 'bad' must .* trial call"
 TABLE = r"^Controller\.reference must be a table of finite numbers"
 MEMORY = r"^Controller\.memory must be a tuple of 1 to 256 finite numbers"
 HUGE = np.broadcast_to(np.zeros(2), (10**12, 2))
@@ -38,6 +46,9 @@ MEMORIES = [((), ValueError), ((10**400,), ValueError), (0.0, TypeError), (("a",
 BROKEN = [
     ({"law": "law"}, TypeError, r"^Controller\.law must be a function"),
     *(({"law": law}, error, "law") for law, error in REFUSED),
+    *(({"law": law_of(gain)}, error, TRIAL) for gain, error in GAINS),
+    # The trial call checks the indices of a compiled law.
+    ({"law": compiled, "reference": np.array([[0.0, 7.0]])}, TypeError, "index 7 is out of bounds"),
     *(({"reference": table}, ValueError, TABLE) for table in TABLES),
     *(({"memory": memory}, error, MEMORY) for memory, error in MEMORIES),
     ({"dt": 0.0}, ValueError, r"^Controller\.dt must be a finite number > 0 \(s\), got 0\.0"),
@@ -56,10 +67,6 @@ def importing(theta, theta_dot, x, x_dot, memory, reference):
     return math.sin(theta), memory
 
 
-def law_of(gain):
-    return lambda theta, theta_dot, x, x_dot, memory, reference: (gain * theta, memory)
-
-
 class Squared:
     """A law that is an object."""
 
@@ -67,12 +74,12 @@ class Squared:
         return 0.3 * theta * abs(theta), memory
 
 
-GAINS = SimpleNamespace(gain=1.0)
+SETTINGS = SimpleNamespace(gain=1.0)
 ODD = [
     (law_of(np.float16(2.0)), "float16'"),
     (Squared(), ""),
     (importing, r"IMPORT_NAME\) found. Raised from .* \(\d+\)"),
-    (lambda *state: (GAINS.gain * state[0], state[4]), r"'GAINS': .* \(test_controller\.py, line \d+\)"),
+    (lambda *state: (SETTINGS.gain * state[0], state[4]), r"'SETTINGS': .* \(test_controller\.py, line \d+\)"),
 ]
 
 
@@ -84,19 +91,6 @@ def test_a_law_that_numba_cannot_compile_is_named_and_called_by_python(law, caus
     assert len(said) == 1 and "\n" not in str(said[0].message)
     _, info = env.reset(seed=0)
     assert info["law_torque"] == np.clip(law(*info["state"], (0.0,), (0.0, 0.0))[0], -1.5, 1.5)
-
-
-def test_the_trial_call_checks_the_indices_of_a_compiled_law():
-    table = np.zeros(3)
-    law = numba.njit(lambda theta, theta_dot, x, x_dot, memory, reference: (table[int(reference[1])], memory))
-    with pytest.raises(TypeError, match="index 7 is out of bounds"):
-        Controller("odd", law, np.array([[0.0, 7.0]]))
-
-
-@pytest.mark.parametrize(("gain", "error"), [(10**400, ValueError), (1j, TypeError), ([], TypeError)])
-def test_a_law_whose_trial_call_fails_is_named(gain, error):
-    with pytest.raises(error, match=r"^the control law of 'odd' must .* trial call"):
-        Controller("odd", law_of(gain), np.ones((1, 2)))
 
 
 def own():
@@ -125,9 +119,6 @@ def test_what_is_no_controller_is_named(given, error, said):
         find_controller(given)
 
 
-LINEARISING = {**plant_constants(NOMINAL.plant()), "K_p": 400.0, "K_v": 40.0}
-
-
 def test_many_calls_of_a_law_of_the_core_are_single_calls():
     law = oscillator().law
     rng = np.random.default_rng(0)
@@ -138,7 +129,8 @@ def test_many_calls_of_a_law_of_the_core_are_single_calls():
     assert len(set(torques.tolist())) == 5
     # The arguments are unchanged, and the order of the constants in the call does not matter.
     assert renewed is not memories
-    one, other = (CoreLaw("feedback_linearising", **dict(order(LINEARISING.items()))) for order in (iter, reversed))
+    gains = {**plant_constants(NOMINAL.plant()), "K_p": 400.0, "K_v": 40.0}.items()
+    one, other = (CoreLaw("feedback_linearising", **dict(order(gains))) for order in (iter, reversed))
     assert one == other and pickle.loads(pickle.dumps(law)) == law
 
 

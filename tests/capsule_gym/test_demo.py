@@ -1,4 +1,4 @@
-"""The demo: names of policies, episodes equal to the environment's, files, keys and error messages."""
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -90,15 +90,10 @@ def test_held_keys_apply_torque_and_cancel_each_other(monkeypatch):
 
 
 def test_the_command_ends_with_its_window_and_by_an_interrupt(monkeypatch):
-    events = iter([[], [pygame.event.Event(pygame.QUIT)]])
-    monkeypatch.setattr(pygame.event, "get", lambda: next(events))
+    events = [], [pygame.event.Event(pygame.QUIT)], KeyboardInterrupt
+    monkeypatch.setattr(pygame.event, "get", Mock(side_effect=events))
     assert demo.main(["keyboard", "--rival", "adaptive", "--set", "nominal"]) == 0
     assert not pygame.display.get_init()
-
-    def interrupt():
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(pygame.event, "get", interrupt)
     with pytest.raises(SystemExit) as ended:
         demo.main(["adaptive"])
     assert ended.value.code == 130

@@ -12,12 +12,10 @@ from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Controller, Rando
 from capsule_gym.parameters import NOMINAL, REAL, Disturbances
 
 CLEAN = Disturbances(stick_threshold=0.0)
-VARIED = Randomization(
-    M=(0.45, 0.55),
-    mu=(0.009, 0.3),
-    log_mu=True,
-    **{name: (0.9 * getattr(NOMINAL, name), 1.1 * getattr(NOMINAL, name)) for name in "mlkc"},
-)
+EXACT = replace(CLEAN, x_noise=0.0)
+CASES = [("speed", None, CLEAN), ("speed", "baselines:gait", CLEAN), ("goal", None, EXACT), ("velocity", None, EXACT)]
+NEAR = {name: (0.9 * getattr(NOMINAL, name), 1.1 * getattr(NOMINAL, name)) for name in "mlkc"}
+VARIED = Randomization(M=(0.45, 0.55), mu=(0.009, 0.3), log_mu=True, **NEAR)
 
 
 def swing(steps, count=1, seed=0):
@@ -38,13 +36,7 @@ def run(env, actions, **reset):
     return infos
 
 
-EXACT = replace(CLEAN, x_noise=0.0)
-
-
-@pytest.mark.parametrize(
-    ("task", "controller", "clean"),
-    [("speed", None, CLEAN), ("speed", "baselines:gait", CLEAN), ("goal", None, EXACT), ("velocity", None, EXACT)],
-)
+@pytest.mark.parametrize(("task", "controller", "clean"), CASES)
 def test_disturbances_of_size_zero_change_no_bit(task, controller, clean):
     plain, disturbed = (CapsuleEnv(task=task, controller=controller, disturbances=each) for each in ("none", clean))
     actions = swing(300)
@@ -221,10 +213,9 @@ def test_what_is_not_measured_reads_zero_and_rounded_readings_are_multiples():
 
 
 def test_the_motor_follows_the_command_with_its_lag_in_steps_of_its_resolution():
-    lag = 0.03
-    env = CapsuleEnv(disturbances=Disturbances(lag=lag))
+    env = CapsuleEnv(disturbances=Disturbances(lag=0.03))
     torques = np.array([info["torque"] for info in run(env, np.full((10, 1, 1), 0.2, np.float32), seed=0)[1:]])
-    np.testing.assert_allclose(torques, 0.3 * (1.0 - np.exp(-0.02 / lag * np.arange(1, 11))), rtol=1e-6)
+    np.testing.assert_allclose(torques, 0.3 * (1.0 - np.exp(-0.02 / 0.03 * np.arange(1, 11))), rtol=1e-6)
     env = CapsuleEnv(disturbances=Disturbances(torque_resolution=0.07))
     torques = np.array([info["torque"] for info in run(env, swing(100), seed=0)[1:]])
     np.testing.assert_allclose(torques / 0.07, np.round(torques / 0.07), atol=1e-9)

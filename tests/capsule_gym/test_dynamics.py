@@ -217,11 +217,8 @@ def test_a_substep_of_a_batch_has_the_bits_of_the_plants_step(options, h, level,
     batch.reset(np.arange(n), [capsule.M] * n, mu.tolist(), states)
     batch.step(actions)
     motion = step(*states.T, actions, capsule.plant()._replace(mu=mu), h)
-    named = {name: batch.row(getattr(Row, name)) for name in ("forward", "backward", "stuck", "normal_force")}
-    for row, name in enumerate(("theta", "theta_dot", "x", "x_dot")):
-        named[name] = batch.row(row)
-    for name, values in named.items():
-        assert values.tobytes() == getattr(motion, name).tobytes(), name
+    for name in ("theta", "theta_dot", "x", "x_dot", "forward", "backward", "stuck", "normal_force"):
+        assert batch.row(getattr(Row, name)).tobytes() == getattr(motion, name).tobytes(), name
     assert batch.row(Row.energy).tobytes() == (np.abs(actions) * motion.swept).tobytes()
     assert np.count_nonzero(motion.events == 1.0) > 100 and np.count_nonzero(motion.x_dot == 0.0) > 20
     assert np.count_nonzero(motion.normal_force == 0.0) > 20

@@ -11,19 +11,12 @@ from capsule_gym.elementary import arccos, log, sincos
 mpmath = pytest.importorskip("mpmath", exc_type=ImportError)
 
 
-def exp(x):
-    return native.evaluate("exp", x)[0]
-
-
-def tanh(x):
-    return native.evaluate("tanh", x)[0]
-
-
 HALF_TURN = math.pi / 2
+exp, tanh = (lambda x, name=name: native.evaluate(name, x)[0] for name in ("exp", "tanh"))
 
 
-def angles(seed, limit, count):
-    return np.random.default_rng(seed).uniform(-limit, limit, count).tolist()
+def numbers(seed, low, high, count):
+    return np.random.default_rng(seed).uniform(low, high, count).tolist()
 
 
 def quarters(turns):
@@ -34,7 +27,8 @@ def quarters(turns):
 
 @pytest.mark.parametrize("level", _core.LEVELS)
 def test_every_level_gives_the_same_bits_in_every_form_of_array(level, select_level):
-    values = np.array([*angles(7, HALF_TURN, 2000), *angles(8, 1e4, 2000), *quarters(20), 0.0, -0.0, 5e-324, 1e15])
+    angles = [*numbers(7, -HALF_TURN, HALF_TURN, 2000), *numbers(8, -1e4, 1e4, 2000)]
+    values = np.array([*angles, *quarters(20), 0.0, -0.0, 5e-324, 1e15])
     small = np.array([*numbers(7, -30.0, 30.0, 2000), *numbers(8, -1.0, 1.0, 2000), 0.0, -0.0, 1e-310])
     given = {"sincos": values, "exp": small, "tanh": small, "log": 1e-300 + np.abs(small)}
     expected = {name: native.evaluate(name, array) for name, array in given.items()}
@@ -50,15 +44,11 @@ def test_every_level_gives_the_same_bits_in_every_form_of_array(level, select_le
     assert [part.shape for part in sincos(np.float64(0.5))] == [(), ()]
 
 
-def numbers(seed, low, high, count):
-    return np.random.default_rng(seed).uniform(low, high, count).tolist()
-
-
 TINY = (10.0 ** np.arange(-300, 0, 3.7)).tolist()
 NEAR_ONE = [sign * (1.0 - 10.0**power) for sign in (-1.0, 1.0) for power in numbers(11, -17.0, 0.0, 250)]
 # The last angles have the largest errors of ten million, of sin near 0 and of cos far away.
-NEAR = [*angles(0, HALF_TURN, 1500), HALF_TURN, -HALF_TURN, 1.5515752168417596]
-FAR = [*angles(1, 10.0, 2000), *angles(2, 1e4, 1500), *quarters(20), -1e4, 1e4, 3.111995651295123]
+NEAR = [*numbers(0, -HALF_TURN, HALF_TURN, 1500), HALF_TURN, -HALF_TURN, 1.5515752168417596]
+FAR = [*numbers(1, -10.0, 10.0, 2000), *numbers(2, -1e4, 1e4, 1500), *quarters(20), -1e4, 1e4, 3.111995651295123]
 # Function, exact function, what errors are relative to, the largest of ten million numbers, and numbers with such.
 ERRORS = {
     "sin": (lambda x: sincos(x)[0], mpmath.sin, lambda exact: 1.0, 3.4e-16, NEAR),

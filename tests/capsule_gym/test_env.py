@@ -1,5 +1,3 @@
-"""The single environment: contract, determinism, info, options, pickling, workers."""
-
 import dataclasses
 import math
 import multiprocessing
@@ -117,8 +115,6 @@ def test_rewards_are_progress_and_the_integral_of_power_not_its_sample():
 UPRIGHT = math.nextafter(math.pi / 2, 0.0)
 # At this rate, the centripetal force of the upright ball carries the whole weight.
 LIFTING = math.sqrt((NOMINAL.M + NOMINAL.m) * NOMINAL.g / (NOMINAL.m * NOMINAL.l))
-
-
 # Within 1 ns the angle reaches the limit itself.
 ENDS = [(sign * UPRIGHT, sign * rate, end) for sign in (1, -1) for rate, end in ((0.0, "none"), (2e-7, "pendulum"))]
 ENDS += [(0.0, 0.9999 * LIFTING, "none"), (0.0, 1.0001 * LIFTING, "contact")]
@@ -155,13 +151,11 @@ def test_a_plant_that_the_step_does_not_resolve_ends_as_diverged():
     assert not env.reset()[1]["termination"]
 
 
-RANGES = Randomization(mu=(0.1, 0.2), l=(0.2, 0.3), log_mu=True)
-NOISY = Disturbances(latency=(0.005, 0.015), unmeasured=("x_dot",))
-
-
 @pytest.mark.parametrize("make", [gym.make, partial(gym.make_vec, num_envs=2)])
 def test_a_spec_comes_back_from_json(make):
-    env = make(ENV_ID, capsule=Capsule(M=0.7), randomization=RANGES, disturbances=NOISY, initial_range=(0.1, 0.2))
+    ranges = Randomization(mu=(0.1, 0.2), l=(0.2, 0.3), log_mu=True)
+    noisy = Disturbances(latency=(0.005, 0.015), unmeasured=("x_dot",))
+    env = make(ENV_ID, capsule=Capsule(M=0.7), randomization=ranges, disturbances=noisy, initial_range=(0.1, 0.2))
     again = make(EnvSpec.from_json(env.spec.to_json()))
     assert again.unwrapped.simulation.options == env.unwrapped.simulation.options
     assert again.reset(seed=3)[0].tobytes() == env.reset(seed=3)[0].tobytes()

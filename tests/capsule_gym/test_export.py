@@ -26,22 +26,22 @@ C99 = ("-std=c99", "-Wall", "-Wextra", "-Werror")
 M4 = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "--specs=rdimon.specs")
 START, VECTORS = Path(__file__).with_name("mps2.c"), "-Wl,--section-start=.vectors=0"
 QEMU = ("qemu-system-arm", "-M", "mps2-an386", "-nographic", "-semihosting")
-# Many calls at a time; a law's state is theta, theta_dot, x, x_dot and the goal or command.
+# Many calls at a time, those of a law one after another; a state is theta, theta_dot, x, x_dot and the goal or command.
 HARNESS = """
 #include "NAME.h"
-int size(void) { return (int)sizeof(NAME_memory); }
 #ifdef POLICY
 void act(int n, const float *o, float *a) {
   for (int i = 0; i < n; i++, o += NAME_ENTRIES) a[i] = NAME_act(o);
 }
 #else
-void law(int n, int begin, NAME_memory *memory, const double *s, double *torques) {
-  NAME_reading r;
+void law(int n, const double *s, double *torques) {
+  static NAME_memory memory;
   for (int i = 0; i < n; i++, s += 5) {
+    NAME_reading r;
     r.theta = s[0], r.theta_dot = s[1], r.x = s[2], r.x_dot = s[3];
     TASK
-    if (begin) NAME_start(&memory[i], &r);
-    torques[i] = NAME_law(&memory[i], &r);
+    if (i == 0) NAME_start(&memory, &r);
+    torques[i] = NAME_law(&memory, &r);
   }
 }
 #endif
@@ -101,28 +101,11 @@ def library(tmp_path_factory):
     return compile_library
 
 
-def c_policy(library):
-    """Like a `Policy`, by the C functions."""
-
-    def act(observations):
-        given, actions = np.ascontiguousarray(observations), np.empty((len(observations), 1), np.float32)
-        library.act(len(given), *(each.ctypes.data_as(ctypes.c_void_p) for each in (given, actions)))
-        return actions
-
-    return act
-
-
-def c_law(library, count):
-    """A law by the C functions: from theta, theta_dot, x, x_dot and goal or command, shape (count, 5), to torques."""
-    memory, calls = ctypes.create_string_buffer(library.size() * count), iter(range(10**9))
-
-    def law(states):
-        given, torques = np.ascontiguousarray(states), np.empty(count)
-        addresses = (each.ctypes.data_as(ctypes.c_void_p) for each in (given, torques))
-        library.law(count, next(calls) == 0, memory, *addresses)
-        return torques
-
-    return law
+def call(function, given, dtype):
+    """The results of a C function for rows of arguments, shape (rows, 1)."""
+    given, found = np.ascontiguousarray(given), np.empty((len(given), 1), dtype)
+    function(len(given), *(each.ctypes.data_as(ctypes.c_void_p) for each in (given, found)))
+    return found
 
 
 @pytest.fixture(scope="module", params=POLICIES)
@@ -142,16 +125,16 @@ def observed(request):
 
 @pytest.mark.parametrize("single", [False, True])
 def test_c_network(observed, library, single):
-    act = c_policy(library(observed.policy.name, single))
-    errors = np.abs(np.array([act(each) for each in observed.observations]) - observed.actions)
+    act = library(observed.policy.name, single).act
+    errors = np.abs(np.array([call(act, each, np.float32) for each in observed.observations]) - observed.actions)
     print(f"{observed.policy.name}, C99 in {'float' if single else 'double'}: {errors.max():.2g}")
     assert errors.max() <= (1e-5 if single else 0.0)
 
 
 @pytest.mark.parametrize("name", ["direct-ppo", "residual-real"])
 def test_float_does_not_change_the_speed(library, name):
-    policy, plants = load_policy(name), load_set("paper")
-    single = wrap_policy(c_policy(library(name, True)), env_kwargs=policy.env_kwargs)
+    policy, plants, act = load_policy(name), load_set("paper"), library(name, True).act
+    single = wrap_policy(lambda seen: call(act, seen, np.float32), env_kwargs=policy.env_kwargs)
     speeds = [[each["mean_speed"] for each in evaluate(act, plants, horizon=8.0)] for act in (policy, single)]
     assert np.mean(speeds[0]) > 10.0 and np.mean(speeds[1]) == pytest.approx(np.mean(speeds[0]), abs=1e-3)
 
@@ -177,14 +160,14 @@ def test_c_law(library, name):
     states[:4] += rng.normal(size=(4, n)) * [[0.05], [0.5], [0.01], [0.05]]
     states[3, rng.random(n) < 0.3] = 0.0
     states[2, 1000:2000] = 0.3 + 0.02 * rng.normal(size=1000)
-    law, controller = c_law(library(f"baselines:{name}", False), 1), exported.law
+    found, controller = call(library(f"baselines:{name}", False).law, states.T, float)[:, 0], exported.law
     start = {"goal": 0.3, "command": 0.3, "target": states[2, 0]}
     own = tuple(start.get(field, 0.0) for field in find_task(controller.task).fields) if controller.task else ()
     memory = controller.memory
     for i, given in enumerate(states.T):
         row = (*controller.reference[i % len(controller.reference)], *own)
         torque, memory = controller.law(*given[:4].tolist(), memory, row)
-        assert law(given[None])[0] == min(max(torque, -1.5), 1.5), i
+        assert found[i] == min(max(torque, -1.5), 1.5), i
 
 
 @pytest.mark.parametrize("target", ["-O0", "-O2", "-O3", "cortex-m4"])

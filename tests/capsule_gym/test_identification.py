@@ -21,12 +21,11 @@ TRUTH = {"M": 0.6, "mu": 0.08, "m": 0.13, "l": 0.31, "k": 0.35, "c": 0.095, "vis
 OPTIONS = {"randomization": "none", "control_dt": 0.01, "capsule": Capsule(**TRUTH, motor_friction=0.06)}
 MOTOR = {"latency": 0.008, "lag": 0.004}
 WHITE = Disturbances(theta_noise=0.01, theta_dot_noise=0.1, x_dot_noise=0.01, x_dot_bias=0.01, **MOTOR)
-STATE = {"state": [0.0, 0.0, 0.0, 0.0]}
 
 
 def make_log(disturbances, seconds=20.0, **options):
     env = CapsuleEnv(**{**OPTIONS, "disturbances": disturbances, **options})
-    return record(env, Excitation(amplitude=0.4), seconds=seconds, seed=1, options=STATE)
+    return record(env, Excitation(amplitude=0.4), seconds=seconds, seed=1, options={"state": [0.0] * 4})
 
 
 @pytest.fixture(scope="module")
@@ -68,11 +67,8 @@ def test_slopes_of_predictions_equal_differences(log):
     assert (scales > 10.0).all() and np.ptp(scales / scales[0]) < 1e-9
     smooth = [n for n in range(len(unknowns)) if n >= len(problem.names) or problem.names[n] != "latency"]
     for n in smooth:
-        ends = []
-        for sign in (1.0, -1.0):
-            moved = unknowns.copy()
-            moved[n] += sign * 1e-6
-            ends.append(problem.predict(moved, slopes=False))
+        step = 1e-6 * (np.arange(len(unknowns)) == n)
+        ends = (problem.predict(moved, slopes=False) for moved in (unknowns + step, unknowns - step))
         for slope, high, low in zip((predicted, gaps), *ends, strict=True):
             inside = np.isfinite(high[..., 0])
             difference = (high[inside, 0] - low[inside, 0]) / 2e-6
@@ -262,9 +258,8 @@ def test_command_and_lost_readings(log, tmp_path):
     assert float(found["latency"][0]) == pytest.approx(0.008, abs=1e-3) and "theta_bias" in found
     # Decimal commas.
     path.write_text("t,torque,theta\n0,0,0\n0,01,0,1,0,2\n")
-    with pytest.raises(
-        ValueError, match=r"a row of log must be of one number for each of \['t', 'torque', 'theta'\], got"
-    ):
+    said = r"a row of log must be of one number for each of \['t', 'torque', 'theta'\], got"
+    with pytest.raises(ValueError, match=said):
         read_log(path)
 
 

@@ -110,13 +110,12 @@ def test_whatever_is_observed_the_estimates_stay_within_their_range(scale):
 @pytest.mark.parametrize("options", SHOWN)
 @pytest.mark.parametrize("count", [1, 70])
 def test_an_environment_shows_the_estimates_of_a_filter_of_its_observations(count, options):
-    steps = 150
     env = CapsuleVectorEnv(count, max_episode_steps=40, autoreset_mode="SAME_STEP", observe_estimates=True, **options)
     names = list(env.simulation.entries)
     first = names.index("M_estimate")
     dt, rng, memory = env.simulation.options.control_dt, np.random.default_rng(count), np.zeros((count, 9))
     (observations, _), ends = env.reset(seed=2), 0
-    for _ in range(steps):
+    for _ in range(150):
         estimates, memory = update(observations, memory, dt)
         np.testing.assert_array_equal(observations[:, first : first + 4], estimates)
         assert env.observation_space.contains(observations)

@@ -1,5 +1,3 @@
-"""The canvas, the frames, the window and the GIF: their content, and frames without a display."""
-
 import subprocess
 import sys
 from pathlib import Path

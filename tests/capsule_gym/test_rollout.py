@@ -50,8 +50,7 @@ def on_a_law():
     return make_policy(layers=layers, mean=np.zeros(14), variance=np.ones(14), env_kwargs=env_kwargs)
 
 
-NAMES = "direct-ppo", "direct-sac", "residual-ppo", "dp-distilled-wide"
-PRETRAINED = [partial(load_policy, name) for name in NAMES]
+PRETRAINED = [partial(load_policy, name) for name in ("direct-ppo", "direct-sac", "residual-ppo", "dp-distilled-wide")]
 
 
 @pytest.mark.parametrize("n", [1, 2 * LANES + 3])
