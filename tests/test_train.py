@@ -4,14 +4,17 @@ import os
 import subprocess
 import sys
 import threading
-from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
 import train
 from agents.training.presets import ENV_PRESETS, PRESETS
+from tests import ROOT
 
-ROOT = Path(train.__file__).parent
+REFUSED = {"--seed 6": "--seed must stay 5 with --resume, got 6; only --total-steps may be changed"}
+REFUSED["--row direct-ppo"] = "--row must not be given with --resume, got 'direct-ppo'"
+REFUSED["--n-epochs 3"] = "Unrecognized options: --n-epochs, 3"
 
 
 def test_another_environment_has_settings_of_its_own():
@@ -61,17 +64,10 @@ def test_resume_asks_before_it_runs_code_from_elsewhere(name, code, tmp_path, ca
     assert getattr(options.hyperparameters, name) == code
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--seed", "6"], "--seed must stay 5 with --resume, got 6; only --total-steps may be changed"),
-        (["--row", "direct-ppo"], "--row must not be given with --resume, got 'direct-ppo'"),
-        (["--n-epochs", "3"], "Unrecognized options: --n-epochs, 3"),
-    ],
-)
+@pytest.mark.parametrize(("words", "message"), REFUSED.items())
 def test_resume_refuses_other_changes(run, words, message, capsys):
     with pytest.raises(SystemExit) as stop:
-        train.main(["--resume", str(run), *words])
+        train.main(["--resume", str(run), *words.split()])
     error = capsys.readouterr().err
     assert stop.value.code == 2 and message in error and "Traceback" not in error
 
@@ -109,10 +105,7 @@ TINY = "--total-steps 64 --num-envs 8 --n-steps 8 --batch-size 32 --hidden 4 --e
 
 
 def test_a_comparison_that_cannot_be_drawn_is_left_out_before_the_training(tmp_path, monkeypatch, capsys):
-    def full(*size):
-        raise OSError("No space left on device")
-
-    monkeypatch.setattr(train, "new_figure", full)
+    monkeypatch.setattr(train, "new_figure", Mock(side_effect=OSError("No space left on device")))
     before, run = threading.excepthook, tmp_path / "run"
     assert train.main([*TINY, "--run", str(run)]) == 0
     said = "Without a comparison at the end, since figures cannot be drawn: No space left on device\n"

@@ -1,5 +1,6 @@
 import dataclasses
 import json
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -17,18 +18,13 @@ from capsule_gym.parameters import NOMINAL
 from capsule_gym.task import CONTROL_DT
 
 NAME = "dp-distilled-wide"
-TINY = {"num_envs": 3, "steps": 30, "updates": 3, "final_updates": 4, "final_parts": 2, "batch_size": 16}
-TINY |= {"learning_rate": 1e-3, "evaluation_episodes": 2}
+SIZES = {"num_envs": 3, "steps": 30, "updates": 3, "final_updates": 4, "final_parts": 2, "batch_size": 16}
+TINY = dataclasses.replace(STUDENTS[NAME], **SIZES, learning_rate=1e-3, evaluation_episodes=2)
 
 
 def collected(*, expert_share=1.0, act=None, steps=60, **settings):
     student = dataclasses.replace(STUDENTS[NAME], num_envs=4, steps=steps, **settings)
     return collect(student, np.random.default_rng(0), expert_share, act)
-
-
-@pytest.fixture
-def tiny(monkeypatch):
-    monkeypatch.setitem(STUDENTS, NAME, dataclasses.replace(STUDENTS[NAME], **TINY))
 
 
 @pytest.fixture(scope="module")
@@ -107,8 +103,8 @@ def test_a_fit_lowers_the_loss_and_the_file_acts_as_the_network(dataset, tmp_pat
     assert regrets.mean().item() / CONTROL_DT == pytest.approx(np.mean(losses[-20:]), rel=0.3)
 
 
-@pytest.mark.usefixtures("tiny")
-def test_the_same_seed_gives_the_same_policy_and_finished_runs_are_skipped(tmp_path):
+def test_the_same_seed_gives_the_same_policy_and_finished_runs_are_skipped(tmp_path, monkeypatch):
+    monkeypatch.setitem(STUDENTS, NAME, TINY)
     torch.set_num_threads(2)
     for folder in "ab":
         assert command.main([NAME, "--seeds", "0", "--runs", str(tmp_path / folder)]) == 0
@@ -124,32 +120,24 @@ def test_the_same_seed_gives_the_same_policy_and_finished_runs_are_skipped(tmp_p
 def test_the_failure_cost_decides_which_policy_is_kept(tmp_path, monkeypatch):
     evaluations = [{"mean_speed": 5.0, "failed": 0.1}, *[{"mean_speed": 6.0, "failed": 0.3}] * 3]
     for cost, kept in (4.0, 6.0), (6.0, 5.0):
-        remaining = iter(evaluations)
-        monkeypatch.setattr(dagger, "evaluate", lambda policy, plants, found=remaining: [next(found)])
-        monkeypatch.setitem(STUDENTS, NAME, dataclasses.replace(STUDENTS[NAME], **TINY, rounds=2, failure_cost=cost))
+        monkeypatch.setattr(dagger, "evaluate", Mock(side_effect=[[each] for each in evaluations]))
+        monkeypatch.setitem(STUDENTS, NAME, dataclasses.replace(TINY, rounds=2, failure_cost=cost))
         assert command.main([NAME, "--seeds", "0", "--runs", str(tmp_path / str(cost))]) == 0
         assert json.loads((tmp_path / str(cost) / NAME / "seed-0" / dagger.FINISHED).read_text())["mean_speed"] == kept
 
 
-@pytest.mark.usefixtures("tiny")
 def test_ctrl_c_keeps_the_best_policy_and_the_run_is_not_overwritten(tmp_path, monkeypatch, capsys):
-    evaluated = []
-
-    def evaluate(policy, plants):
-        evaluated.append(policy)
-        if len(evaluated) == 2:
-            raise KeyboardInterrupt
-        return [{"mean_speed": float(-len(evaluated)), "failed": 0.0}]
-
+    evaluate = Mock(side_effect=[[{"mean_speed": -1.0, "failed": 0.0}], KeyboardInterrupt])
     monkeypatch.setattr(dagger, "evaluate", evaluate)
+    monkeypatch.setitem(STUDENTS, NAME, TINY)
     words = [NAME, "--seeds", "0", "--runs", str(tmp_path)]
-    assert command.main(words) == INTERRUPTED and len(evaluated) == 2
-    folder = tmp_path / NAME / "seed-0"
+    assert command.main(words) == INTERRUPTED and evaluate.call_count == 2
+    folder, evaluated = tmp_path / NAME / "seed-0", evaluate.call_args_list[0].args[0]
     assert sorted(path.name for path in folder.iterdir()) == ["config.json", "policy.safetensors"]
     record = json.loads((folder / "config.json").read_text())
     assert record["hyperparameters"] == json.loads(json.dumps(dataclasses.asdict(STUDENTS[NAME])))
     assert record["revision"] == load_policy(folder).revision
-    kept, first = (policy(np.zeros((1, 9), np.float32)) for policy in (load_policy(folder), evaluated[0]))
+    kept, first = (policy(np.zeros((1, 9), np.float32)) for policy in (load_policy(folder), evaluated))
     assert kept.tobytes() == first.tobytes() and "kept" in capsys.readouterr().out
     with pytest.raises(SystemExit) as stop:
         command.main(words)

@@ -12,7 +12,7 @@ def still(observations):
     return np.zeros((len(observations), 1), np.float32)
 
 
-def test_command_line(world, tiny_file, capsys):
+def test_command_line_writes_results_and_keeps_existing_ones(world, tiny_file, capsys):
     out = world / "result.json"
     assert evaluate.main(["learnt", "--set", tiny_file, "--json", str(out)]) == 0
     printed = capsys.readouterr().out
@@ -23,10 +23,6 @@ def test_command_line(world, tiny_file, capsys):
     assert set(result) == {"policy", "set", "set_hash", "versions", "episodes", "summary"}
     assert (result["policy"], result["set"], result["versions"]["numpy"]) == ("learnt", "tiny", np.__version__)
     assert [e["training_seed"] for e in result["episodes"]] == [2, 2, 2, 10, 10, 10] and not list(world.glob(".*"))
-
-
-def test_command_line_keeps_existing_results(world, tiny_file, capsys):
-    out = world / "result.json"
     out.write_text("precious")
     with pytest.raises(SystemExit):
         evaluate.main(["bold", "--set", tiny_file, "--json", str(out)])

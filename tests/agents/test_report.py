@@ -1,7 +1,6 @@
 import dataclasses
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,23 +11,19 @@ from agents.training.presets import ROWS
 from baselines.drawing import BLUE, MUTED
 from baselines.evaluation.episodes import evaluate
 from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec, load_set
+from tests import ROOT
 from tests.agents.fakes import Sine, write_run
 from tests.agents.training.small import small
 from tests.figures import assert_lines, texts
 
-ROOT = Path(__file__).resolve().parents[2]
 PLANT = PlantSpec(0.6, 0.05, seed=3)
 GOAL = {"env_kwargs": {"task": "goal"}, "mean": np.zeros(8), "variance": np.ones(8)}
 GOAL["layers"] = ((np.zeros((1, 8), np.float32), np.zeros(1, np.float32)),)
+COMPARED = [("CapsuleStickSlip-v0", {}, {"M": 0.5, "mu": 0.01}, "cost of transport")]
+COMPARED += [("CapsuleGoal-v0", GOAL, {"M": 0.5, "mu": 0.2, "goal": 0.1}, "share of goals reached")]
 
 
-@pytest.mark.parametrize(
-    ("env", "options", "plant", "shown"),
-    [
-        ("CapsuleStickSlip-v0", {}, {"M": 0.5, "mu": 0.01}, "cost of transport"),
-        ("CapsuleGoal-v0", GOAL, {"M": 0.5, "mu": 0.2, "goal": 0.1}, "share of goals reached"),
-    ],
-)
+@pytest.mark.parametrize(("env", "options", "plant", "shown"), COMPARED)
 def test_a_finished_run_is_compared(tmp_path, monkeypatch, capsys, env, options, plant, shown):
     folder, set_file = tmp_path / "run", tmp_path / "two.json"
     write_run(folder, 3, **options)

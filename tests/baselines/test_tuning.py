@@ -11,6 +11,7 @@ from baselines.policies import ScriptedPolicy
 pytest.importorskip("cma")
 
 SMALL = {"POPULATION": 4, "PLANTS": 2, "TRIAL": 0.5, "VALIDATION_PLANTS": 2, "HORIZON": 0.5, "INTERVAL": 2}
+SCORES = {"pd": -1.1786, "oscillator": 12.3786, "open-loop": 7.4638, "open-loop-real": 8.6820, "gait": 14.6546}
 
 
 @pytest.fixture
@@ -83,10 +84,7 @@ def test_a_search_is_seeded_and_keeps_its_best_when_interrupted(small, monkeypat
     assert len(on_file("pd")["parameters"]) == len(on_file("pd")["start"]) and on_file("gait") == "other"
 
 
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [("pd", -1.1786), ("oscillator", 12.3786), ("open-loop", 7.4638), ("open-loop-real", 8.6820), ("gait", 14.6546)],
-)
+@pytest.mark.parametrize(("name", "expected"), SCORES.items())
 def test_the_score_of_the_start_of_a_search(name, expected):
     own = json.loads(gains.TUNED.read_text(encoding="utf-8"))[name]
     assert len(own["start"]) == len(own["units"]) == len(own["parameters"]) and min(own["units"]) > 0.0

@@ -6,11 +6,11 @@ import os
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests import ROOT
+
 HEAVY = {"torch", "stable_baselines3", "sb3_contrib", "matplotlib", "scipy", "numba", "joblib", "optuna", "mujoco"}
 # Shows the help of every command in a process of its own, forked after the shared imports.
 HELP = """

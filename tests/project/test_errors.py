@@ -58,7 +58,7 @@ KNOWN = {name: getattr(NOMINAL, name) for name in PLANT} | dict.fromkeys(OTHERS,
 GAIT = known_parameters("gait")
 GOALS, REAL = CapsuleEnv(task="goal", goal_env=True), CapsuleEnv(disturbances="real")
 ORIGIN = (0.0, 0.0, 0.0, 0.0)
-NO_SETS = ("x" * 10_000, "/dev/null", "a\0b", None)
+NO_SETS = [(n, f"^set must be one of .* got '{n!s:.4}") for n in ("x" * 10_000, "/dev/null", "a\0b", None)]
 CALLS = [
     (lambda: CapsuleEnv(randomization=Randomization(M=(0.001, 0.5), mu=(5.0, 20.0))), ValueError, "Painleve"),
     *((lambda k=k: k(0.5), TypeError, "positional") for k in (Capsule, Config, Disturbances, Randomization)),
@@ -174,10 +174,7 @@ CALLS = [
     (lambda: rollout(Simulation(2), load_policy("residual-ppo"), 9), ValueError, "policy .* 5 entries, .*takes 10"),
     (lambda: rollout(Simulation(2), load_policy("direct-ppo"), 0), ValueError, "steps must be an integer >= 1, got 0"),
     (lambda: load_set("papre"), ValueError, "^set must be one of .*, or the path of a JSON file, got 'papre'"),
-    *(
-        (lambda n=n: load_set(n), ValueError, f"^set must be one of .* got '{n!s:.4}".replace("\0", ".*"))
-        for n in NO_SETS
-    ),
+    *((lambda n=n: load_set(n), ValueError, said.replace("\0", ".*")) for n, said in NO_SETS),
     (lambda: load_policy("residual-pppo"), ValueError, r"direct-ppo, .*residual-ppo, .*did you mean 'residual-ppo'\?"),
     (lambda: load_policy("direct_ppo"), ValueError, r"direct-ppo, .*residual-ppo, .*did you mean 'direct-ppo'\?$"),
     (lambda: load_policy("direct-sac/seed-9"), ValueError, r"did you mean 'direct-sac/seed-\d'\?"),

@@ -112,9 +112,8 @@ def test_nothing_is_unpickled_that_is_not_trusted(command, hostile, monkeypatch,
 def test_what_reads_a_path_is_among_these():
     """Every command is listed as one that reads a path, or as one that does not."""
     others = {name for name in commands() if name.startswith(("benchmarks", "tests", "web"))}
-    only_written = {"agents.analysis", "agents.distillation", "agents.leaderboard"}
+    only_written = {"agents.analysis", "agents.distillation", "agents.leaderboard", "baselines.tuning"}
     only_written |= {"baselines.paper", "baselines.paper.optimal_profiles"}
-    only_written |= {"baselines.tuning"}
     assert set(commands()) == {*READERS, *others, *only_written}
 
 

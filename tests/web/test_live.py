@@ -5,17 +5,18 @@ import os
 import re
 import shutil
 import subprocess
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from capsule_gym import CapsuleEnv, Disturbances, load_policy
 from capsule_gym.evaluation_sets import SET_NAMES, load_set
+from tests import ROOT
 from web import build, data, episodes
 
-ROOT = Path(__file__).resolve().parents[2]
 COMMITTED = json.loads(episodes.FILE.read_text(encoding="utf-8"))
+TASKS = [("goal", {"goal": -0.07}, {"x_noise": 0.001})]
+TASKS += [("velocity", {"commands": [{"t": 0.0, "v": 0.05}, {"t": 4.0, "v": -0.08}]}, {"x_dot_bias": 0.02})]
 
 
 @pytest.fixture(scope="session")
@@ -182,13 +183,7 @@ def test_disturbances_are_drawn_and_set_as_in_python(node):
     assert 0.002 <= drawn[0] <= 0.011 and drawn[1] == 0.007
 
 
-@pytest.mark.parametrize(
-    ("task", "options", "disturbances"),
-    [
-        ("goal", {"goal": -0.07}, {"x_noise": 0.001}),
-        ("velocity", {"commands": [{"t": 0.0, "v": 0.05}, {"t": 4.0, "v": -0.08}]}, {"x_dot_bias": 0.02}),
-    ],
-)
+@pytest.mark.parametrize(("task", "options", "disturbances"), TASKS)
 def test_tasks_have_pythons_observations_and_metrics(node, task, options, disturbances):
     env = CapsuleEnv(task=task, controller=f"baselines:{task}_pulses", disturbances=Disturbances(**disturbances))
     observation, info = env.reset(seed=3, options={"M": 0.5, "mu": 0.2, **options})

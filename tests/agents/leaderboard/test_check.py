@@ -11,12 +11,20 @@ from capsule_gym import evaluation_sets
 from tests.agents.fakes import write_run
 from tests.agents.leaderboard.world import checked, edit_row, evaluated_again, make_set, table
 
+WRONG = {"--check --plants 0": "--plants", "--plants 5": "--plants", "lernt": "got lernt; did you mean 'learnt'?"}
+WRONG["pd --from-results"] = "--from-results must be given without names, got 'pd'"
+WRONG["pd"] = "adaptive: no results in adaptive.npz; `python -m agents.leaderboard NAME` writes them"
 
-def test_written_results_pass_the_check(written):
+
+def test_written_results_pass_the_check_and_the_chart_is_stale_if_a_drawn_number_changes(written):
     assert checked(written) == [] and evaluated_again(written, *policies.all_candidates()) == []
     assert not list(written.glob(".*")) and not list((written / RESULTS).glob(".*"))
     readme = (written / "README.md").read_text()
     assert readme.startswith("# Title\n\n<!--") and readme.count("\n\nBetween.\n\n") == 1 and "Torque as a" in readme
+    before = (written / CHART).read_text()
+    edit_row(written, "pd", lambda row: row.scores["real"][0].fill(1.0))
+    (written / CHART).write_text(before)
+    assert checked(written) == [f"{CHART} differs from the results"]
 
 
 def test_the_published_pages_and_the_first_episodes_of_policies_are_those_of_the_results():
@@ -52,13 +60,6 @@ def test_check_names_stale_pages(written, name):
     assert checked(written) == [f"{name} differs from the results"]
     (written / name).write_text(text)
     assert checked(written) == []
-
-
-def test_the_chart_is_stale_if_a_drawn_number_changes(written):
-    before = (written / CHART).read_text()
-    edit_row(written, "pd", lambda row: row.scores["real"][0].fill(1.0))
-    (written / CHART).write_text(before)
-    assert checked(written) == [f"{CHART} differs from the results"]
 
 
 @pytest.mark.parametrize("name", ["learnt", "rocking"])
@@ -139,17 +140,8 @@ def test_finished_rows_survive_an_interruption(main, world, monkeypatch, capsys)
     assert "Stopped. The rows that were finished are kept" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--check", "--plants", "0"], "--plants"),
-        (["--plants", "5"], "--plants"),
-        (["lernt"], "got lernt; did you mean 'learnt'?"),
-        (["pd", "--from-results"], "--from-results must be given without names, got 'pd'"),
-        (["pd"], "adaptive: no results in adaptive.npz; `python -m agents.leaderboard NAME` writes them"),
-    ],
-)
+@pytest.mark.parametrize(("words", "message"), WRONG.items())
 def test_wrong_options_are_named(main, words, message, capsys):
     with pytest.raises(SystemExit) as stop:
-        main(*words)
+        main(*words.split())
     assert stop.value.code == 2 and message in capsys.readouterr().err

@@ -1,5 +1,4 @@
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,21 +8,13 @@ from agents.leaderboard.chart import contents, draw
 from agents.leaderboard.page import _section, grouped, message
 from baselines.drawing import BLUE, VERMILION
 from baselines.evaluation.policies import Candidate
+from tests import ROOT
 from tests.agents.leaderboard.world import checked, edit_row, read, table
 from tests.figures import assert_bars, texts
-
-ROOT = Path(__file__).resolve().parents[3]
 
 
 def row_of(board, name):
     return next(row for row in board["rows"] if row["policy"] == name)
-
-
-def test_the_committed_board_has_a_place_for_every_row_and_the_pages_show_it():
-    board = read(ROOT)
-    assert list(grouped(board)) == list(page.GROUPS)
-    for name, text in page.files(ROOT, board).items():
-        assert (ROOT / name).read_text(encoding="utf-8") == text, name
 
 
 def clearly(board, faster, slower, on):
@@ -33,8 +24,11 @@ def clearly(board, faster, slower, on):
     return first["mean"] - second["mean"] >= widths
 
 
-def test_the_message_is_true_of_the_committed_board():
+def test_the_committed_board_has_a_place_for_every_row_and_the_pages_and_the_message_are_true_of_it():
     board = read(ROOT)
+    assert list(grouped(board)) == list(page.GROUPS)
+    for name, text in page.files(ROOT, board).items():
+        assert (ROOT / name).read_text(encoding="utf-8") == text, name
     assert clearly(board, "open-loop", "adaptive", "paper") and clearly(board, "pd", "open-loop", "paper")
     assert all(clearly(board, name, "pd", "paper") for name in page.PERFECT)
     # With real sensors all of these but LQR fall below the PD.
@@ -47,12 +41,14 @@ def test_the_message_is_true_of_the_committed_board():
     assert len(numbers) == 9 and np.isfinite(numbers).all()
 
 
-def test_ranking_is_by_the_mean_and_shows_the_worst_seed(written):
+def test_ranking_is_by_the_mean_with_the_worst_seed_and_the_difference_to_the_base(written, monkeypatch):
     def fail_once(row):
+        row.header.update(base="pd")
         # A single bad seed in 3 episodes changes the mean, but not the interquartile mean of the set.
         row.scores["paper"][0] = [[9.0, 9.0, 9.0], [9.0, 9.0, -60.0]]
         row.scores["paper"][row.header["metrics"].index("failed")] = [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
 
+    monkeypatch.setattr(Candidate, "base", property(lambda self: "pd" if self.trained else None))
     edit_row(written, "learnt", fail_once)
     board = read(written)
     speed = row_of(board, "learnt")["results"]["paper"]["mean_speed"]
@@ -64,16 +60,10 @@ def test_ranking_is_by_the_mean_and_shows_the_worst_seed(written):
     header, _, *lines = table(text, "On the set `paper`")
     (line,) = (line for line in lines if line[0] == "learnt")
     assert (line[header.index("worst seed (cm/s)")], line[header.index("failed")]) == ("-14.00", "1/6")
-
-
-def test_the_difference_to_the_base_names_its_set(written, monkeypatch):
-    monkeypatch.setattr(Candidate, "base", property(lambda self: "pd" if self.trained else None))
-    edit_row(written, "learnt", lambda row: row.header.update(base="pd"))
-    board = read(written)
     rows = [row_of(board, name) for name in ("learnt", "pd")]
     speeds = [row["results"]["real"]["mean_speed"]["mean"] for row in rows]
     assert rows[0]["minus_base"]["real"]["mean"] == pytest.approx(speeds[0] - speeds[1], abs=1e-4)
-    header, _, *lines = table((written / "LEADERBOARD.md").read_text(), "On the set `real`")
+    header, _, *lines = table(text, "On the set `real`")
     column = header.index("difference to base law on `real`")
     assert [line[0] for line in lines if line[column] != "-"] == ["learnt"]
 

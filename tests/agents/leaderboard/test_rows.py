@@ -10,15 +10,11 @@ from baselines.evaluation.policies import find_candidate
 from tests.agents.leaderboard.world import HORIZON, SETS, make_set
 
 
-@pytest.fixture
-def row(world):
+def test_a_row_holds_every_number_of_its_episodes_and_a_malformed_file_raises_an_error(world):
     (row,) = evaluate([find_candidate("learnt")], SETS, horizon=HORIZON)
-    return row
-
-
-def test_a_row_holds_every_number_of_its_episodes(row, world):
-    save_row(world / "results", row)
-    found = load_row(world / "results" / "learnt.npz")
+    folder, path = world / "results", world / "results" / "learnt.npz"
+    save_row(folder, row)
+    found, whole = load_row(path), path.read_bytes()
     assert found.header == row.header and found.trained
     assert set(found.header["versions"]) >= {"capsule_gym", "python", "numpy"}
     for each in SETS:
@@ -29,13 +25,6 @@ def test_a_row_holds_every_number_of_its_episodes(row, world):
         assert found.score(each.name, "mean_speed").ravel().tolist() == [e["mean_speed"] for e in expected]
     with pytest.raises(ValueError, match=f"learnt: the hash of the set paper is {SETS[1].hash} in its results and "):
         found.episodes(make_set("paper", (0.5, 0.02)))
-
-
-def test_malformed_files_raise_an_error(row, world):
-    folder = world / "results"
-    save_row(folder, row)
-    path = folder / "learnt.npz"
-    whole = path.read_bytes()
     array = io.BytesIO()
     np.lib.format.write_array_header_1_0(array, {"descr": "<f8", "fortran_order": False, "shape": (2**50,)})
     with zipfile.ZipFile(path, "w") as archive:

@@ -98,19 +98,13 @@ def test_action_noise_has_its_deviation_and_correlation_time(noise_time):
     assert later == pytest.approx(math.exp(-1.0) if noise_time else 0.0, abs=0.08)
 
 
-WRAPPERS = "tests.agents.training.wrappers"
+WRONG = {"Missing": "has no attribute 'Missing'", "np": "--wrapper must be MODULE:ATTRIBUTE of a gymnasium.Wrapper"}
+WRONG |= {"TwoArguments": "weight", "Unpicklable": "must be picklable"}
 
 
-@pytest.mark.parametrize(
-    ("name", "reason"),
-    [
-        (f"{WRAPPERS}:Missing", "has no attribute 'Missing'"),
-        (f"{WRAPPERS}:np", "--wrapper must be MODULE:ATTRIBUTE of a gymnasium.Wrapper"),
-        (f"{WRAPPERS}:TwoArguments", "weight"),
-        (f"{WRAPPERS}:Unpicklable", "must be picklable"),
-    ],
-)
-def test_a_wrong_wrapper_is_an_error_of_the_command_line(name, reason, tmp_path, capsys):
+@pytest.mark.parametrize(("attribute", "reason"), WRONG.items())
+def test_a_wrong_wrapper_is_an_error_of_the_command_line(attribute, reason, tmp_path, capsys):
+    name = f"tests.agents.training.wrappers:{attribute}"
     words = ["--task", "direct", "--num-envs", "2", "--wrapper", name, "--run", str(tmp_path / "run")]
     assert command_line.main(words) == 2
     error = capsys.readouterr().err.splitlines()[-1]

@@ -47,16 +47,12 @@ def test_a_run_folder_holds_what_a_policy_needs(tmp_path, capsys, monkeypatch):
     with pytest.raises(FileExistsError):
         begin(run, config)
     content = json.loads((run / "config.json").read_text())
-    assert (content["algo"], content["seed"], content["env"]["controller"]) == (
-        "ppo",
-        0,
-        "baselines:adaptive",
-    ) and content["revision"]
+    named = content["algo"], content["seed"], content["env"]["controller"]
+    assert named == ("ppo", 0, "baselines:adaptive") and content["revision"]
     assert {"torch", "stable-baselines3", "numpy", "gymnasium"} <= set(content["versions"])
     steps = [int(row["steps"]) for row in rows(run / "evaluations.csv")]
     assert steps == [256, 512, 768] and parameters(run / "best/model.zip") != parameters(run / "model.zip")
     assert log(run)[768]["evaluation/score"] and list((run / "logs").glob("events*"))
-
     policy = load_policy(run)
     assert json.loads(json.dumps(policy.env_kwargs)) == content["env"]
     assert (policy.training_seed, policy.revision) == (0, content["revision"])
@@ -68,16 +64,11 @@ def test_a_run_folder_holds_what_a_policy_needs(tmp_path, capsys, monkeypatch):
 
 RANGES = {"mass_range": (0.42, 0.44), "friction_range": (0.06, 0.07)}
 WRAPPED = {"wrapper": ("tests.agents.training.wrappers:Swing",), "randomization": "real", **RANGES}
+JUDGED = [("CapsuleGoal-v0", "goal_time_s", changes) for changes in ({"static_ratio": 1.5, **RANGES}, WRAPPED)]
+JUDGED += [("CapsuleVelocity-v0", "velocity_error_percent", {"command_range": (0.05, 0.06)})]
 
 
-@pytest.mark.parametrize(
-    ("env", "column", "changes"),
-    [
-        ("CapsuleGoal-v0", "goal_time_s", {"static_ratio": 1.5, **RANGES}),
-        ("CapsuleVelocity-v0", "velocity_error_percent", {"command_range": (0.05, 0.06)}),
-        ("CapsuleGoal-v0", "goal_time_s", WRAPPED),
-    ],
-)
+@pytest.mark.parametrize(("env", "column", "changes"), JUDGED)
 def test_a_run_in_another_environment_is_judged_by_its_task(tmp_path, monkeypatch, env, column, changes):
     task = preset(env, "direct", "ppo").env_task
     settings = {**SMALL, "n_steps": 32, "n_epochs": 1, "total_steps": 768, "evaluate_every": 256, **changes}

@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -201,11 +202,8 @@ def test_what_cannot_be_trained_makes_no_folder(tmp_path, capsys, arguments):
 
 
 def test_a_folder_that_got_no_configuration_can_be_started_again(tmp_path, monkeypatch):
-    def full(path, text):
-        raise OSError(28, "No space left on device", str(path))
-
     with monkeypatch.context() as patch:
-        patch.setattr(loop, "write_atomically", full)
+        patch.setattr(loop, "write_atomically", Mock(side_effect=OSError(28, "No space left on device")))
         with pytest.raises(OSError, match="No space left"):
             begin(tmp_path / "run", small("ppo"))
     begin(tmp_path / "run", small("ppo"))

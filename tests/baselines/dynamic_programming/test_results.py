@@ -1,5 +1,4 @@
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,8 +14,7 @@ from baselines.evaluation.episodes import evaluate
 from baselines.policies import SCRIPTED
 from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec
 from capsule_gym.parameters import Capsule
-
-ROOT = Path(__file__).resolve().parents[3]
+from tests import ROOT
 
 
 def test_trajectories_give_the_speeds_on_file_to_the_last_bit():

@@ -1,3 +1,1 @@
-from tests.agents.conftest import tiny_file, world
-
-__all__ = ["tiny_file", "world"]
+from tests.agents.conftest import world as world

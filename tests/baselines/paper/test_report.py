@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,10 +10,9 @@ from baselines import drawing
 from baselines.paper import __main__ as paper
 from baselines.paper import figures, published, report, tracking
 from baselines.paper.adaptive import sliding
+from tests import ROOT
 
 matplotlib = pytest.importorskip("matplotlib")
-
-ROOT = Path(__file__).resolve().parents[3]
 # Other versions draw other letters.
 PINNED = f"matplotlib=={matplotlib.__version__} ; python_version >=" in (ROOT / "constraints.txt").read_text()
 
@@ -59,9 +57,8 @@ def test_the_claims_about_a_law_that_does_what_they_say_hold(made, share, holds)
     errors[-1, :, 1:] = 0.05
     errors[-1, 2, 1] = share
     own = {"laws": [law] * 3, "variants": [(0.01, 1.0, 1, 1000, 0)], "long_runs": errors}
-    own["tracking"] = {
-        name: {"newton": {**by["newton"], "backward_ratio": share}} for name, by in made["tracking"].items()
-    }
+    tracked = made["tracking"].items()
+    own["tracking"] = {name: {"newton": {**by["newton"], "backward_ratio": share}} for name, by in tracked}
     judged = [each for _, each in report.judge_claims({**made, **own}).values()]
     assert judged == [False, True, True, holds, True, True, True, holds, True]
 

@@ -15,6 +15,7 @@ EXPECTED = [
     ("(27)", "0.895", "0.9", True), ("(27)", "2.113", "2.122", True), ("(28)", "5.63", "1.7", False),
     ("(29)", "2.68", "0.563", False), ("(30)", "5.80", "5.8", True), ("(31)", "6.60", "6.6", True),
 ]  # fmt: skip
+RUNS = {"proposed": (PROPOSED, 1.384, 1.2513, 1.380, 2.412), "EPC": (EPC, 1.627, 2.2085, 1.792, 2.664)}
 
 
 @pytest.fixture(scope="module")
@@ -23,11 +24,7 @@ def maps():
     return [speed_map(profile, M, mu) for profile in (PROPOSED, EPC)]
 
 
-@pytest.mark.parametrize(
-    ("profile", "speed", "torque", "energy", "transport"),
-    [(PROPOSED, 1.384, 1.2513, 1.380, 2.412), (EPC, 1.627, 2.2085, 1.792, 2.664)],
-    ids=["proposed", "EPC"],
-)
+@pytest.mark.parametrize(("profile", "speed", "torque", "energy", "transport"), RUNS.values(), ids=RUNS)
 def test_law_reproduces_exact_tracking(profile, speed, torque, energy, transport):
     run = track(profile)
     assert (run["mean_speed"], run["peak_torque"]) == pytest.approx((speed, torque), rel=2e-3)
