@@ -123,3 +123,11 @@ def test_an_inherited_environment_keeps_no_command_from_its_work(tmp_path):
     for command in (words, [sys.executable, "-c", "import train; assert train._can_draw()"]):
         done = subprocess.run(command, cwd=ROOT, env={**inherited, **kept}, capture_output=True, text=True)
         assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_signal_before_the_training_ends_the_process_at_once():
+    code = "import signal; from agents.training.signals import QuietExit; QuietExit().install()"
+    for name in ("SIGINT", "SIGTERM"):
+        command = [sys.executable, "-c", f"{code}; print(1); signal.raise_signal(signal.{name}); print(2)"]
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stdout, done.stderr) == (130, "1\n", "\nStopped.\n")

@@ -163,6 +163,24 @@ def test_the_posterior_follows_a_curve_of_lag_and_latency(monkeypatch):
     assert np.std(samples[:, 1] - (0.6 - 0.5 * samples[:, 0] ** 3)) == pytest.approx(0.01, rel=0.1)
 
 
+def test_the_posterior_of_a_likelihood_that_jumps_begins_where_it_may_jump(monkeypatch):
+    def residuals(self, u, *_, **__):
+        share = u[0] if "static_ratio" in self.names else np.log(self.known["static_ratio"]) / np.log(1.5)
+        jacobian = np.array([[0.0, 0.0, 0.0], [0.0, 40.0, 0.0], [0.0, 0.0, 5.0]])
+        r = np.array([10.0 * (share < 0.45), 40.0 * (u[-2] - 0.6), 5.0 * u[-1]])
+        return r, jacobian[:, 3 - len(u) :]
+
+    monkeypatch.setattr(Problem, "residuals", residuals)
+    problem = Problem(make_small_problem().log, {"static_ratio": (1.0, 1.5), "latency": (0, 0.02)}, False, {}, 3e-3)
+    samples, found = problem.posterior(np.array([0.9, 0.5, 0.0]))
+    np.testing.assert_allclose(found[1:], [0.6, 0.0], atol=2e-3)
+    # The third of seven nodes is the last one before the jump; the prior is uniform in the ratio itself.
+    low, ratios = 1.5 ** (1.0 / 3.0), 1.5 ** samples[:, 0]
+    assert found[0] > 0.45 and low - 1e-3 < ratios.min() < low + 1e-3 and ratios.max() > 1.499
+    assert ratios.mean() == pytest.approx((low + 1.5) / 2.0, abs=0.006)
+    assert samples[:, 1].mean() == pytest.approx(0.6, abs=2e-3) and samples[:, 1].std() == pytest.approx(0.025, rel=0.1)
+
+
 def test_chi2_is_what_past_torques_and_the_motion_explain_of_the_residuals():
     problem, rng = make_small_problem(x_dot=np.where(np.arange(400) % 5 == 0, np.nan, T)), np.random.default_rng(2)
     motion, u, n = rng.normal(size=(400, 2)), problem.log["torque"], np.arange(2, 400)

@@ -133,3 +133,6 @@ def test_a_grid_extends_beyond_the_trajectories():
     # At theta = 0 y is x_dot / q, and w is that minus theta_dot: from 1 to 9, and from 2 to 3.
     states = np.array([[[0.0, -1.0, 0.0, 0.1]], [[0.0, 6.0, 0.0, 0.9]]]).transpose(0, 2, 1)
     assert solver.ranges(SimpleNamespace(states=states), 0.1) == ((-1.4, 11.4), (1.0, 4.0))
+    # The 400 nodes along s and w are divided by 0.7 times the ratio of these ranges, between 1 / 4 and 3.2.
+    for y, shape in ((100.0, (10, 36, 11)), (1.0, (10, 17, 24)), (0.1, (10, 10, 40))):
+        assert solver.divide_nodes((10, 20, 20), (0.0, y), (0.0, 1.0)) == shape
