@@ -1,6 +1,7 @@
 import re
 from dataclasses import dataclass
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from matplotlib.colors import to_hex
 
 from agents.analysis import __main__ as analysis
 from agents.analysis import limit_cycle, sensitivity, statistics
-from baselines.drawing import BLUE, GREEN, INK, MUTED
+from baselines.drawing import BLUE, GREEN, INK, MUTED, new_figure
 from baselines.dynamic_programming.archive import optimal_front
 from baselines.evaluation.policies import Candidate, find_candidate
 from baselines.evaluation.statistics import estimate
@@ -133,3 +134,14 @@ def test_policies_are_named_at_their_cost_and_speed_without_overlap():
     np.testing.assert_allclose(front.get_xydata(), list(optimal_front()))
     np.testing.assert_allclose(across.get_xydata(), [[2.0, speed.value]] * 2)
     np.testing.assert_allclose(along.get_xydata(), [[2.0, speed.low], [2.0, speed.high]])
+
+
+def test_tables_and_figures_are_written_and_up_to_date(tmp_path, monkeypatch, capsys):
+    made = SimpleNamespace(document=lambda: ({"speeds": "|a|"}, {"one": lambda: new_figure(1.0)}))
+    monkeypatch.setattr(analysis, "DOCUMENTS", {"statistics": made})
+    assert analysis.main(["--output", str(tmp_path / "new")]) == 0
+    assert capsys.readouterr().out == "Written: statistics\n"
+    found = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.*")}
+    assert found == {"new/statistics_tables.md", "new/figures/one.png", "new/figures/one.svg"}
+    assert "[start:speeds] -->\n|a|\n" in (tmp_path / "new/statistics_tables.md").read_text(encoding="utf-8")
+    assert analysis.main(["--check", "--output", str(tmp_path / "new")]) == 0
