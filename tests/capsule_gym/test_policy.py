@@ -41,6 +41,7 @@ def test_a_file_gives_back_what_was_saved(tmp_path):
         if field.name != "name":
             np.testing.assert_equal(getattr(loaded, field.name), getattr(policy, field.name))
     assert loaded(OBSERVATIONS).tobytes() == policy(OBSERVATIONS).tobytes() and loaded.name == tmp_path.name
+    assert "array(" not in repr(loaded)
     again = pickle.loads(pickle.dumps(loaded))
     again.save(tmp_path / "again")
     assert (tmp_path / "again").read_bytes() == (tmp_path / POLICY).read_bytes()
