@@ -216,6 +216,9 @@ def find_controller(controller: str | Controller | Callable[[], Controller] | No
         TypeError: if the argument or the object that it names is not of an accepted type.
         ValueError: if the import string names a module or attribute that does not exist.
     """
+    if isinstance(controller, Controller):
+        # Before the texts of errors, for which its whole table would be printed.
+        return controller
     accepted = "None, a Controller, a function that returns one, or an import string 'module:attribute'"
     must = f"controller must be {accepted}, got {short_repr(controller)}"
     found: Any = controller
