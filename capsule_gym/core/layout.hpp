@@ -141,6 +141,7 @@ struct Argument {
   operator double() const { return __builtin_bit_cast(double, bits); }
   template <class T> operator T*() const { return (T*)bits; }
 };
+constexpr int MOST_ARGUMENTS = 7;
 // Calls a function by its name. Returns the index of an environment whose law has failed, -1, or UNKNOWN.
 typedef long long Call(const char* function, const Argument* arguments);
 constexpr long long UNKNOWN = -2;  // there is no function of this name

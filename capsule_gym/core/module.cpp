@@ -61,8 +61,9 @@ PyObject* select_level(PyObject*, PyObject* place) {
 // call(name, *arguments) -> index of an environment whose law has failed, or -1: a function of level.cpp with whole and
 // real numbers and addresses. To release the lock takes longer than a step of one environment.
 template <bool releases> PyObject* call(PyObject*, PyObject* const* args, Py_ssize_t count) {
+  if (count < 1 || count > 1 + MOST_ARGUMENTS) return PyErr_Format(PyExc_TypeError, "call got %zd arguments", count);
   const char* name = PyUnicode_AsUTF8AndSize(args[0], nullptr);
-  auto* arguments = (Argument*)__builtin_alloca(count * sizeof(Argument));
+  Argument arguments[MOST_ARGUMENTS] = {};
   for (Py_ssize_t i = 1; i < count; i++)
     arguments[i - 1].bits =
         PyFloat_Check(args[i]) ? __builtin_bit_cast(long long, PyFloat_AsDouble(args[i])) : PyLong_AsLongLong(args[i]);
