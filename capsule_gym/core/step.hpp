@@ -63,12 +63,12 @@ template <class T, int N> struct Step {
   template <class Task> void run(bool begin) {
     if (begin && varied) disturbed.begin();
     if (!begin_step(begin) && begin) return;
-    if (begin) start_task<Task>();
     int ticks = begin ? 1 : (int)q.law_steps;
     for (int tick = 0; tick < ticks; tick++) {
       if (!begin) hold_torque();
       // Law and agent observe a past state with sensor errors.
       if (varied) disturbed.measure(begin, tick + 1 == ticks);
+      if (begin) start_task<Task>();
       call_law(begin ? 0.0 : 1.0);
     }
     if (!begin) finish_step<Task>();
@@ -307,10 +307,13 @@ template <class T, int N> struct Step {
 
   template <class Task> NOINLINE void start_task() {
     EACH {
-      auto m = load_record<typename Task::template Memory<T>, T, N>(task, j);
-      Task::begin(GET(x), m);
-      store_record<T, N>(task, j, m, GET(active) != 0.0);
-      if (varied) store_record<T, N>(read_task, j, m, GET(active) != 0.0);
+      auto begin = [&](double* memory, T observed_x) {
+        auto m = load_record<typename Task::template Memory<T>, T, N>(task, j);
+        Task::begin(GET(x), observed_x, m);
+        store_record<T, N>(memory, j, m, GET(active) != 0.0);
+      };
+      if (varied) begin(read_task, GET(read_x));
+      begin(task, GET(x));
     }
   }
 

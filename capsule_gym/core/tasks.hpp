@@ -1,6 +1,7 @@
 // The tasks. A task is a struct with the names of its memory, and functions for the start of an episode, the reward at
 // the end of an agent step, and its entries of the observation. The memory's last fields are the numbers that an
-// episode draws. The reward takes x, x_dot, the displacement in the step, the step, and the largest |x_dot| at rest.
+// episode draws. The start takes x, true and as the memory observes it; the reward takes x, x_dot, the displacement in
+// the step, the step, and the largest |x_dot| at rest.
 #pragma once
 #include "elementary.hpp"
 
@@ -14,7 +15,7 @@ struct Speed {
   static constexpr const char* FIELDS = "";
   template <class T> struct Memory {};
 
-  template <class T> static INLINE void begin(T, Memory<T>&) {}
+  template <class T> static INLINE void begin(T, T, Memory<T>&) {}
 
   // Centimetres of forward progress.
   template <class T> static INLINE T reward(T, T, T moved, double, double, Memory<T>&) { return 100.0 * moved; }
@@ -36,9 +37,9 @@ struct Goal {
   template <class T> struct Memory { GOAL_MEMORY(CAPSULE_NUMBER) };
 
   // Places the goal at the drawn displacement from the platform.
-  template <class T> static INLINE void begin(T x, Memory<T>& memory) {
+  template <class T> static INLINE void begin(T x, T observed_x, Memory<T>& memory) {
     T displacement = memory.displacement;
-    memory = {x + displacement, displacement, 0.0, 0.0, 0.0, displacement};
+    memory = {x + displacement, displacement + (x - observed_x), 0.0, 0.0, 0.0, displacement};
   }
 
   // The reward per second for an error and, 1.0 or 0.0, rest.
@@ -94,8 +95,8 @@ struct Velocity {
   };
 
   // Sets the first command, with the target at the platform.
-  template <class T> static INLINE void begin(T x, Memory<T>& m) {
-    m.command = m.v[0], m.target = x, m.lasts = m.lasts_for[0];
+  template <class T> static INLINE void begin(T, T observed_x, Memory<T>& m) {
+    m.command = m.v[0], m.target = observed_x, m.lasts = m.lasts_for[0];
     m.error = m.speed = m.since = m.measured_from = m.measured_x = m.settled = 0.0;
     m.missed = m.commanded = m.measured = m.unsettled = 0.0;
   }

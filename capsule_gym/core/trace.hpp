@@ -109,7 +109,7 @@ inline PyObject* trace(PyObject*, PyObject* arguments) {
   auto trace_task = [&]<class Task>() {
     auto memory = given<typename Task::template Memory<Trace>>();
     Trace x = given<Trace>();
-    if (is("begin")) Task::begin(x, memory);
+    if (is("begin")) Task::begin(x, x, memory);
     else {
       Trace before = given<Trace>();
       auto begun = given<Trace>() != 0.0;

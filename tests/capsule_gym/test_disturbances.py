@@ -162,9 +162,10 @@ def test_goals_are_seen_through_the_sensors(controls, law, agent, x_noise):
     options = {"state": [0.0, 0.0, 2.0, 0.0], "goal": 0.001, "mu": 0.4, "disturbances": {"latency": 0.007}}
     infos = run(env, np.concatenate([np.zeros((20, 1, 1)), swing(100)]).astype(np.float32), seed=4, options=options)
     assert infos[0]["disturbances"]["latency"] == 0.007
-    held, last = np.zeros(2), 0.001 * np.ones(2)
+    held = np.zeros(2)
     for n, info in enumerate(infos):
         seen = np.array([[info["state"][2], info["state"][3]], [info["reading"][2], info["reading"][3]]])
+        last = last if n else 2.001 - seen[:, 0]
         expected = 0.1 * last + 0.01 * held + 0.001 * (2.001 - seen[:, 0])
         assert info["law_torque"] == pytest.approx(expected[law], abs=1e-12)
         if n > 0:
@@ -183,11 +184,13 @@ def test_goals_are_seen_through_the_sensors(controls, law, agent, x_noise):
 def test_velocities_are_seen_through_the_sensors(x_noise):
     env = CapsuleEnv(task="velocity", disturbances=replace(REAL, x_noise=x_noise))
     commands = [{"t": 0.0, "v": 0.05}, {"t": 0.4, "v": -0.1}]
-    target = speed = before = true_target = 0.0
+    speed = before = true_target = 0.0
     differences = []
     for n, info in enumerate(run(env, 0.5 * swing(100), seed=4, options={"commands": commands})):
         x, entries = info["reading"][2], info["observation"][-3:]
-        if n > 0:
+        if n == 0:
+            target = x
+        else:
             # The command before this step.
             v = 0.05 if n <= 20 else -0.1
             target = x if n == 20 else x + np.clip(target + 0.02 * v - x, -0.3, 0.3)
@@ -195,8 +198,8 @@ def test_velocities_are_seen_through_the_sensors(x_noise):
             true_x = info["state"][2]
             true_target = true_x if n == 20 else true_x + np.clip(true_target + 0.02 * v - true_x, -0.3, 0.3)
             assert info["error"] == pytest.approx(true_target - true_x, abs=1e-12)
-            expected = [np.tanh((target - x) / 0.05), np.tanh((target - x) / 0.2), np.clip(speed, -2.0, 2.0)]
-            np.testing.assert_allclose(entries, expected, rtol=1e-5, atol=1e-7)
+        expected = [np.tanh((target - x) / 0.05), np.tanh((target - x) / 0.2), np.clip(speed, -2.0, 2.0)]
+        np.testing.assert_allclose(entries, expected, rtol=1e-5, atol=1e-7)
         before = x
         differences.append(abs(target - x - true_target + info["state"][2]))
     assert max(differences) > 1e-3 and len(differences) > 25
