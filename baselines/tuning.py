@@ -121,15 +121,16 @@ def main(law: Positional[Name], generations: Count = 200, seed: Count = 0, step:
     if law != "lqr":
         tune(law, generations, seed, step)
         return
-    best = -math.inf
+    # Only the best of all designs replaces the one on file.
+    best, chosen = -math.inf, dict[str, list]()
     for content in lqr.candidates():
         regulator = ScriptedPolicy("lqr", "", {}, partial(lqr.start, regulator=lqr.interpolate(content)))
         reached, metrics = score(regulator, REAL, VALIDATION_SEED, VALIDATION_PLANTS // 4, HORIZON)
         print(f"{len(content['torques'])} control intervals: score {reached:.3f}; {metrics}", flush=True)
         if reached > best:
-            best = reached
-            lines = ",\n".join(f' "{name}": {json.dumps(values)}' for name, values in content.items())
-            write_atomically(lqr.FILE, "{\n" + lines + "\n}\n")
+            best, chosen = reached, content
+    lines = ",\n".join(f' "{name}": {json.dumps(values)}' for name, values in chosen.items())
+    write_atomically(lqr.FILE, "{\n" + lines + "\n}\n")
 
 
 if __name__ == "__main__":

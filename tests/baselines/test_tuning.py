@@ -95,9 +95,13 @@ def test_the_regulator_with_the_best_score_is_written(monkeypatch, tmp_path):
     committed = lqr.FILE.read_text(encoding="utf-8")
     best, lazy = json.loads(committed), json.loads(committed)
     lazy["gains"] = [[0.0] * 3 for _ in lazy["gains"]]
-    monkeypatch.setattr(lqr, "candidates", lambda: iter([lazy, best, lazy]))
     monkeypatch.setattr(lqr, "FILE", tmp_path / "lqr.json")
     for name, value in (("VALIDATION_PLANTS", 32), ("HORIZON", 5.0)):
         monkeypatch.setattr(tuning, name, value)
+    monkeypatch.setattr(lqr, "candidates", lambda: map(dict, (lazy, None)))
+    with pytest.raises(TypeError):
+        tuning.main(["lqr"])
+    assert not lqr.FILE.exists()
+    monkeypatch.setattr(lqr, "candidates", lambda: iter([lazy, best, lazy]))
     assert tuning.main(["lqr"]) == 0
     assert lqr.FILE.read_text(encoding="utf-8") == committed
