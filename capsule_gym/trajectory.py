@@ -105,11 +105,11 @@ def sensitivity(
         raise TypeError(f"torques must be {accepted}, got {short_repr(torques)}") from None
     require(commands.ndim == 1 and bool((np.abs(commands) <= LARGEST_TORQUE).all()), "torques", accepted, torques)
     inputs = np.concatenate([constant_inputs(capsule), start, commands])
-    identity, first = np.eye(len(inputs)), len(_core.TRAJECTORY)
-    directions = {name: identity[:, n : n + 1] for n, name in enumerate(PLANT)}
-    directions["torque"] = np.where(np.arange(len(inputs)) < first, 0.0, inputs)[:, None]
-    directions |= {"torques": identity[:, first:], "state": identity[:, first - 4 : first]}
-    known = tuple(directions)
+    first = len(_core.TRAJECTORY)
+    # The first input, and the number of inputs, of each name.
+    spans = {name: (n, 1) for n, name in enumerate(PLANT)}
+    spans |= {"torque": (first, 1), "torques": (first, len(commands)), "state": (first - 4, 4)}
+    known = tuple(spans)
     if isinstance(wrt, str) or not isinstance(wrt, Sequence) or not all(isinstance(name, str) for name in wrt):
         raise TypeError(f"wrt must be a sequence of names out of {known}, got {short_repr(wrt)}")
     for name in wrt:
@@ -117,7 +117,11 @@ def sensitivity(
             raise ValueError(f"wrt must contain names out of {known}, got {name!r}{nearest(name, known)}")
         if name == "stribeck_speed" and capsule.stribeck_speed == 0.0:
             raise ValueError("wrt may contain 'stribeck_speed' only where capsule.stribeck_speed > 0, got 0.0")
-    partials = np.hstack([identity[:, :0], *(directions[name] for name in wrt)])
+    units = [np.eye(len(inputs), spans[name][1], -spans[name][0]) for name in wrt]
+    for name, unit in zip(wrt, units, strict=True):
+        if name == "torque":
+            unit[first:, 0] = commands
+    partials = np.hstack([np.zeros((len(inputs), 0)), *units])
     steps = settings.physics_steps * settings.law_steps
     states, slopes, ended = simulate(inputs, partials, steps, settings.physics_dt)
     if ended >= 0:
@@ -125,7 +129,7 @@ def sensitivity(
             f"torques must keep |theta| < pi/2 and the platform on the floor, got an episode that would terminate in "
             f"torques[{ended}], between {ended * control_dt:g} and {(ended + 1) * control_dt:g} s"
         )
-    ends = np.cumsum([directions[name].shape[1] for name in wrt], dtype=int)
+    ends = np.cumsum([spans[name][1] for name in wrt], dtype=int)
     parts = zip(wrt, np.split(slopes, ends, axis=-1), strict=False)  # nothing is behind the last end
     derivatives = {name: part if name in ("torques", "state") else part[..., 0] for name, part in parts}
     return Sensitivity(states[:, :4], derivatives, states[:, 4].astype(np.int64))

@@ -38,6 +38,9 @@ long long trajectory(const double* values, const double* partials, long long n, 
     }
     if (i == n) return ended;
     T u = input(SIZE + i);
+    // A small velocity of a platform that would stick ends at once: the pendulum takes its momentum.
+    if (i == 0 && p.contact_phase(s, u) == 0.0)
+      s.theta_dot = s.theta_dot - sincos(s.theta).cos / p.l * s.x_dot, s.x_dot = 0.0;
     for (long long step = 0; step < steps; step++) {
       auto m = plant_step(s, u, p, T(h));
       s = m.end;

@@ -165,7 +165,8 @@ def test_goals_are_seen_through_the_sensors(controls, law, agent, x_noise):
     held = np.zeros(2)
     for n, info in enumerate(infos):
         seen = np.array([[info["state"][2], info["state"][3]], [info["reading"][2], info["reading"][3]]])
-        last = last if n else 2.001 - seen[:, 0]
+        if n == 0:
+            last = 2.001 - seen[:, 0]
         expected = 0.1 * last + 0.01 * held + 0.001 * (2.001 - seen[:, 0])
         assert info["law_torque"] == pytest.approx(expected[law], abs=1e-12)
         if n > 0:

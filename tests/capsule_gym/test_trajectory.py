@@ -66,5 +66,12 @@ def test_torques_and_state_and_no_derivative_by_friction_in_stick():
     # A torque acts on no earlier state, and x on nothing but itself.
     assert not np.triu(found["torques"][:, 1]).any()
     assert np.array_equal(found["state"][0], np.eye(4)) and np.array_equal(found["state"][-1, :, 2], [0, 0, 1, 0])
+    # A platform that sticks loses a velocity of either sign at once.
+    shifted = np.array([-1.0, 0.2, 0.0, 0.0]) + 1e-6 * np.multiply.outer([-2.0, -1.0, 1.0, 2.0], np.eye(4))
+    own, plant = [0.3, -0.4] * 9, {"capsule": Capsule(mu=0.2)}
+    ends = [[sensitivity(start, own, (), **plant).states[-1] for start in starts] for starts in shifted]
+    expected = np.tensordot([1.0, -8.0, 8.0, -1.0], ends, 1).T / 12e-6
+    found = sensitivity([-1.0, 0.2, 0.0, 0.0], own, ("state",), **plant)
+    np.testing.assert_allclose(found.derivatives["state"][-1], expected, rtol=1e-5, atol=1e-6)
     found = sensitivity((0.1, 0.0, 0.0, 0.0), [0.0] * 20, ("mu", "static_ratio"), capsule=Capsule(mu=0.5))
     assert not found.events.any() and not any(slopes.any() for slopes in found.derivatives.values())
