@@ -15,6 +15,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar
 
+from capsule_gym.checks import require
+
 try:
     import tyro
     from tyro.conf import Positional, arg
@@ -98,12 +100,14 @@ def refuse(prog: str, message: str) -> NoReturn:
     raise SystemExit(2)
 
 
-def check_output(option: str, path: Path | None, *, overwrite: bool = False) -> None:
+def check_output(option: str, path: Path | None, suffixes: Sequence[str] = (), *, overwrite: bool = False) -> None:
     """Raises a ValueError, before the computation, if the output file cannot be written; None is accepted."""
     if path is None:
         return
     # Unlike the methods of Path, these functions accept names that no file can have.
     if os.path.isdir(path) or not os.path.isdir(path.parent):
         raise ValueError(f"{option} must name a file in a folder that exists, got {str(path)!r}")
+    accepted = f"the name of a file {' or '.join(suffixes)}"
+    require(not suffixes or path.suffix in suffixes, option, accepted, str(path))
     if os.path.exists(path) and not overwrite:
         raise ValueError(f"{option} must name a new file unless --overwrite is given, got {str(path)!r}")

@@ -131,6 +131,7 @@ class Controller:
     task: str | Task | None = None
 
     def __post_init__(self) -> None:
+        require(isinstance(self.name, str), "Controller.name", "a string", self.name, TypeError)
         require(callable(self.law), "Controller.law", "a function", self.law, TypeError)
         object.__setattr__(self, "reference", _check_reference(self.reference))
         object.__setattr__(self, "memory", _check_memory(self.memory))
@@ -145,7 +146,7 @@ class Controller:
         )
         try:
             torque, memory = law(row[0], row[1], 0.0, 0.0, self.memory, row)
-            values = (float(torque), *(float(cell) for cell in memory))
+            values = (float(torque + 0.0), *(float(cell + 0.0) for cell in memory))
         except Exception as error:
             # An arithmetic error comes from the values of the reference, not from the types.
             kind = ValueError if isinstance(error, ArithmeticError) else TypeError

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from capsule_gym import _core
+from capsule_gym.checks import require
 from capsule_gym.native import evaluate, ordered
 from capsule_gym.parameters import Plant
 
@@ -61,6 +62,7 @@ class Motion(NamedTuple):
 
 
 def _evaluate(name: str, plant: Plant, *arguments: Numbers) -> tuple[np.ndarray, ...]:
+    require(isinstance(plant, Plant), "plant", "a Plant, such as Capsule().plant()", plant, TypeError)
     constants = {**plant._asdict(), "M": 0.0, "mu": 0.0, "mass_ratio": 0.0}
     return evaluate(name, plant.M, plant.mu, *arguments, plant=ordered(_core.PLANT, constants))
 

@@ -12,7 +12,6 @@ from typing import Annotated, Any
 import numpy as np
 
 from capsule_gym import __version__, _core
-from capsule_gym.checks import require
 from capsule_gym.command_line import Positional, arg, check_output, command
 from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.controller import CoreLaw, find_controller
@@ -158,7 +157,8 @@ class Exported:
         environment = Environment(loader=FileSystemLoader(Path(__file__).parent), keep_trailing_newline=True, **options)
         environment.filters |= {"number": partial(c_number, single=single), "table": partial(c_table, single=single)}
         text: str = environment.get_template(template).render({**vars(self), **values, "single": single})
-        return text.replace("NAME", self.name).replace("REAL", "float" if single else "double")
+        text = text.replace("REAL", "float" if single else "double").replace("NAME", self.name)
+        return text.replace("THIS_FILE", str(values.get("file")))
 
     def onnx(self, *, single: bool = False) -> bytes:
         """The policy as an ONNX model, which computes in float or in double.
@@ -251,10 +251,9 @@ def main(
     """
     if c is None and onnx is None:
         raise ValueError("at least one of --c and --onnx must be given")
-    require(c is None or c.suffix == ".h", "--c", "the name of a file .h", str(c))
     test = c and c.with_name(f"{c.stem}_test.c")
-    for option, path in (("--c", c), ("--c", test), ("--onnx", onnx)):
-        check_output(option, path, overwrite=overwrite)
+    for option, path, suffix in (("--c", c, ".h"), ("--c", test, ".c"), ("--onnx", onnx, ".onnx")):
+        check_output(option, path, (suffix,), overwrite=overwrite)
     exported = Exported(policy, law)
     if onnx is not None:
         write_atomically(onnx, exported.onnx(single=single))

@@ -3,6 +3,7 @@
 import csv
 import math
 import os
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import count
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from capsule_gym import _core
-from capsule_gym.checks import check_number, nearest, require
+from capsule_gym.checks import check_integer, check_number, nearest, require
 from capsule_gym.env import CapsuleEnv
 from capsule_gym.files import write_atomically
 from capsule_gym.layout import Row
@@ -21,16 +22,22 @@ from capsule_gym.task import THETA_LIMIT
 from capsule_gym.trajectory import STATE
 
 UNITS = {"t": "s", "torque": "N m", "theta": "rad", "theta_dot": "rad/s", "x": "m", "x_dot": "m/s"}
-# Largest plausible sizes, and the shortest log, s.
+# Largest plausible sizes, shortest and longest log, s, and its largest number of rows: memory grows with their product.
 LARGEST = {"torque": 20.0, "theta": 1.2 * THETA_LIMIT, "theta_dot": 1.5 * _core.THETA_DOT_BOUND, "x_dot": 4.0, "x": 1e3}
-SHORTEST = 2.0
+SHORTEST, LONGEST, MOST_ROWS = 2.0, 100.0, 100_000
 
 
 def read_log(log: Any) -> dict[str, np.ndarray]:
     """The columns of a log, float64, with NaN where a reading is missing, after all checks of `identify`."""
     if isinstance(log, (str, os.PathLike)):
-        # Spreadsheets write a mark in front of the first name.
-        rows = list(csv.DictReader(Path(log).read_text(encoding="utf-8-sig").splitlines()))
+        try:
+            # Spreadsheets write a mark in front of the first name.
+            lines = Path(log).read_text(encoding="utf-8-sig").splitlines()
+        except UnicodeDecodeError:
+            raise ValueError(f"log must be a CSV file in UTF-8, got {str(log)!r} in another encoding") from None
+        reader = csv.DictReader(filter(str.strip, lines), skipinitialspace=True)
+        rows, names = list(reader), reader.fieldnames or []
+        require(len({*names}) == len(names), "log", "of columns with different names", names)
         for row in rows:
             require(None not in row, "a row of log", f"of one number for each of {[*row][:-1]}", [*row.values()])
         log = {name: [row[name] or "nan" for row in rows] for name in (rows[0] if rows else {})}
@@ -41,8 +48,8 @@ def read_log(log: Any) -> dict[str, np.ndarray]:
         if name not in UNITS:
             raise ValueError(f"log must have columns out of {tuple(UNITS)}, got {name!r}{nearest(str(name), UNITS)}")
         try:
-            column = columns[name] = np.array(values, np.float64)
-        except (TypeError, ValueError) as error:
+            column = columns[name] = np.array(values, np.float64, ndmin=1)
+        except (TypeError, ValueError, OverflowError) as error:
             raise ValueError(f"{where} must contain numbers ({UNITS[name]}) only: {error}") from None
         expected = (len(next(iter(columns.values()))),)
         require(column.shape == expected, where, "one number for each row", column.shape)
@@ -57,20 +64,28 @@ def read_log(log: Any) -> dict[str, np.ndarray]:
     t, torque, dt = columns["t"], columns["torque"], np.diff(columns["t"])
     period = float(dt.mean()) if len(dt) else 0.0
     equal = 1e-4 <= period <= 0.05 and bool((np.abs(dt - period) <= 0.05 * period).all())
-    accepted = f"in equal steps of 0.0001 to 0.05 s, over at least {SHORTEST:g} s"
-    require(equal and t[-1] - t[0] >= SHORTEST, "column 't'", accepted, t)
+    accepted = (
+        f"in equal steps of 0.0001 to 0.05 s, over at least {SHORTEST:g} s and at most {LONGEST:g} s, in at most "
+    )
+    accepted += f"{MOST_ROWS} rows"
+    worst = int(np.abs(dt - period).argmax()) if len(dt) else 0
+    found = f"{len(t)} rows over {dt.sum():g} s; the step after row {worst} is {dt[worst : worst + 1]}"
+    require(equal and SHORTEST <= dt.sum() <= LONGEST and len(t) <= MOST_ROWS, "column 't'", accepted, found)
     require(np.ptp(torque) > 1e-6 * np.abs(torque).max(), "column 'torque'", "varied (N m)", torque)
     for place, rate in (("theta", "theta_dot"), ("x", "x_dot")):
         if place not in columns or rate not in columns:
             continue
         # The change of a position over 0.1 s against the mean rate: one scale for both, or the units differ.
         width = max(1, round(0.1 / period))
-        mean = np.convolve(columns[rate], np.ones(width) / width, "valid")[:-1]
+        known = np.isfinite(columns[rate])
+        filled = np.interp(t, t[known], columns[rate][known])
+        mean = np.convolve(filled, np.ones(width) / width, "valid")[:-1]
         change = (columns[place][width:] - columns[place][:-width]) / (width * period)
-        both = np.isfinite(mean) & np.isfinite(change)
-        ratio = np.std(change[both]) / max(np.std(mean[both]), 1e-12)
+        both = np.isfinite(change)
         # Where noise dominates, the scales tell nothing.
-        if not 0.5 < ratio < 2.0 and np.corrcoef(change[both], mean[both])[0, 1] > 0.9:
+        sizes = np.std([change[both], mean[both]], axis=1) if both.any() else np.ones(2)
+        ratio = sizes[0] / max(sizes[1], 1e-12)
+        if not 0.5 < ratio < 2.0 and sizes.all() and np.corrcoef(change[both], mean[both])[0, 1] > 0.9:
             raise ValueError(
                 f"column {rate!r} must be the derivative of column {place!r}, in {UNITS[rate]} and {UNITS[place]}: "
                 f"changes of {place} are {ratio:.3g} times the integral of {rate}"
@@ -96,15 +111,21 @@ class Excitation:
     torque_limit: float = 1.5
     control_dt: float = 0.01
 
-    def start(self, seeds: Any = (0,)) -> Callable[[np.ndarray], np.ndarray]:
+    def __post_init__(self) -> None:
+        check_integer("Excitation.seed", self.seed, "an integer >= 0", 0, sys.maxsize)
+        for name in ("amplitude", "torque_limit", "control_dt"):
+            check_number(f"Excitation.{name}", getattr(self, name), "a finite number > 0", 0.0, open_low=True)
+
+    def start(self, seeds: Any = (0,)) -> Callable[[Any], np.ndarray]:
         """The policy of an episode, from observations to actions."""
         generator = np.random.default_rng(self.seed)
         frequencies = np.exp(generator.uniform(math.log(0.3), math.log(8.0), 16))
         phases, steps = generator.uniform(0.0, 2.0 * np.pi, 16), count()
 
-        def act(observation: np.ndarray) -> np.ndarray:
+        def act(observation: Any) -> np.ndarray:
+            theta, theta_dot = (observation["observation"] if isinstance(observation, dict) else observation)[:2]
             waves = np.sin(2.0 * np.pi * self.control_dt * next(steps) * frequencies + phases)
-            torque = self.amplitude * waves.sum() / math.sqrt(8.0) - 0.6 * observation[0] - 0.04 * observation[1]
+            torque = self.amplitude * waves.sum() / math.sqrt(8.0) - 0.6 * theta - 0.04 * theta_dot
             return np.clip(np.array([torque / self.torque_limit], np.float32), -1.0, 1.0)
 
         return act
@@ -134,18 +155,21 @@ def record(
         The columns, float64.
 
     Raises:
+        TypeError: if an argument is of the wrong type.
         ValueError: if the torque is not constant during an agent step, or the file exists.
     """
     plain: Any = getattr(env, "unwrapped", None)
     direct = isinstance(plain, CapsuleEnv) and plain.simulation.controller is None
     require(direct, "env", "an environment with direct torque, without a controller", env)
-    require(path is None or not os.path.exists(path), "path", "that of a new file", path)
+    fits = path is None or (os.path.isdir(Path(path).parent) and not os.path.exists(path))
+    require(fits, "path", "that of a new file in a folder that exists", path)
     settings, dt = plain.simulation.settings, plain.simulation.options.control_dt
     scale = settings.torque_limit if settings.total_torque else settings.residual_limit
     limit = min(settings.residual_limit, settings.torque_limit)
     steps = round(check_number("seconds", seconds, f"a finite number >= {dt:g} (s)", dt) / dt)
     policy = Excitation(torque_limit=scale, control_dt=dt) if policy is None else policy
     act = policy.start([0]) if hasattr(policy, "start") else policy
+    require(callable(act), "policy", "None, a function, or an object with `start`", policy, TypeError)
     observation, info = env.reset(seed=seed, options=options)
     disturbed = Disturbances.named(plain.simulation.options.disturbances)
     missing = () if disturbed is None else (*disturbed.unmeasured, *(("x",) if disturbed.x_noise is None else ()))

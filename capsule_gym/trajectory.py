@@ -101,7 +101,7 @@ def sensitivity(
     accepted = f"a sequence of numbers within +-{LARGEST_TORQUE:g} N m"
     try:
         commands = np.asarray(torques, np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise TypeError(f"torques must be {accepted}, got {short_repr(torques)}") from None
     require(commands.ndim == 1 and bool((np.abs(commands) <= LARGEST_TORQUE).all()), "torques", accepted, torques)
     inputs = np.concatenate([constant_inputs(capsule), start, commands])

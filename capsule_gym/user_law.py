@@ -17,7 +17,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from capsule_gym import _core
-from capsule_gym.checks import first_cause
+from capsule_gym.checks import first_cause, short_repr
 from capsule_gym.controller import Controller
 from capsule_gym.layout import ROWS
 
@@ -80,20 +80,25 @@ def bind_user_law(controller: Controller, lanes: int, state: int, raised: list[E
             if (compiled := known[lanes, state]) is not None:
                 return {"user_law": compiled.address, "compiled": compiled}
     cells = len(controller.memory)
-    plain = _plain(controller.law, cells, raised)
+    plain = _plain(controller, raised)
     # The core's `PlainLaw`.
     data = np.array([id(plain), cells, cells + controller.row_size, lanes, state], np.int64)
     return {"user_law": _core.PLAIN_LAW, "user_data": data, "plain": plain}
 
 
-def _plain(law: Callable[..., Any], cells: int, raised: list[Exception]) -> Callable[..., tuple[float, ...]]:
+def _plain(controller: Controller, raised: list[Exception]) -> Callable[..., tuple[float, ...]]:
     """The law as the core calls it: with separate numbers, for one tuple of the torque, or NaN, and the memory."""
+    law: Any = controller.law
+    cells = len(controller.memory)
 
     def call(theta: float, theta_dot: float, x: float, x_dot: float, *numbers: float) -> tuple[float, ...]:
         try:
             found = tuple(law(theta, theta_dot, x, x_dot, numbers[:cells], numbers[cells:]))
             if len(found) != 2 or len(renewed := tuple(found[1])) != cells:
-                raise TypeError(f"a control law must return (torque, memory) with {cells} cells of memory")
+                must = (
+                    f"the control law of {controller.name!r} must return (torque, memory) with {cells} cells of memory"
+                )
+                raise TypeError(f"{must}, got {short_repr(found)} at theta = {theta:g}, theta_dot = {theta_dot:g}")
             return found[0], *renewed
         except Exception as error:
             raised.append(error)
