@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
+from shlex import quote
 from typing import Annotated
 
 from agents.training.signals import INTERRUPTED, QuietExit
@@ -195,12 +196,14 @@ def _train(args: Args) -> int:
             try:
                 loop.begin(run, config)
             except FileExistsError:
-                raise RunError(f"--run must name a new folder, got {str(run)!r}; --resume {run} resumes it") from None
+                resume = f"--resume {quote(str(run))} resumes it"
+                raise RunError(f"--run must name a new folder, got {str(run)!r}; {resume}") from None
             except (TypeError, ValueError) as error:
                 raise RunError(str(error)) from error
             what = f"{config.algo.upper()} on {config.env}, {config.task} torque"
             print(f"Training {what}, seed {config.seed}, in {run}.")
-        hint = f"To resume: python train.py --resume {run}" + " --trust-controller" * bool(_foreign_code(config))
+        trust = " --trust-controller" * bool(_foreign_code(config))
+        hint = f"To resume: python train.py --resume {quote(str(run))}{trust}"
         QUIET_EXIT.message = f"Stopped. {hint}"
         if not loop.train(run, config.total_steps, wandb=args.wandb):
             print(f"\nStopped; saved. {hint}")

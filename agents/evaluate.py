@@ -6,6 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
+from tqdm import tqdm
+
 from agents.evaluation.criteria import CRITERIA
 from baselines.evaluation.episodes import (
     TABLE_METRICS,
@@ -80,7 +82,10 @@ def main(
     reference = find_candidate(against or CRITERIA[evaluation_set.task].baseline, **trusted)
     for each in (candidate, reference):
         check_task(each, evaluation_set)
-    episodes = evaluate(candidate, evaluation_set)
+    count = f"{len(evaluation_set.plants)} episodes, {evaluation_set.hash[:12]}"
+    print(f"{candidate.name} on the set {evaluation_set.name} ({count})\n", flush=True)
+    seeds = tqdm(candidate.policies, unit=" seeds", disable=None, leave=False)
+    episodes = [episode for each in seeds for episode in evaluate(each, evaluation_set)]
     others = episodes if candidate.name == reference.name else evaluate(reference, evaluation_set)
     summary = summarise(episodes)
     # Written before printing, so that a closed pipe does not lose the result.
@@ -88,11 +93,9 @@ def main(
         result: dict[str, Any] = {"policy": candidate.name, "set": evaluation_set.name, "set_hash": evaluation_set.hash}
         result |= {"versions": versions(), "episodes": episodes, "summary": summary}
         write_atomically(json, to_json(result))
-    count = f"{len(evaluation_set.plants)} episodes, {evaluation_set.hash[:12]}"
-    print(f"{candidate.name} on the set {evaluation_set.name} ({count})\n")
     print(comparison_table(candidate.name, episodes, reference.name, others))
     print("\nInterquartile means unless stated, of shares means; the intervals of 95 % are")
-    print("for other training runs and other plants.")
+    print(f"for {'other training runs and ' * (len(candidate.policies) > 1)}other plants.")
     print(f"Differences to {reference.name} are taken episode by episode.")
     return 0
 

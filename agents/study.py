@@ -7,6 +7,7 @@ import csv
 import dataclasses
 import json
 import re
+import signal
 import sys
 import traceback
 from collections.abc import Sequence
@@ -21,7 +22,7 @@ from tqdm import tqdm
 from agents.evaluation.criteria import CRITERIA
 from agents.training.config import BEST, CONFIG, EVALUATIONS, Config, RunError, read_config
 from agents.training.presets import ROWS, row_settings
-from agents.training.signals import INTERRUPTED
+from agents.training.signals import INTERRUPTED, Stop
 from baselines.evaluation.policies import CHECKPOINTS
 from baselines.tables import text_table
 from capsule_gym.checks import check_count
@@ -107,8 +108,13 @@ def train_all(jobs: Sequence[Job], parallel: int | None = None, backend: str = "
             found = _train_on_ray([dataclasses.replace(job, run=job.run.resolve()) for job in waiting])
         else:
             # One run per task, since joblib would otherwise batch several short runs.
-            work = Parallel(parallel or -1, verbose=10, batch_size=1, pre_dispatch="n_jobs")
-            found = work(delayed(train_job)(job) for job in waiting)
+            # Workers get the terminal's Ctrl-C themselves; those without a run must not die of it.
+            idle = {"initializer": signal.signal, "initargs": (signal.SIGINT, signal.SIG_IGN)}
+            work = Parallel(parallel or -1, verbose=10, batch_size=1, pre_dispatch="n_jobs", **idle)
+            with Stop(signal.SIGINT) as stop:
+                found = work(delayed(train_job)(job) for job in waiting if not stop.requested)
+            if stop.requested:
+                raise KeyboardInterrupt
     except Exception as error:
         # `train_job` does not raise: a worker was killed.
         reason = f"{type(error).__name__}: {str(error).partition(chr(10))[0]}; --resume continues"

@@ -7,6 +7,7 @@ import math
 import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -42,6 +43,15 @@ def require(fits: bool, name: str, accepted: str, value: Any, kind: type[Excepti
     """Raises an error that names the argument, its value and the accepted values, unless the value fits."""
     if not fits:
         raise kind(f"{name} must be {accepted}, got {short_repr(value)}")
+
+
+@contextmanager
+def prefix_errors(name: str) -> Iterator[None]:
+    """Begins the message of a TypeError or ValueError with the argument from which its value comes."""
+    try:
+        yield
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"{name}: {error}") from None
 
 
 def first_cause(error: Exception) -> str:
@@ -160,7 +170,5 @@ def from_fields(kind: type[Kind], argument: str, values: dict[str, Any]) -> Kind
         if name not in names:
             similar = nearest(str(name), names)
             raise ValueError(f"{argument} must have fields out of {names}, got {short_repr(name)}{similar}")
-    try:
+    with prefix_errors(argument):
         return kind(**values)
-    except (TypeError, ValueError) as error:
-        raise type(error)(f"{argument}: {error}") from None

@@ -411,7 +411,7 @@ def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Space[Any]]:
 def as_actions(actions: Any) -> np.ndarray | None:
     """Actions as contiguous float32, or None if they are not numbers."""
     try:
-        return np.asarray(actions, np.float32, order="C")
+        return None if np.iscomplexobj(actions) else np.asarray(actions, np.float32, order="C")
     except (TypeError, ValueError, OverflowError):
         return None
 

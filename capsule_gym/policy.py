@@ -85,7 +85,7 @@ class Policy:
         variance: their variance; an input i becomes (i - mean) / sqrt(variance + epsilon), kept within +-clip.
         clip: see `variance`.
         epsilon: see `variance`.
-        env_kwargs: arguments of the training environment, for `gym.make("CapsuleStickSlip-v0", **policy.env_kwargs)`.
+        env_kwargs: arguments of the training environment, for `gym.make` with the id of the policy's task.
         training_seed: seed of the training run.
         revision: git revision of the training code.
         entries: number of entries of an observation.

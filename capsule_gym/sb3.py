@@ -12,6 +12,7 @@ from gymnasium.vector import AutoresetMode
 
 from capsule_gym.checks import check_flag, require
 from capsule_gym.parameters import DISTURBANCES, Disturbances
+from capsule_gym.simulation import check_seed
 from capsule_gym.vector_env import CapsuleVectorEnv
 
 try:
@@ -80,7 +81,7 @@ class CapsuleSB3VecEnv(VecEnv):
             space = gym.spaces.Dict({"policy": space, "critic": critic})
         super().__init__(num_envs, space, self.batch.single_action_space)
         if seed is not None:
-            self.seed(seed)
+            self.seed(check_seed(seed, count=num_envs))
 
     def reset(self) -> VecEnvObs:
         """Begins a new episode in every environment, with the options of `set_options`; returns the observations.

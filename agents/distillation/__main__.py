@@ -44,7 +44,7 @@ def main(
     except OSError as error:
         refuse(PROG, str(error))
     except KeyboardInterrupt:
-        print("\nStopped; the best policy so far is kept.")
+        print("\nStopped; the best policy so far, if any, is kept.")
         return INTERRUPTED
     print(f"Distilled; python -m agents.evaluate {runs / name} --against dp-oracle compares it.")
     return 0

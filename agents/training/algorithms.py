@@ -22,6 +22,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 from torch import nn
 
 from agents.training.config import Algorithm, Config, OffPolicyConfig, PPOConfig, RunError, SACConfig, TQCConfig
+from capsule_gym.checks import prefix_errors
 from capsule_gym.config import EnvConfig
 from capsule_gym.observation import observation_entries
 from capsule_gym.parameters import Disturbances
@@ -40,7 +41,12 @@ class EpisodeMetrics(gym.Wrapper[Any, Any, Any, Any]):
         if terminated or truncated:
             steps = self.get_wrapper_attr("spec").max_episode_steps
             env: Any = self.env.unwrapped
-            info = {**info, "metrics": env.episode_metrics(steps)}
+            metrics = env.episode_metrics(steps)
+            if terminated and not metrics["failed"]:
+                # By a wrapper. As for the environment's own terminations, the speed is that over a whole episode.
+                seconds = steps * env.simulation.options.control_dt
+                metrics |= {"failed": 1.0, "mean_speed": 100.0 * metrics["distance"] / seconds}
+            info = {**info, "metrics": metrics}
         return observation, reward, terminated, truncated, info
 
 
@@ -82,7 +88,8 @@ def make_env(config: Config, seed: int, **changes: Any) -> VecNormalize:
     if config.command_range:
         if config.env_task != "velocity":
             raise ValueError(f"command_range must be None in {config.env}, which has no commands")
-        kwargs["task"] = velocity.with_commands(*config.command_range)
+        with prefix_errors("command_range"):
+            kwargs["task"] = velocity.with_commands(*config.command_range)
     if config.latency_range is not None:
         disturbances = Disturbances.named(config.disturbances) or Disturbances()
         kwargs["disturbances"] = dataclasses.replace(disturbances, latency=config.latency_range)
@@ -90,8 +97,9 @@ def make_env(config: Config, seed: int, **changes: Any) -> VecNormalize:
     venv: VecEnv
     if config.wrapper:
         venv = DummyVecEnv([lambda: wrapped_env(config, kwargs, steps)] * config.num_envs)
-        if not isinstance(venv.observation_space, gym.spaces.Box) or not isinstance(venv.action_space, gym.spaces.Box):
-            raise RunError(f"--wrapper must leave observations and actions Box, got {venv.observation_space}")
+        spaces = venv.observation_space, venv.action_space
+        if not all(isinstance(space, gym.spaces.Box) for space in spaces):
+            raise RunError(f"--wrapper must leave observations and actions Box, got {spaces[0]} and {spaces[1]}")
         venv.seed(seed)
     else:
         venv = CapsuleSB3VecEnv(config.num_envs, seed, privileged=config.asymmetric, max_episode_steps=steps, **kwargs)

@@ -33,7 +33,8 @@ from capsule_gym.policy import POLICY
 
 LOCK = "lock"
 # Names, without suffix, of the files that the process with the lock replaces.
-WRITTEN = ("checkpoint-*", *(Path(name).stem for name in (CONFIG, EVALUATIONS, MODEL, NORMALISATION, POLICY)))
+CHECKPOINTS = "checkpoint-" + 12 * "[0-9]"
+WRITTEN = (CHECKPOINTS, *(Path(name).stem for name in (CONFIG, EVALUATIONS, MODEL, NORMALISATION, POLICY)))
 DIGEST_SIZE = hashlib.sha256().digest_size
 
 
@@ -95,7 +96,7 @@ def newest_whole(run: Path) -> Path | None:
     Raises:
         RunError: if there are checkpoints, but all of them are damaged.
     """
-    paths = sorted(run.glob("checkpoint-*"), reverse=True)
+    paths = sorted(run.glob(CHECKPOINTS), reverse=True)
     for path in paths:
         if is_whole(path):
             return path
@@ -141,7 +142,7 @@ def write(run: Path, model: BaseAlgorithm, progress: Progress, before: Path | No
     path = path_of(run, model.num_timesteps)
     write_atomically(path, hashlib.sha256(content).digest() + content)
     synchronise(run)
-    for other in run.glob("checkpoint-*"):
+    for other in run.glob(CHECKPOINTS):
         if other not in (path, before):
             other.unlink()
     return path

@@ -14,11 +14,12 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 import tyro
 from tyro.conf import Fixed, Suppress
 
-from capsule_gym.checks import check_integer, check_number
+from capsule_gym.checks import check_integer, check_number, prefix_errors
 from capsule_gym.command_line import Count
 from capsule_gym.config import EnvConfig
 from capsule_gym.env import DOCS
 from capsule_gym.parameters import Capsule, Randomization
+from capsule_gym.policy import MOST_UNITS
 from capsule_gym.task import CONTROL_DT, TASKS
 
 # Largest seed of numpy's legacy generator, which SB3 seeds.
@@ -43,6 +44,7 @@ LEAST = {"seed": 0, "batch_size": 2, "learning_starts": 0, "dropped_quantiles": 
 POSITIVE = ("a finite number > 0", 0.0, math.inf, True)
 NONNEGATIVE = ("a finite number >= 0", 0.0, math.inf, False)
 SHARE = ("a number in [0, 1]", 0.0, 1.0, False)
+MOST = {"seed": LARGEST_SEED, "hidden": MOST_UNITS}
 RANGES: dict[str, tuple[str, float, float, bool]] = {
     **dict.fromkeys(("learning_rate", "episode_seconds", "training_limit", "observation_scale"), POSITIVE),
     **dict.fromkeys(("final_learning_rate", "ent_coef", "action_noise", "noise_time"), NONNEGATIVE),
@@ -143,7 +145,8 @@ class Config:
         if self.mass_range or self.friction_range:
             distribution = Randomization.named(EnvConfig(**kwargs).randomization)
             M, mu = self.mass_range or distribution.M, self.friction_range or distribution.mu
-            kwargs["randomization"] = dataclasses.replace(distribution, M=M, mu=mu)
+            with prefix_errors("mass_range and friction_range"):
+                kwargs["randomization"] = dataclasses.replace(distribution, M=M, mu=mu)
         if self.task == "direct":
             kwargs |= {"controller": None, "residual_limit": min(self.residual_limit, self.torque_limit)}
         return kwargs
@@ -177,8 +180,8 @@ class Config:
         for field in dataclasses.fields(self):
             name, value = field.name, getattr(self, field.name)
             if field.type == Count:
-                least, most = LEAST.get(name, 1), LARGEST_SEED if name == "seed" else sys.maxsize
-                accepted = f"an integer >= {least}" + (f" and <= {most}" if name == "seed" else "")
+                least, most = LEAST.get(name, 1), MOST.get(name, sys.maxsize)
+                accepted = f"an integer >= {least}" + (f" and <= {most}" if name in MOST else "")
                 check_integer(name, value, accepted, least, most)
             elif name in RANGES and value is not None:
                 accepted, low, high, open_low = RANGES[name]

@@ -134,6 +134,11 @@ def train(run: Path, total_steps: int | None = None, *, wandb: bool = False) -> 
                     model.learn(remaining, callback=callback, log_interval=interval, reset_num_timesteps=fresh)
         except Stopped:
             callback.checkpoint()
+        except ValueError as error:
+            if all(weights.isfinite().all() for weights in model.policy.parameters()):
+                raise
+            causes = "learning_rate is too large, or a wrapper's reward is not finite"
+            raise RunError(f"the training of {run} diverged, its weights are not finite: {causes}") from error
         finally:
             callback.bar.close()
             model.logger.close()

@@ -48,16 +48,18 @@ class QuietExit:
 class Stop:
     """A context in which the first signal sets `requested` and a second signal has its previous effect.
 
-    Outside the main thread, which alone may handle signals, it has no effect.
+    An outer context is told of the first one, too. Outside the main thread, which alone may handle signals, it has no
+    effect.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *signals: signal.Signals) -> None:
         self.requested = False
+        self._signals = signals or SIGNALS
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> "Stop":
         if threading.current_thread() is threading.main_thread():
-            self._before = {number: signal.signal(number, self._request) for number in SIGNALS}
+            self._before = {number: signal.signal(number, self._request) for number in self._signals}
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -65,7 +67,10 @@ class Stop:
 
     def _request(self, number: int, frame: FrameType | None) -> None:
         self.requested = True
+        outer = getattr(self._before[signal.Signals(number)], "__self__", None)
         self._restore()
+        if isinstance(outer, Stop):
+            return outer._request(number, frame)
         _print_to_stderr("Stopping after this update; once more stops at once.")
 
     def _restore(self) -> None:

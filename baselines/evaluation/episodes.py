@@ -19,7 +19,7 @@ from baselines.evaluation.policies import Candidate, find_candidate, wrap_policy
 from baselines.evaluation.statistics import estimate
 from baselines.policies import ScriptedPolicy
 from capsule_gym import __version__
-from capsule_gym.checks import check_number
+from capsule_gym.checks import check_number, require
 from capsule_gym.config import EnvConfig
 from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec, load_set
 from capsule_gym.network import rollout
@@ -131,7 +131,7 @@ def evaluate(
         policy: as for `wrap_policy`; or a candidate, or a name or path as for `find_candidate`, of which all training
             seeds are evaluated, one after the other.
         evaluation_set: a set, the name of a frozen one, or the path of one.
-        env_kwargs: as for `wrap_policy`.
+        env_kwargs: as for `wrap_policy`, without what the set determines: plants and disturbances.
         horizon: length of an episode in s; None takes that of the set's task.
 
     Returns:
@@ -145,6 +145,10 @@ def evaluate(
     chosen = evaluation_set if isinstance(evaluation_set, EvaluationSet) else load_set(evaluation_set)
     if env_kwargs is not None and isinstance(policy, (str, Path, Candidate)):
         raise TypeError("env_kwargs must not be given with a policy's name or path or a candidate, which has its own")
+    require(isinstance(env_kwargs or {}, Mapping), "env_kwargs", "None or a dict", env_kwargs, TypeError)
+    for name in {*chosen.env_kwargs, "num_envs", "max_episode_steps", "autoreset_mode"} - {"task"}:
+        if name in (env_kwargs or {}):
+            raise ValueError(f"env_kwargs must not contain {name!r}, which the set {chosen.name!r} determines")
     if isinstance(policy, (str, Path)):
         policy = find_candidate(str(policy))
     if isinstance(policy, Candidate):
@@ -230,6 +234,9 @@ def scores(episodes: Sequence[Episode], metric: str) -> np.ndarray:
     for episode in episodes:
         value = episode[metric]
         runs.setdefault(episode.get("training_seed"), []).append(math.inf if value is None else value)
+    sizes = [len(run) for run in runs.values()]
+    accepted = "as many for every training seed, and at least one"
+    require(len({*sizes}) == 1, "episodes", accepted, sizes)
     return np.array(list(runs.values()), dtype=np.float64)
 
 
@@ -247,14 +254,14 @@ def summarise(episodes: Sequence[Episode]) -> dict[str, Any]:
         training seed, `seeds`. Further `episodes` and `failures` as counts over all training seeds (a trimmed mean
         would hide a few failures), and `training_seeds`, empty for scripted policies.
     """
-    found: dict[str, Any] = {}
+    found, failed = dict[str, Any](), int(scores(episodes, "failed").sum())
     for name in (name for name in episodes[0] if name not in LABELS and name != "failed"):
         values = scores(episodes, name)
         value, low, high = estimate(values, mean=True).to_dict().values()
         mean = {"mean": value, "mean_low": low, "mean_high": high, "seeds": values.mean(axis=1).tolist()}
         found[name] = {**estimate(values, mean=name in SHARES).to_dict(), **mean}
     seeds = list(dict.fromkeys(e["training_seed"] for e in episodes if "training_seed" in e))
-    return {**found, "episodes": len(episodes), "failures": failures(episodes), "training_seeds": seeds}
+    return {**found, "episodes": len(episodes), "failures": failed, "training_seeds": seeds}
 
 
 def versions() -> dict[str, str]:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+from gymnasium.spaces import Dict
 
 import capsule_gym
 from baselines.dynamic_programming.policy import Act
@@ -83,12 +84,15 @@ def wrap_policy(policy: Any, *, name: str | None = None, env_kwargs: Mapping[str
 
 def _start_with_predict(policy: Any) -> Callable[[Sequence[int]], Act]:
     """Calls `predict`, and passes a recurrent policy its state."""
+    space = getattr(policy, "observation_space", None)
 
     def start(seeds: Sequence[int]) -> Act:
         state, starts = None, np.ones(len(seeds), bool)
 
         def act(observations: np.ndarray) -> np.ndarray:
             nonlocal state, starts
+            if isinstance(space, Dict) and not isinstance(observations, dict):
+                raise ValueError(f"policy must observe what its environment shows, arrays, got a model of {space}")
             actions, state = policy.predict(observations, state=state, episode_start=starts, deterministic=True)
             starts = np.zeros(len(seeds), bool)
             return np.asarray(actions)
