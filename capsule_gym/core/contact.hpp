@@ -180,7 +180,6 @@ template <class P, class T = Number<P>> inline Motion<T> plant_step(const State<
 
 template <class T, class M> struct Passed {
   Motion<T> motion;
-  T slip;
   M holds;
 };
 
@@ -203,7 +202,7 @@ INLINE auto pass_rest(const Phase<P>& start, const State<T>& lasting, T h) {
   tau = tau + correction;
   State<T> rest = {m.theta + correction * m.theta_dot, m.theta_dot + correction * a.theta_ddot,
                    m.x + correction * m.x_dot, 0.0};
-  T next_slip = p.phase_at_rest(rest.theta, rest.theta_dot, u);
+  T next_slip = p.contact_phase(rest, u);
   T remaining = h - tau;
   auto [last, lasts] = p.template smooth_step<true>(rest, next_slip, u, remaining);
   const State<T>& e = last.end;
@@ -214,6 +213,6 @@ INLINE auto pass_rest(const Phase<P>& start, const State<T>& lasting, T h) {
   T stuck = select(next_slip == 0.0, remaining, T(0.0));
   holds = holds & lasts & (remaining > 0.0);
   return Passed<T, decltype(holds)>{
-      {e, forward, backward, stuck, turned, min(first.normal, last.first.normal), 1.0}, next_slip, holds};
+      {e, forward, backward, stuck, turned, min(first.normal, last.first.normal), 1.0}, holds};
 }
 }  // namespace LEVEL

@@ -20,9 +20,9 @@
   ROW(clock)                                                                                                           \
   /* Input of the step: the action, and 1.0 where the environment takes part. */                                       \
   ROW(action) ROW(active)                                                                                              \
-  /* Of the running step: m / (M + m), x at its start, the phase of the contact, how far the environment has stopped,  \
-     and the time that its present torque has acted. */                                                                \
-  ROW(mass_ratio) ROW(before_x) ROW(slip) ROW(halt) ROW(elapsed)                                                       \
+  /* Of the running step: m / (M + m), x at its start, how far the environment has stopped, and the time that its      \
+     present torque has acted. */                                                                                      \
+  ROW(mass_ratio) ROW(before_x) ROW(halt) ROW(elapsed)                                                                 \
   /* Written only where a substep has an event: its end if the phase lasted, the accelerations at its start. */        \
   ROW(next_theta) ROW(next_theta_dot) ROW(next_x) ROW(next_x_dot) ROW(theta_ddot) ROW(x_ddot)                          \
   ROW(first_normal_force) ROW(least_normal_force)                                                                      \

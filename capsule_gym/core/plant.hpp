@@ -204,17 +204,13 @@ template <class T, Kind kind_> struct Plant {
     return {limit - abs(force), force};
   }
 
-  // The phase of the contact at rest: 0.0 below the static limit, else the load's direction.
-  INLINE T phase_at_rest(T theta, T theta_dot, T u) const {
-    auto [margin, force] = stick_margin(theta, theta_dot, u);
-    return select(margin >= 0.0, 0.0, select(force > 0.0, T(1.0), T(-1.0)));
-  }
-
-  // The phase of the contact: the direction of motion, or `phase_at_rest`. For one environment.
+  // The phase of the contact: the direction of motion; at rest 0.0 below the static limit, else the load's direction.
   INLINE T contact_phase(const State<T>& s, T u) const {
-    if (s.x_dot > 0.0) return 1.0;
-    if (s.x_dot < 0.0) return -1.0;
-    return phase_at_rest(s.theta, s.theta_dot, u);
+    auto rests = s.x_dot == 0.0;
+    if (!any(rests)) return select(s.x_dot > 0.0, T(1.0), T(-1.0));
+    auto [margin, force] = stick_margin(s.theta, s.theta_dot, u);
+    T direction = select(rests, force, s.x_dot);
+    return select(rests & (margin >= 0.0), T(0.0), select(direction > 0.0, T(1.0), T(-1.0)));
   }
 
   // Time derivative of `stick_margin` in N/s along a stick phase, at constant torque.

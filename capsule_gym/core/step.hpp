@@ -9,7 +9,6 @@
 #include "observation.hpp"
 
 namespace LEVEL {
-constexpr double AT_REST = 2.0;  // stands for the phase of a platform at rest until `smooth_substep` has found it
 // |theta_dot| + |x_dot| (rad/s, m/s) after a substep with an event beyond which the motion counts as lost.
 constexpr double RATE_LIMIT = 1e4;
 // The cost of a step is 1 where less than this share of the weight presses on the floor, or of pi/2 remains.
@@ -109,10 +108,9 @@ template <class T, int N> struct Step {
       count = 0;
       EACH {
         if (substep == 0) apply_torque<kind>(j);
-        T slip = GET(slip);
         // Where nothing sticks a third of the work is left out.
-        if (any((slip == 0.0) | (slip == AT_REST))) smooth_substep<kind, true>(j, slip, h, settings);
-        else smooth_substep<kind, false>(j, slip, h, settings);
+        if (any(GET(x_dot) == 0.0)) smooth_substep<kind, true>(j, h, settings);
+        else smooth_substep<kind, false>(j, h, settings);
       }
       int left = count;
       if constexpr (N > 1) left = count > 1 ? pass_events<kind>(h) : count;
@@ -122,13 +120,12 @@ template <class T, int N> struct Step {
 
   template <Kind kind> INLINE void apply_torque(int j) {
     auto going = GET(halt) == UNDER_WAY;
-    T torque = total_torque(q, GET(law_torque), GET(action)), x_dot = GET(x_dot);
+    T torque = total_torque(q, GET(law_torque), GET(action));
     if constexpr (Plant<T, kind>::varied) torque = disturbed.drive(j, torque, going);
     torque = select(going, torque, GET(torque));
     PUT(torque, torque);
     PUT(peak_torque, max(GET(peak_torque), abs(torque)));
     PUT(elapsed, T(q.physics_steps * q.physics_dt));
-    PUT(slip, select(going & (x_dot == 0.0), T(AT_REST), select(x_dot < 0.0, T(-1.0), T(1.0))));
   }
 
   // The plants of the lanes of which `read` gives the numbers of a row.
@@ -145,14 +142,11 @@ template <class T, int N> struct Step {
   }
 
   // Takes the lanes from j on through one substep, unless it has an event: then they are listed.
-  template <Kind kind, bool may_stick> INLINE void smooth_substep(int j, T slip, T h, const Settings& q) {
+  template <Kind kind, bool may_stick> INLINE void smooth_substep(int j, T h, const Settings& q) {
     auto p = read_plant<Plant<T, kind>>(q, [j](const double* row) { return load<T>(row + j); });
     auto s = load_record<State<T>, T, N>(FROM(theta), j);
-    T torque = GET(torque);
-    if constexpr (may_stick) {
-      slip = select(slip == AT_REST, p.phase_at_rest(s.theta, s.theta_dot, torque), slip);
-      PUT(slip, slip);
-    }
+    T torque = GET(torque), slip = select(s.x_dot > 0.0, T(1.0), T(-1.0));
+    if constexpr (may_stick) slip = p.contact_phase(s, torque);
     auto [r, lasts] = p.template smooth_step<may_stick>(s, slip, torque, h);
     auto going = GET(halt) == UNDER_WAY;
     auto smooth = lasts & continues(r.end.theta, r.first.normal);
@@ -190,9 +184,9 @@ template <class T, int N> struct Step {
       for (int i = 0; i < WIDTH<T>; i++) lane[i] = events[first + (i < many ? i : many - 1)];
       auto at = [&lane](const double* row) { return gather(row, lane); };
       auto whole = read_record<Stepped<T>, N>(FROM(next_theta), at);
-      Phase<Plant<T, kind>> start = {read_record<State<T>, N>(FROM(theta), at), at(b.slip), at(b.torque),
+      Phase<Plant<T, kind>> start = {read_record<State<T>, N>(FROM(theta), at), sign_of(at(b.x_dot)), at(b.torque),
                                      read_plant<Plant<T, kind>>(q, at), whole.first};
-      auto [m, slip, holds] = pass_rest(start, whole.end, T(h));
+      auto [m, holds] = pass_rest(start, whole.end, T(h));
       holds = holds & continues(m.end.theta, m.normal_force) & bounded(m.end.theta_dot, m.end.x_dot) &
               (abs(m.end.x + m.swept) < INFINITE) & (whole.smallest >= 0.0);
       unsigned passed = lanes(holds);
@@ -203,7 +197,6 @@ template <class T, int N> struct Step {
         }
         Motion<double> own;
         for (int k = 0; k < WIDTH<Motion<double>>; k++) ((double*)&own)[k] = ((const double*)&m)[k * WIDTH<T> + i];
-        b.slip[lane[i]] = ((const double*)&slip)[i];
         add_motion(lane[i], own);
       }
     }
@@ -215,7 +208,7 @@ template <class T, int N> struct Step {
     auto p = read_plant<Plant<double, kind>>(q, [j](const double* row) { return row[j]; });
     auto s = load_record<State<double>, double, N>(FROM(theta), j);
     auto whole = load_record<Stepped<double>, double, N>(FROM(next_theta), j);
-    Phase<Plant<double, kind>> start = {s, b.slip[j], b.torque[j], p, whole.first};
+    Phase<Plant<double, kind>> start = {s, p.contact_phase(s, b.torque[j]), b.torque[j], p, whole.first};
     auto m = event_step(start, whole.smallest >= 0.0 ? start.finish(h, whole) : start.piece(h));
     double sum = m.end.theta + m.end.x + m.swept + m.normal_force;
     if (!(bounded(m.end.theta_dot, m.end.x_dot) && abs(sum) < INFINITE)) {
@@ -225,7 +218,6 @@ template <class T, int N> struct Step {
       return end_episode(j, DIVERGED, elapsed - h);
     }
     add_motion(j, m);
-    b.slip[j] = p.contact_phase(m.end, start.u);
     if (abs(m.end.theta) >= THETA_LIMIT) end_episode(j, PENDULUM, elapsed);
     else if (m.normal_force <= 0.0) end_episode(j, CONTACT, elapsed);
   }
