@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import re
+import signal
 import threading
 import time
 
@@ -48,6 +49,14 @@ def test_a_run_that_fails_does_not_stop_the_others(tmp_path, monkeypatch):
     # A finished run is not trained again.
     before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
     assert train_all(jobs[1:], 1) == {} and {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
+
+
+def test_an_interrupt_ends_a_study_after_the_present_runs(tmp_path, monkeypatch):
+    monkeypatch.setattr("agents.training.loop.train", lambda run: signal.raise_signal(signal.SIGINT))
+    jobs = [job(tmp_path, seed) for seed in range(2)]
+    with pytest.raises(KeyboardInterrupt):
+        train_all(jobs, 1)
+    assert jobs[0].run.exists() and not jobs[1].run.exists()
 
 
 def test_a_killed_worker_is_a_failure_of_the_unfinished_runs(tmp_path, monkeypatch):

@@ -14,7 +14,7 @@ from agents.study import main as study
 from agents.training.algorithms import make_env
 from agents.training.config import Config, RunError
 from baselines.drawing import style
-from baselines.evaluation.episodes import evaluate
+from baselines.evaluation.episodes import evaluate, summarise
 from baselines.evaluation.policies import find_candidate
 from baselines.evaluation.statistics import estimate, paired_difference
 from baselines.laws.adaptive import adaptive
@@ -24,10 +24,10 @@ from baselines.laws.gait import gait
 from baselines.laws.profiles import TABLE_1, seven_phases, six_phases
 from benchmarks import fresh_draws, identification, rig, throughput, training
 from benchmarks import sensitivity as derivatives
-from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Randomization, identify, native, sensitivity
+from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Randomization, dynamics, identify, native, sensitivity
 from capsule_gym.checks import first_cause
 from capsule_gym.config import find_task
-from capsule_gym.controller import CoreLaw
+from capsule_gym.controller import Controller, CoreLaw
 from capsule_gym.demo import main as demo
 from capsule_gym.evaluation_sets import load_set, parse_set
 from capsule_gym.export import Exported
@@ -37,7 +37,7 @@ from capsule_gym.identify import main as identify_file
 from capsule_gym.network import rollout
 from capsule_gym.parameters import NOMINAL, Disturbances
 from capsule_gym.policy import load_policy
-from capsule_gym.recording import read_log
+from capsule_gym.recording import Excitation, read_log, record
 from capsule_gym.rendering import write_gif
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 from capsule_gym.settings import divide
@@ -56,6 +56,7 @@ OSCILLATOR |= dict.fromkeys(("E_a", "E_b", "real", "imaginary"), (1.0, 2.0, 3.0)
 LOG = {"t": T, "torque": 0.1 * np.sin(T), "theta": 0.1 * np.sin(T)}
 KNOWN = {name: getattr(NOMINAL, name) for name in PLANT} | dict.fromkeys(OTHERS, 0.0)
 GAIT = known_parameters("gait")
+MODEL = SimpleNamespace(predict=len, observation_space=CapsuleEnv(task="goal", goal_env=True).observation_space)
 GOALS, REAL = CapsuleEnv(task="goal", goal_env=True), CapsuleEnv(disturbances="real")
 ORIGIN = (0.0, 0.0, 0.0, 0.0)
 NO_SETS = [(n, f"^set must be one of .* got '{n!s:.4}") for n in ("x" * 10_000, "/dev/null", "a\0b", None)]
@@ -107,6 +108,18 @@ CALLS = [
     (lambda: identify(LOG, known={"latency": -1.0}), ValueError, r"known\['latency'\] must be"),
     (lambda: identify(LOG, prior="narrow"), ValueError, "must be a Randomization or one of"),
     (lambda: identify(LOG, known=KNOWN, prior="none"), ValueError, "must leave a quantity to estimate"),
+    (lambda: Config(hidden=2000).check(), ValueError, "^hidden must be an integer >= 1 and <= 1024, got 2000"),
+    (lambda: Config(mass_range=(0.5, 0.4)).env_kwargs(), ValueError, "^mass_range and friction_range: Randomization.M"),
+    (lambda: read_log({**LOG, "t": 3.0}), ValueError, "column 'torque' must be one number for each row"),
+    (lambda: record(REAL, path="nowhere/log.csv"), ValueError, "path must be that of a new file in a folder that"),
+    (lambda: record(REAL, "direct-ppo"), TypeError, "policy must be None, a function, .* got 'direct-ppo'"),
+    (lambda: Excitation(torque_limit=0.0), ValueError, r"Excitation\.torque_limit must be a finite number > 0, got 0"),
+    (lambda: dynamics.contact_phase(*ORIGIN, Capsule()), TypeError, "plant must be a Plant, such as"),
+    (lambda: Controller(5, len, np.zeros((1, 2))), TypeError, "Controller.name must be a string, got 5"),
+    (lambda: CapsuleSB3VecEnv(2, "a"), TypeError, "seed must be an integer .*, got 'a'"),
+    (lambda: summarise([]), ValueError, "episodes must be as many for every training seed, .* got \\[\\]"),
+    (lambda: evaluate(len, "nominal", env_kwargs={"capsule": {}}), ValueError, "'capsule', which the set 'nominal'"),
+    (lambda: evaluate(MODEL, "nominal"), ValueError, "policy must observe .* arrays, got a model of Dict"),
     (lambda: read_log({**LOG, "theta": ["far"] * len(T)}), ValueError, "column 'theta' must contain numbers"),
     (lambda: read_log({"t": T, "torque": T, "x": T}), ValueError, "log must be of .*'theta' or 'theta_dot'"),
     (lambda: write_gif([], Path("none.gif")), ValueError, "frames must contain at least one picture"),
@@ -208,6 +221,7 @@ COMMANDS = [
     (export, ["direct-ppo", "--law", "--c", "policy.h"], "--law needs a control law of the core"),
     (export, ["tests.capsule_gym.fakes:picky_controller", "--c", "policy.h"], "--law needs a control law of the core"),
     (export, ["baselines:adaptive", "--onnx", "law.onnx"], "--onnx needs a policy"),
+    (export, ["direct-ppo", "--onnx", "policy.h"], r"--onnx must be the name of a file \.onnx, got 'policy\.h'"),
     (export, ["direct-pqo", "--c", "policy.h"], "name_or_path must be one of"),
     (export, ["direct-ppo", "--c", "policy.c"], "--c must be the name of a file .h, got 'policy.c'"),
     (demo, ["adaptive", "--output", "film.mp4"], "--output must be the name of a GIF, got 'film.mp4'"),

@@ -84,6 +84,7 @@ def test_a_run_in_another_environment_is_judged_by_its_task(tmp_path, monkeypatc
     plants = validation_plants(config)
     assert plants.task == task and min(plant.mu for plant in plants.plants) >= 0.05
     if config.wrapper:
+        assert float(log(run)[768]["episodes/failed"]) > 0.2  # by the wrapper
         with pytest.raises(ValueError, match="name_or_path must be"):
             load_policy(run)
         return

@@ -110,11 +110,11 @@ def test_a_run_goes_on_from_the_checkpoint_before_a_damaged_one(tmp_path, capsys
     # Removes a final file, and adds partial files of a process that was killed while it wrote.
     (run / "model.zip").unlink()
     left = [run / ".model.77.tmp.zip", run / "best" / ".policy.77.tmp.safetensors"]
-    other = run / ".report.78.tmp.html"  # of a process that needs no lock
-    for path in (*left, other):
+    other, backup = run / ".report.78.tmp.html", run / f"{older.name}.bak"  # of a process that needs no lock
+    for path in (*left, other, backup):
         path.write_bytes(b"half")
     assert train(run) and f"{newer} is damaged" in capsys.readouterr().err and differences(run, whole["ppo"]) == []
-    assert sorted(run.glob("checkpoint-*")) == [older, newer] and checkpoint.is_whole(newer)
+    assert sorted(run.glob("checkpoint-*")) == [older, backup, newer] and checkpoint.is_whole(newer)
     assert not any(path.exists() for path in left) and other.exists()
 
 
@@ -127,6 +127,12 @@ def test_without_a_whole_checkpoint_every_damaged_one_is_named(tmp_path, whole, 
     with pytest.raises(RunError, match="no undamaged checkpoint") as error:
         train(run)
     assert all(str(path) in str(error.value) for path in paths)
+
+
+def test_a_diverged_training_names_the_causes(tmp_path):
+    begin(tmp_path / "run", small("ppo", learning_rate=1e30))
+    with pytest.raises(RunError, match="diverged, its weights are not finite: learning_rate is too large, or"):
+        train(tmp_path / "run")
 
 
 def change(run, name, value):
@@ -238,9 +244,12 @@ def test_the_second_signal_does_what_signals_did_before(capfd):
             pass
         signal.raise_signal(signal.SIGTERM)
         assert heard == ["before"] * 2 and not stop.requested
+        with Stop() as outer, Stop():
+            signal.raise_signal(signal.SIGTERM)
+            assert outer.requested
     finally:
         signal.signal(signal.SIGTERM, before)
-    assert capfd.readouterr().err.count("once more") == 1
+    assert capfd.readouterr().err.count("once more") == 2
 
 
 # One process imports the modules, and is forked for each child.
