@@ -39,7 +39,7 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
 
     Args:
         num_envs: number of environments.
-        max_episode_steps: agent steps until truncation; None takes the task's, and -1 is none.
+        max_episode_steps: agent steps until truncation; None takes the task's, `gym.make_vec` the id's, and -1 is none.
         autoreset_mode: an `AutoresetMode` or its name, "NEXT_STEP", "SAME_STEP" or "DISABLED".
         render_mode: None or "rgb_array".
         **options: the other arguments of `CapsuleEnv`, and `threads`: number of threads, each for at least 128
