@@ -11,6 +11,19 @@ settings.load_profile("seeded")
 
 
 @pytest.fixture
+def refused(capsys):
+    """Asserts that a command ends with status 2, and returns what it has written to the standard error."""
+
+    def call(main, *arguments):
+        with pytest.raises(SystemExit) as stop:
+            main(*arguments)
+        assert stop.value.code == 2
+        return capsys.readouterr().err
+
+    return call
+
+
+@pytest.fixture
 def saved_figures(monkeypatch):
     """The figures of matplotlib that the test saves."""
     figure = pytest.importorskip("matplotlib.figure").Figure

@@ -55,21 +55,18 @@ def test_resume_takes_everything_from_the_run_but_its_length(run):
 
 
 @pytest.mark.parametrize(("name", "code"), [("controller", "os:abort"), ("wrapper", ("os:abort",))])
-def test_resume_asks_before_it_runs_code_from_elsewhere(name, code, tmp_path, capsys):
+def test_resume_asks_before_it_runs_code_from_elsewhere(name, code, tmp_path, refused):
     folder = started(tmp_path / "run", "residual", "ppo", **{name: code})
-    with pytest.raises(SystemExit):
-        train.read_args(["--resume", str(folder)])
-    assert f"{folder / 'config.json'} names code to import, {code!r}: --trust-controller" in capsys.readouterr().err
+    error = refused(train.read_args, ["--resume", str(folder)])
+    assert f"{folder / 'config.json'} names code to import, {code!r}: --trust-controller" in error
     options = train.read_args(["--resume", str(folder), "--trust-controller"])
     assert getattr(options.hyperparameters, name) == code
 
 
 @pytest.mark.parametrize(("words", "message"), REFUSED.items())
-def test_resume_refuses_other_changes(run, words, message, capsys):
-    with pytest.raises(SystemExit) as stop:
-        train.main(["--resume", str(run), *words.split()])
-    error = capsys.readouterr().err
-    assert stop.value.code == 2 and message in error and "Traceback" not in error
+def test_resume_refuses_other_changes(run, words, message, refused):
+    error = refused(train.main, ["--resume", str(run), *words.split()])
+    assert message in error and "Traceback" not in error
 
 
 def test_a_run_is_never_overwritten(tmp_path, capsys):

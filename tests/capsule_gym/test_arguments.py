@@ -61,9 +61,8 @@ def check_finite(where, value):
 
 
 def check(env, method="reset", names=(), **arguments):
-    """Calls a method of the environment and checks the observations and the info, unless the arguments are refused."""
-    result = taken(names, getattr(env, method), **arguments)
-    if result is not None:
+    """Checks the observations and the info of a method, unless the environment or the arguments have been refused."""
+    if env and (result := taken(names, getattr(env, method), **arguments)) is not None:
         assert env.observation_space.contains(result[0])
         check_finite("info", result[-1])
 
@@ -77,9 +76,7 @@ OWN[CapsuleVectorEnv] = ["num_envs", "max_episode_steps", "autoreset_mode", *OWN
 def test_an_argument_of_an_environment(kind, name, value):
     # Such a large number would be accepted, and would fill the memory.
     if name != "num_envs" or not isinstance(value, int) or not 1000 < value <= MOST_ENVS:
-        env = taken((name,), kind, **{name: value})
-        if env is not None:
-            check(env, seed=0)
+        check(taken((name,), kind, **{name: value}), seed=0)
 
 
 PARTS = {Capsule: "capsule", Randomization: "randomization", Disturbances: "disturbances"}
@@ -93,8 +90,7 @@ def test_a_constant_a_range_and_a_disturbance(kind, name, value, log_mu):
     made = taken((name, "mu"), kind, **{**others, name: value})
     if made is not None:
         env = taken(("Randomization", "physics_dt"), CapsuleEnv, observe_parameters=True, **{PARTS[kind]: made})
-        if env is not None:
-            check(env, seed=0)
+        check(env, seed=0)
 
 
 @lru_cache

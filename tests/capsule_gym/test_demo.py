@@ -53,7 +53,7 @@ def test_a_window_without_a_display_is_an_error(monkeypatch, capfd):
     assert "a window needs a display" in capfd.readouterr().err
 
 
-def test_a_file_has_the_pictures_that_were_asked_for(tmp_path, capsys):
+def test_a_file_has_the_pictures_that_were_asked_for(tmp_path, capsys, refused):
     def pictures(*options, path=tmp_path / "out.gif"):
         assert demo.main([*options, "-o", str(path)]) == 0
         with Image.open(path) as picture:
@@ -70,8 +70,7 @@ def test_a_file_has_the_pictures_that_were_asked_for(tmp_path, capsys):
     # Without the rival.
     alone = pictures("direct-ppo", "--seconds", "0.4", path=tmp_path / "alone.gif")
     assert (np.abs(alone[10] - both[10]).max(axis=2) > 8).sum() > 500
-    with pytest.raises(SystemExit):
-        demo.main(["adaptive", "--seconds", "0.1", "-o", str(tmp_path / "out.gif")])
+    refused(demo.main, ["adaptive", "--seconds", "0.1", "-o", str(tmp_path / "out.gif")])
     with Image.open(tmp_path / "out.gif") as picture:
         assert picture.n_frames == 11
     assert len(pictures("pd", "--seconds", "0.2", "--speed", "0.5", "--M", "0.6", "--overwrite")) == 11

@@ -39,13 +39,6 @@ def momentum(state, p):
     return p.M * x_dot + p.m * (x_dot - p.l * np.cos(theta) * theta_dot)
 
 
-def random_plant(rng):
-    ranges = {"M": (0.3, 1.0), "m": (0.05, 0.3), "l": (0.1, 0.5), "k": (0.0, 1.0), "c": (0.0, 0.2), "mu": (0.0, 0.5)}
-    ranges |= {"static_ratio": (1.0, 1.5), "backward_ratio": (0.5, 2.0)}
-    normal_force = rng.choice(["newton", "paper"]).item()
-    return Capsule(**{name: rng.uniform(*ends) for name, ends in ranges.items()}, normal_force=normal_force)
-
-
 # Of `run`, at the multiples of `hold`: theta, theta_dot, x, x_dot; forward, backward, stuck, swept; the most in a step.
 Run = namedtuple("Run", "states sums events most_events")
 
@@ -93,10 +86,12 @@ BALANCED = {
 
 
 def test_accelerations_satisfy_both_rows_of_equation_1():
-    rng, n = np.random.default_rng(1), 100
-    phases = set()
+    rng, n, phases = np.random.default_rng(1), 100, set()
+    ranges = {"M": (0.3, 1.0), "m": (0.05, 0.3), "l": (0.1, 0.5), "k": (0.0, 1.0), "c": (0.0, 0.2), "mu": (0.0, 0.5)}
+    ranges |= {"static_ratio": (1.0, 1.5), "backward_ratio": (0.5, 2.0)}
     for _ in range(60):
-        capsule = random_plant(rng)
+        normal_force = rng.choice(["newton", "paper"]).item()
+        capsule = Capsule(**{name: rng.uniform(*ends) for name, ends in ranges.items()}, normal_force=normal_force)
         M, m, l, g = capsule.M, capsule.m, capsule.l, capsule.g
         theta, theta_dot, u = rng.uniform(-3, 3, n), rng.uniform(-12, 12, n), rng.uniform(-2, 2, n)
         slip = rng.integers(-1, 2, n).astype(float)

@@ -9,8 +9,6 @@ from capsule_gym import _core, native
 from capsule_gym.elementary import arccos, log, sincos
 
 mpmath = pytest.importorskip("mpmath", exc_type=ImportError)
-
-
 HALF_TURN = math.pi / 2
 exp, tanh = (lambda x, name=name: native.evaluate(name, x)[0] for name in ("exp", "tanh"))
 

@@ -1,5 +1,6 @@
 """Laws that users write in Python: compiled by numba or called by Python, the same torques, and their exceptions."""
 
+import math
 import os
 import signal
 import sys
@@ -19,29 +20,19 @@ from capsule_gym.network import rollout
 from capsule_gym.parameters import REAL
 from tests.capsule_gym.fakes import picky
 
-# A law that reads its whole input, with functions of numba's that the loader must find in every process.
-LAW = """
-import math
-import numpy as np
-from capsule_gym import Controller
 
-def law(theta, theta_dot, x, x_dot, memory, reference):
+def whole(theta, theta_dot, x, x_dot, memory, reference):
+    """A law that reads its whole input, with functions of numba's."""
     count, mean = memory
     mean = 0.9 * mean + 0.1 * (math.gamma(2.0 + 0.1 * theta) + math.sin(theta))
     torque = 0.05 * mean - 0.02 * theta_dot + 0.01 * x + 0.1 * x_dot + reference[0] + 0.1 * reference[2]
     return torque + 0.01 * math.cos(count), (count + 1.0, mean)
 
-def make():
-    table = 0.05 * np.sin(np.arange(21.0).reshape(7, 3))
-    return Controller("own", law, table, (0.0, 1.0))
-"""
-SCOPE = {}
-exec(LAW, SCOPE)
 
-
-def torques(controller, n, disturbances="none", **kwargs):
+def torques(n, disturbances):
     """The torques of the law in an episode, alone or in a batch, shape (steps, n)."""
-    env = CapsuleVectorEnv(n, controller=controller, disturbances=disturbances, residual_limit=0.5, **kwargs)
+    made = Controller("own", whole, 0.05 * np.sin(np.arange(21.0).reshape(7, 3)), (0.0, 1.0))
+    env = CapsuleVectorEnv(n, controller=made, disturbances=disturbances, residual_limit=0.5)
     env.reset(seed=3)
     rows = []
     for actions in np.random.default_rng(0).uniform(-1.0, 1.0, (70, 60)).astype(np.float32)[:n].T:
@@ -65,9 +56,9 @@ def either_way(request):
 @pytest.mark.parametrize("disturbances", ["none", "real"])
 @pytest.mark.parametrize("n", [1, 70])
 def test_python_gives_the_torques_of_numba_up_to_rounding(n, disturbances, monkeypatch):
-    compiled = torques(SCOPE["make"](), n, disturbances)
+    compiled = torques(n, disturbances)
     monkeypatch.setitem(sys.modules, "numba", None)
-    called = torques(SCOPE["make"](), n, disturbances)
+    called = torques(n, disturbances)
     # The motion amplifies the rounding.
     np.testing.assert_allclose(called, compiled, rtol=0.0, atol=1e-7)
     assert np.ptp(compiled) > 0.1

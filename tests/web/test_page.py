@@ -15,7 +15,6 @@ LAW = "#driver=adaptive&M=0.5&mu=0.01"
 PAUSED = f"{LAW}&t=0.1"
 # Time that a busy machine may take for a wait, ms; the check may take longer.
 PATIENCE = 60_000
-SIZE = {"width": 1280, "height": 800}
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +39,7 @@ def open_page(browser, site):
     contexts, said = [], []
 
     def opened(scene="", **settings):
-        contexts.append(browser.new_context(**{"viewport": SIZE, **settings}))
+        contexts.append(browser.new_context(**{"viewport": {"width": 1280, "height": 800}, **settings}))
         page = contexts[-1].new_page()
         page.set_default_timeout(PATIENCE)
         page.on("console", lambda message: said.append(f"{message.type}: {message.text}"))

@@ -70,10 +70,9 @@ JUDGED += [("CapsuleVelocity-v0", "velocity_error_percent", {"command_range": (0
 
 @pytest.mark.parametrize(("env", "column", "changes"), JUDGED)
 def test_a_run_in_another_environment_is_judged_by_its_task(tmp_path, monkeypatch, env, column, changes):
-    task = preset(env, "direct", "ppo").env_task
     settings = {**SMALL, "n_steps": 32, "n_epochs": 1, "total_steps": 768, "evaluate_every": 256, **changes}
     config = dataclasses.replace(preset(env, "direct", "ppo"), episode_seconds=0.4, **settings)
-    run, whole = tmp_path / "run", finished(tmp_path / "whole", config)
+    run, whole, task = tmp_path / "run", finished(tmp_path / "whole", config), config.env_task
     begin(run, config)
     train_until(run, 600, monkeypatch, killed=True)
     assert train(run) and differences(run, whole) == []

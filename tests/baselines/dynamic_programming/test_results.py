@@ -83,7 +83,7 @@ def test_results_survive_the_file(tmp_path, monkeypatch):
     assert (again.grid, again.curvature, again.gain) == (solution.grid, 0.4, 20.0)
 
 
-def test_the_command_solves_what_is_missing_and_keeps_it(tmp_path, monkeypatch, capsys):
+def test_the_command_solves_what_is_missing_and_keeps_it(tmp_path, monkeypatch, capsys, refused):
     problems, calls = [Problem(), Problem(energy_weight=2.0), Problem(mu=0.3)], []
 
     def quick(problem, shapes):
@@ -97,8 +97,7 @@ def test_the_command_solves_what_is_missing_and_keeps_it(tmp_path, monkeypatch, 
     monkeypatch.setattr(command, "set_plants", lambda: [(0.5, 0.01), (0.5, 0.02)])
     monkeypatch.setattr(archive, "solve_plant", lambda problem, _: repeat(problem, np.full(1650, 60, np.uint8)))
     arguments = ["--folder", str(tmp_path / "new")]
-    with pytest.raises(SystemExit, match="2"):
-        command.main([*arguments, "--check"])
+    refused(command.main, [*arguments, "--check"])
     assert command.main(arguments) == 130
     assert list(load_archive(tmp_path / "new").results) == [each.key for each in problems[:2]]
     assert command.main(arguments) == 0 and calls[3:] == problems[2:]

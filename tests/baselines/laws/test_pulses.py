@@ -9,6 +9,7 @@ from capsule_gym import Capsule, CapsuleVectorEnv, Randomization, _core
 from capsule_gym.parameters import NOMINAL
 
 PAPER = {"capsule": Capsule(), "randomization": "paper"}
+BETWEEN = Randomization(M=(0.45, 0.55), mu=(0.015, 0.07), log_mu=True)
 
 
 def run(name, steps, floor=None, **options):
@@ -20,9 +21,6 @@ def run(name, steps, floor=None, **options):
         observations, *_, info = env.step(act(observations))
         seen.append(info)
     return env, seen
-
-
-BETWEEN = Randomization(M=(0.45, 0.55), mu=(0.015, 0.07), log_mu=True)
 
 
 @pytest.mark.parametrize("floor", [{}, {"capsule": Capsule(static_ratio=1.1), "randomization": BETWEEN}])

@@ -63,7 +63,7 @@ def test_the_claims_about_a_law_that_does_what_they_say_hold(made, share, holds)
     assert judged == [False, True, True, holds, True, True, True, holds, True]
 
 
-def test_command_prints_every_published_number(made, monkeypatch, capsys, tmp_path):
+def test_command_prints_every_published_number(made, monkeypatch, capsys, tmp_path, refused):
     monkeypatch.setattr(report, "compute", lambda: made)
     monkeypatch.setattr(figures, "FIGURES", {"one": lambda: drawing.new_figure(1.0)})
     folder = tmp_path / "new" / "figures"
@@ -87,8 +87,7 @@ def test_command_prints_every_published_number(made, monkeypatch, capsys, tmp_pa
         binding = report._optimum(optimum)["binding"]
         assert binding and not ("without Principle 4" in optimum.problem.label and "principle_4_force" in binding)
     (tmp_path / "file").touch()
-    with pytest.raises(SystemExit):
-        paper.main(["--figures", str(tmp_path / "file")])
+    refused(paper.main, ["--figures", str(tmp_path / "file")])
 
 
 # What a panel shows, by the label of its axis.

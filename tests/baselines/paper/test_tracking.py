@@ -18,12 +18,6 @@ EXPECTED = [
 RUNS = {"proposed": (PROPOSED, 1.384, 1.2513, 1.380, 2.412), "EPC": (EPC, 1.627, 2.2085, 1.792, 2.664)}
 
 
-@pytest.fixture(scope="module")
-def maps():
-    M, mu = grid(8, 31)
-    return [speed_map(profile, M, mu) for profile in (PROPOSED, EPC)]
-
-
 @pytest.mark.parametrize(("profile", "speed", "torque", "energy", "transport"), RUNS.values(), ids=RUNS)
 def test_law_reproduces_exact_tracking(profile, speed, torque, energy, transport):
     run = track(profile)
@@ -34,7 +28,8 @@ def test_law_reproduces_exact_tracking(profile, speed, torque, energy, transport
     assert 1e-4 < abs(track(profile, "paper")["mean_speed"] / run["mean_speed"] - 1.0) < 0.01
 
 
-def test_epc_is_faster_wherever_it_moves(maps):
+def test_epc_is_faster_wherever_it_moves():
+    maps = [speed_map(profile, *grid(8, 31)) for profile in (PROPOSED, EPC)]
     ratio = speed_ratio(*maps)
     assert np.nanmax(ratio) == pytest.approx(0.88, abs=0.02) and np.isnan(ratio[maps[1] <= 0.01]).all()
 
