@@ -6,14 +6,17 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from operator import itemgetter
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from capsule_gym.checks import check_number, nearest, require
-from capsule_gym.config import DIRECT_PHYSICS_DT
+from capsule_gym.config import DIRECT_PHYSICS_DT, EnvConfig
+from capsule_gym.files import replacing
 from capsule_gym.parameters import SENSORS, Capsule, Disturbances, Randomization
 from capsule_gym.recording import UNITS, read_log
+from capsule_gym.settings import check_step, make_settings
 from capsule_gym.trajectory import PLANT
 
 if TYPE_CHECKING:
@@ -86,7 +89,7 @@ class Fit:
 
     def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
         """The shortest interval that contains a share `level` of the posterior of each quantity."""
-        level = check_number("level", level, "a number from 0 to 1", 0.0, 1.0)
+        level = check_number("level", level, "a number > 0 and <= 1", 0.0, 1.0, open_low=True)
         count = len(self.samples)
         inside = min(count - 1, math.ceil(level * count))
         found = {}
@@ -137,7 +140,8 @@ class Fit:
         axes.set_xticks(range(len(names)), names, rotation=60)
         axes.set_yticks(range(len(names)), names)
         figure.colorbar(image, label="correlation")
-        figure.savefig(path, dpi=110)
+        with replacing(Path(path)) as temporary:
+            figure.savefig(temporary, dpi=110)
 
 
 def identify(
@@ -181,12 +185,18 @@ def identify(
         low, high = Disturbances.limits(name) if name in OTHERS else (-math.inf, math.inf)
         known[name] = check_number(f"known[{name!r}]", value, f"a finite number from {low:g} to {high:g}", low, high)
     constants: dict[str, Any] = {name: value for name, value in known.items() if name in PLANT}
-    prior.corners(Capsule(**constants))
+    settings = make_settings(EnvConfig(control_dt=physics_dt, physics_dt=physics_dt), None)
+    unknown: dict[str, Any] = dict.fromkeys(constants)
+    for corner in replace(prior, **unknown).corners(Capsule(**constants)):
+        check_step(corner, corner.M, corner.mu, settings)
     ranges = {}
     for name in QUANTITIES:
         given = getattr(prior, name, None) or RANGES.get(name)
         if given and name not in known and (name[-5:] != "_bias" or name[:-5] in columns):
-            ranges[name] = given
+            if given[0] < given[1]:
+                ranges[name] = given
+            else:
+                known[name] = given[0]
     if not ranges:
         raise ValueError(f"known and prior must leave a quantity to estimate, got known={known} and prior={prior}")
     problem = Problem(columns, ranges, prior.log_mu, {**dict.fromkeys(OTHERS, 0.0), **known}, physics_dt)
@@ -212,6 +222,8 @@ def identify(
     values = {**problem.known, **estimates}
     constants = {name: values[name] for name in PLANT if name in values}
     errors: dict[str, Any] = {name: values[name] for name in OTHERS}
+    if "x" in columns:
+        errors["x_noise"] = math.hypot(*problem.noise["x"][:2])
     for name in set(SENSORS) & set(columns):
         errors[f"{name}_noise"], errors[f"{name}_drift"], errors["drift_time"] = problem.noise[name]
     fit = Fit(
@@ -228,6 +240,8 @@ def identify(
     doubts = []
     if fit.chi2 > LARGEST_CHI2:
         doubts.append(f"chi2 is {fit.chi2:.2f}: the model does not explain the log, and the intervals are too short")
+    if not {"x", "x_dot"} & set(columns):
+        doubts.append("log has neither x nor x_dot: the intervals of M, mu, m, l and k may be too short")
     # The table shows what else is open.
     if open_ones := [name for name, width in fit.widths.items() if width > OPEN and name not in RANGES]:
         doubts.append(f"the log does not determine {', '.join(open_ones)}: the intervals are the prior's")

@@ -28,7 +28,7 @@ def main(
     """
     if not log.is_file():
         raise ValueError(f"log must be a file, got {str(log)!r}")
-    check_output("--report", report)
+    check_output("--report", report, (".png", ".svg", ".pdf"))
     fit = identify(log, known, prior)
     print(fit.table())
     if report:

@@ -240,11 +240,13 @@ def test_a_single_quantity_is_estimated_alone(tmp_path):
     low, high = fit.intervals(0.999)["lag"]
     assert fit.covariance.shape == (1, 1) and low < 0.004 < high < low + 0.002
     fit.report(tmp_path / "fit.png")
+    assert fit.disturbances.x_noise == pytest.approx(0.001, rel=0.2)
     # Without the sensors of velocities, and with a prior that does not contain M.
     del known["M"], known["theta_dot_bias"], known["x_dot_bias"]
     log, known = {name: log[name] for name in ("t", "torque", "theta")}, {**known, "lag": 0.004}
     for low, high, end in ((0.3, 0.5, 0.5), (0.7, 0.9, 0.7)):
-        with pytest.warns(UserWarning, match="M lies at the end of its range") as caught:
+        few = pytest.warns(UserWarning, match="log has neither x nor x_dot")
+        with few, pytest.warns(UserWarning, match="M lies at the end of its range") as caught:
             fit = identify(log, known, Randomization(M=(low, high)))
         assert fit.estimates == pytest.approx({"M": end}, abs=1e-3)
         assert caught[0].filename == __file__ and fit.disturbances.unmeasured == ("theta_dot", "x_dot")
@@ -274,11 +276,12 @@ def test_command_and_lost_readings(log, tmp_path):
     found = {line.split()[0]: line.split()[1:] for line in done.stdout.splitlines()[1:]}
     assert "lag" not in found and float(found["c"][0]) == pytest.approx(TRUTH["c"], rel=0.03)
     assert float(found["latency"][0]) == pytest.approx(0.008, abs=1e-3) and "theta_bias" in found
-    # Decimal commas.
-    path.write_text("t,torque,theta\n0,0,0\n0,01,0,1,0,2\n")
-    said = r"a row of log must be of one number for each of \['t', 'torque', 'theta'\], got"
-    with pytest.raises(ValueError, match=said):
-        read_log(path)
+    commas = r"a row of log must be of one number for each of \['t', 'torque', 'theta'\], got"
+    bad = [("\nt, torque,theta\n0,0,0\n0,01,0,1,0,2\n", commas), ("t,t\n0,0\n", "columns with different names, got")]
+    for text, said in (*bad, ("\xb5", "CSV file in UTF-8")):
+        path.write_text(text, encoding="latin-1")
+        with pytest.raises(ValueError, match=said):
+            read_log(path)
 
 
 def test_a_wrong_model_warns():
@@ -302,7 +305,9 @@ def changed(**columns):
         (changed(theta=np.degrees), "column 'theta' must be in rad"),
         (changed(theta_dot=lambda w: 0.4 * w), "column 'theta_dot' must be the derivative of column 'theta'.* 2.[45]"),
         (changed(theta_dot=lambda w: np.where(np.arange(len(w)) % 50, w / 9.0, np.nan)), "column 'theta_dot' must be"),
+        (changed(theta_dot=lambda w: np.where(np.arange(len(w)) % 5, np.nan, w / 9.0)), "column 'theta_dot' must be"),
         (changed(x_dot=lambda v: v[:-1]), "column 'x_dot' must be one number for each row"),
+        (lambda log: {name: np.resize(each, 100_001) for name, each in log.items()}, "'t' must be .* at most 100 s"),
         (lambda log: {name: column[::10] for name, column in log.items()}, "column 't' must be in equal steps"),
         (lambda log: {name: each[150:200] for name, each in log.items()}, "column 't' must be .*, over at least 2 s"),
         (lambda log: {**log, "speed": log["x_dot"]}, "log must have columns out of"),
