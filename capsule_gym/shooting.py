@@ -2,12 +2,11 @@
 
 The log is cut into segments, whose initial states are estimated together with the constants; the end of a segment must
 meet the start of the next. Predictions and derivatives come from the core (`capsule_gym.trajectory`). The errors of a
-sensor are a bias, white noise and a Gauss-Markov drift, whose sizes follow from the residuals (Whittle, 1953).
+sensor are a bias, white noise and a Gauss-Markov drift, whose sizes follow from the residuals.
 """
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from capsule_gym.trajectory import PLANT, STATE, constant_inputs, simulate
 
 try:
     from scipy.interpolate import Akima1DInterpolator, CubicHermiteSpline
-    from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_banded
+    from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky_banded, solve_banded
     from scipy.optimize import minimize
     from scipy.signal import lfilter
 except ImportError as error:
@@ -33,17 +32,6 @@ MOST_STEPS = 15
 FINEST, SAMPLES = 0.03, 5000
 # The quantities over which the others are fitted, and the shares of their ranges at which they are.
 PROFILED, NODES = ("static_ratio", "lag"), np.linspace(0.0, 1.0, 7).tolist()
-
-
-@lru_cache(maxsize=len(STATE))
-def _gains(noise: float, drift: float, time: float, period: float, present: bytes) -> tuple[float, Any, Any]:
-    """The share of the drift that remains after a period; the filter's gains and deviations at each reading."""
-    kept, variance, gains, sizes = math.exp(-period / time), drift * drift, list[float](), list[float]()
-    for known in present:
-        sizes.append(math.sqrt(variance + noise * noise))
-        gains.append(variance / (variance + noise * noise) if known else 0.0)
-        variance = kept * kept * (1.0 - gains[-1]) * variance + (1.0 - kept * kept) * drift * drift
-    return kept, np.array(gains), np.array(sizes)
 
 
 @dataclass
@@ -106,14 +94,22 @@ class Problem:
                 columns.append(np.gradient(columns[-1], t) if other in self.log else np.zeros(len(t)))
         return np.array(columns).T[[first for first, _ in self.segments]][:, self.components].ravel()
 
-    def whiten(self, name: str, errors: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Innovations of a sensor's errors over their standard deviation: the Kalman filter of drift and noise."""
-        kept, gain, size = _gains(*self.noise[name], self.period, rows.tobytes())
-        bands = np.vstack([np.ones(len(rows)), np.append(-kept * (1.0 - gain[:-1]), 0.0)])
-        inputs = np.zeros_like(errors)
-        inputs[1:] = (kept * gain)[:-1, None] * errors[:-1]
-        predicted = solve_banded((1, 0), bands, inputs, check_finite=False)
-        return ((errors - predicted) / size[:, None])[rows]
+    def rows(self, name: str) -> np.ndarray:
+        """The rows within the segments in which a sensor has a reading."""
+        inside = np.concatenate([np.arange(*ends) for ends in self.segments])
+        return inside[np.isfinite(self.log[name][inside])]
+
+    def whiten(self, name: str, errors: np.ndarray) -> tuple[np.ndarray, float]:
+        """Whitens a sensor's errors; also returns the logarithm of the determinant of their covariance.
+
+        What remains of an error after the share of the last one that the drift keeps has a tridiagonal covariance.
+        """
+        rows, (noise, drift, time) = self.rows(name), self.noise[name]
+        kept = np.exp(-np.diff(rows, prepend=-np.inf) * self.period / time)
+        variances = drift**2 * (1.0 - kept**2) + noise**2 * (1.0 + kept**2)
+        factor = cholesky_banded(np.array([variances, np.append(-kept[1:] * noise**2, 0.0)]), lower=True)
+        changes = errors[rows] - kept[:, None] * errors[np.roll(rows, 1)]
+        return solve_banded((1, 0), factor, changes), 2.0 * np.log(factor[0]).sum()
 
     def predict(self, unknowns: np.ndarray, slopes: bool = True) -> tuple[Any, ...]:
         """Predicted readings of a log, shape (rows, sensors, 1 + unknowns), value first; NaN outside the segments.
@@ -177,13 +173,8 @@ class Problem:
     def residuals(self, unknowns: np.ndarray, slopes: bool = True) -> tuple[np.ndarray, np.ndarray]:
         """Whitened residuals and, in units of their deviations, the gaps between adjacent segments; their Jacobian."""
         predicted, gaps = self.predict(unknowns, slopes)
-        parts = []
-        for n, name in enumerate(self.sensors):
-            errors = predicted[:, n]
-            rows = np.isfinite(self.log[name]) & np.isfinite(errors[:, 0])
-            errors[:, 0] -= self.log[name]
-            errors[~rows] = 0.0
-            parts.append(self.whiten(name, errors, rows))
+        predicted[..., 0] -= np.transpose([self.log[name] for name in self.sensors])
+        parts = [self.whiten(name, predicted[:, n])[0] for n, name in enumerate(self.sensors)]
         sizes = [sum(self.noise.get(STATE[n], NOISE[STATE[n]])[:2]) for n in self.components]
         parts.append((gaps / (GAP * np.array(sizes)[:, None])).reshape(-1, gaps.shape[2]))
         whole = np.concatenate(parts)
@@ -226,28 +217,21 @@ class Problem:
         return unknowns, r @ r
 
     def estimate_noise(self, unknowns: np.ndarray) -> None:
-        """Sizes of white noise and drift, and the drift's time constant, by Whittle's likelihood of the residuals."""
+        """Sizes of white noise and drift, and the drift's time constant, of the largest likelihood of the errors."""
         predicted, _ = self.predict(unknowns, slopes=False)
-        powers = []
-        for n, name in enumerate(self.sensors):
-            errors = self.log[name] - predicted[:, n, 0]
-            present = np.isfinite(errors)
-            spectrum = np.abs(np.fft.rfft(np.where(present, errors, 0.0)))[1:-1] ** 2
-            powers.append(spectrum / present.sum())
-        cosine = np.cos(2.0 * np.pi * np.arange(1, len(powers[0]) + 1) / len(self.log["t"]))
+        errors = {name: predicted[:, n] - self.log[name][:, None] for n, name in enumerate(self.sensors)}
 
         def likelihood(logs: np.ndarray) -> float:
-            kept, total = math.exp(-self.period / math.exp(logs[-1])), 0.0
-            shape = (1.0 - kept * kept) / (1.0 - 2.0 * kept * cosine + kept * kept)
-            for power, noise, drift in zip(powers, logs[:-1:2], logs[1:-1:2], strict=True):
-                density = math.exp(2.0 * noise) + math.exp(2.0 * drift) * shape
-                total += np.sum(np.log(density) + power / density)
+            sizes, total = np.exp(logs), 0.0
+            self.noise = {name: (*sizes[2 * n : 2 * n + 2], sizes[-1]) for n, name in enumerate(errors)}
+            for name, each in errors.items():
+                r, determinant = self.whiten(name, each)
+                total += np.sum(r**2) + determinant
             return total
 
-        sizes = [0.5 * math.log(np.mean(power) / 2.0) for power in powers for _ in range(2)]
+        sizes = [0.5 * math.log(np.nanvar(each) / 2.0) for each in errors.values() for _ in range(2)]
         bounds = [(size - 7.0, size + 2.0) for size in sizes] + [(math.log(0.5 * self.period), 0.0)]
-        logs = np.exp(minimize(likelihood, [*sizes, math.log(0.05)], method="L-BFGS-B", bounds=bounds).x).tolist()
-        self.noise = {name: (logs[2 * n], logs[2 * n + 1], logs[-1]) for n, name in enumerate(self.sensors)}
+        likelihood(minimize(likelihood, [*sizes, math.log(0.05)], method="L-BFGS-B", bounds=bounds).x)
 
     def at(self, name: str, share: float) -> "Problem":
         """The problem in which a quantity is known, with the value at this share of its range."""
@@ -327,19 +311,15 @@ class Problem:
 
         It is a chi-square per degree of freedom (Ljung, System Identification, Sect. 16.6).
         """
-        predicted, _ = self.predict(unknowns, slopes=False)
-        motion, torque = np.nan_to_num(predicted[..., 0]), self.log["torque"]
+        motion, torque = np.nan_to_num(self.predict(unknowns, slopes=False)[0][..., 0]), self.log["torque"]
         # The present torque may follow from the present reading.
         lags = range(1, round(1.0 / self.period), max(1, round(0.01 / self.period)))
         regressors = [np.ones(len(torque)), *(np.append(np.zeros(lag), torque[: len(torque) - lag]) for lag in lags)]
         regressors += [function(motion[:, n]) for n in range(len(self.sensors)) for function in (np.sign, np.abs)]
-        basis, sizes, _ = np.linalg.svd(np.array(regressors).T, full_matrices=False)
-        basis = basis[:, sizes > 1e-3 * sizes[0]]
-        r = self.residuals(unknowns, slopes=False)[0]
-        total, begin = 0.0, 0
-        for n, name in enumerate(self.sensors):
-            rows = np.isfinite(self.log[name]) & np.isfinite(predicted[:, n, 0])
-            own = np.linalg.qr(basis[rows])[0]
-            total += np.sum((own.T @ r[begin : begin + rows.sum()]) ** 2) / (own.shape[1] * len(self.sensors))
-            begin += rows.sum()
+        X, r, total = np.transpose(regressors), self.residuals(unknowns, slopes=False)[0], 0.0
+        for name in self.sensors:
+            rows = self.rows(name)
+            solution, _, rank, _ = np.linalg.lstsq(X[rows], r[: len(rows)], rcond=1e-3)
+            total += np.sum((X[rows] @ solution) ** 2) / (rank * len(self.sensors))
+            r = r[len(rows) :]
         return total
