@@ -120,27 +120,27 @@ class Problem:
         (values, scale), states = self.values(unknowns[:count]), unknowns[count:].reshape(-1, width)
         constants: dict[str, Any] = {name: values[name] for name in PLANT if name in values}
         inputs = constant_inputs(Capsule(**constants))
-        # Without a lag the share is 1.
-        lag = max(values["lag"], 1e-9)
-        share = 1.0 - math.exp(-self.h / lag)
-        fall = (share - 1.0) * self.h / (lag * lag)
-        # The motor's torque, as `Disturbed::drive` computes it, and its derivative by the lag.
+        # The motor's torque, as `Disturbed::drive` computes it; its derivative by the lag is the imaginary part (Squire
+        # and Trapp, 1998). Without a lag the share is 1.
+        share = 1.0 - np.exp(-self.h / (max(values["lag"], 1e-9) + 1e-30j))
         motor = lfilter([share], [1.0, share - 1.0], self.commands)
-        motor_slope = lfilter([1.0], [1.0, share - 1.0], fall * (self.commands - np.append(0.0, motor[:-1])))
         directions = [n for n, name in enumerate(self.names) if name in PLANT or name == "lag"]
         out = np.full((len(self.log["t"]), len(self.sensors), 1 + len(unknowns) * slopes), np.nan)
         gaps = np.zeros((len(self.segments) - 1, width, out.shape[2]))
         shown = [STATE.index(name) for name in self.sensors]
-        latency = values["latency"] / self.h
+        # Between the steps of the integrator: angle and position by the cubics with their rates at both ends.
+        late = math.ceil(values["latency"] / self.h)
+        cubics = CubicHermiteSpline([0.0, 1.0], np.eye(4)[::2], self.h * np.eye(4)[1::2])
+        weights = [cubics(late - values["latency"] / self.h, order) / self.h**order for order in range(3)]
         for n, (first, last) in enumerate(self.segments):
             begin, end = (first - self.lead) * self.steps, (last - 1) * self.steps + 1
             state = np.zeros(4)
             state[self.components] = states[n]
-            given = np.concatenate([inputs, state, motor[begin:end]])
+            given = np.concatenate([inputs, state, motor.real[begin:end]])
             partials = np.zeros((len(given), len(directions) + width))
             for column, which in enumerate(directions):
                 if (name := self.names[which]) == "lag":
-                    partials[len(inputs) + 4 :, column] = motor_slope[begin:end] * scale[which]
+                    partials[len(inputs) + 4 :, column] = 1e30 * motor.imag[begin:end] * scale[which]
                 else:
                     partials[PLANT.index(name), column] = scale[which]
             partials[len(inputs) + np.array(self.components), len(directions) + np.arange(width)] = 1.0
@@ -148,15 +148,14 @@ class Problem:
             own = count + n * width + np.arange(width)
             columns = np.append(0, 1 + np.append(directions, own).astype(int)) if slopes else [0]
             whole = np.concatenate([grid[:, :4, None], rates], axis=2)
-            # Between the steps of the integrator: angle and position by the cubics with their rates at both ends.
-            at = (np.arange(first, last) * self.steps - begin) - latency
-            motion = CubicHermiteSpline(np.arange(len(whole)), whole[:, ::2], self.h * whole[:, 1::2])
-            orders = [motion(at, order) / self.h**order for order in range(3)]
+            at = np.arange(first, last)[:, None] * self.steps - begin - late + [0, 1]
+            ends = whole[at].reshape(len(at), 2, 2, 2, -1)
+            orders = np.einsum("oer,neprc->npoc", np.reshape(weights, (3, 2, 2)), ends)
             out[first:last] = 0.0
-            out[first:last][:, :, columns] = np.stack(orders[:2], 2).reshape(len(at), 4, -1)[:, shown]
+            out[first:last][:, :, columns] = orders[:, :, :2].reshape(len(at), 4, -1)[:, shown]
             if slopes and "latency" in self.names:
                 which = self.names.index("latency")
-                speeds = np.stack(orders[1:], 2)[..., 0].reshape(len(at), 4)[:, shown]
+                speeds = orders[:, :, 1:, 0].reshape(len(at), 4)[:, shown]
                 out[first:last, :, 1 + which] = -speeds * scale[which]
             if n < len(gaps) and self.segments[n + 1][0] == last:
                 gaps[n][:, columns] = whole[(last - self.lead) * self.steps - begin][self.components]
