@@ -29,7 +29,7 @@ NOISE["x"] = 0.01, 0.01
 DISTANCE, GAP = 0.8, 0.02
 MOST_STEPS = 15
 # The reduction of the sum of squares that ends the last fits, and the number of samples of a posterior.
-FINEST, SAMPLES = 0.03, 5000
+FINEST, SAMPLES, PROPOSALS = 0.03, 5000, 200_000
 # The quantities over which the others are fitted, and the shares of their ranges at which they are.
 PROFILED, NODES = ("static_ratio", "lag"), np.linspace(0.0, 1.0, 7).tolist()
 
@@ -74,7 +74,7 @@ class Problem:
         logarithmic, widths = self.growths > 0.0, self.high - self.low
         found = np.where(logarithmic, self.low * np.exp(self.growths * shares), self.low + shares * widths)
         slopes = np.where(logarithmic, found * self.growths, widths)
-        return {**self.known, **dict(zip(self.names, found.tolist(), strict=True))}, slopes
+        return {**self.known, **dict(zip(self.names, found.T.tolist(), strict=True))}, slopes
 
     def cut(self, seconds: float) -> np.ndarray:
         """Cuts the log into segments that begin every DISTANCE seconds; guesses their initial states from the readings.
@@ -250,60 +250,42 @@ class Problem:
             unknowns, _ = self.fit(unknowns, FINEST)
             return self.laplace(unknowns), unknowns
         place = self.names.index(name)
-        ends, costs = {unknowns[place]: np.delete(unknowns, place)}, dict[float, float]()
-        problems = {node: self.at(name, node) for node in NODES}
-        for node in sorted(NODES, key=lambda node: abs(node - unknowns[place])):
-            last = min(ends, key=lambda end: abs(end - node))
-            guess = ends[last].copy()
-            if name == "lag" and "latency" in self.names:
-                # The log determines little more than their sum.
-                ratio = np.ptp(self.ranges[name]) / np.ptp(self.ranges["latency"])
-                n = problems[node].names.index("latency")
-                guess[n] = np.clip(guess[n] + (last - node) * ratio, 0.0, 1.0)
-            ends[node], costs[node] = problems[node].fit(guess, FINEST)
-        shares, generator = (np.arange(1000) + 0.5) / 1000.0, np.random.default_rng(0)
-        values, below = np.array([costs[node] for node in NODES]), (shares * (len(NODES) - 1)).astype(int)
+        problems, ends = [self.at(name, node) for node in NODES], {unknowns[place]: (np.delete(unknowns, place), 0.0)}
+        for n in np.argsort(np.abs(np.array(NODES) - unknowns[place])):
+            nearest = min(ends, key=lambda end: abs(end - NODES[n]))
+            ends[NODES[n]] = problems[n].fit(ends[nearest][0], FINEST)
+        found, costs = map(np.array, zip(*(ends[node] for node in NODES), strict=True))
+        best, shares, generator = np.argmin(costs), (np.arange(1000) + 0.5) / 1000.0, np.random.default_rng(0)
         # Where the likelihood jumps, it may be as large in between as at the better end.
-        jumping = np.minimum(values[below], values[below + 1])
-        cost = Akima1DInterpolator(NODES, values)(shares) if name == "lag" else jumping
+        jumping = np.minimum(costs[:-1], costs[1:])[(shares * (len(NODES) - 1)).astype(int)]
+        cost = Akima1DInterpolator(NODES, costs)(shares) if name == "lag" else jumping
         density = np.exp(-0.5 * (cost - cost.min()) + shares * self.densities[place])
         drawn = generator.choice(shares, SAMPLES, p=density / density.sum())
         if name == "lag":
-            best = shares[np.argmin(cost)]
-            found = Akima1DInterpolator(NODES, [ends[node] for node in NODES])(best)
-            parts = np.array([problems[node].laplace(ends[node]) for node in NODES])
-            middles, nearest = parts.mean(axis=1), np.abs(np.subtract.outer(drawn, NODES)).argmin(axis=1)
-            samples = Akima1DInterpolator(NODES, middles)(drawn) + (parts - middles[:, None])[nearest, range(SAMPLES)]
+            parts = np.array([problem.laplace(each) for problem, each in zip(problems, found, strict=True)])
+            middles, near = parts.mean(axis=1), np.abs(np.subtract.outer(drawn, NODES)).argmin(axis=1)
+            samples = Akima1DInterpolator(NODES, middles)(drawn) + (parts - middles[:, None])[near, range(SAMPLES)]
+            unknowns, _ = self.fit(np.insert(found[best], place, NODES[best]), FINEST)
         else:
-            best = min(NODES, key=costs.__getitem__)
-            samples, found = problems[best].posterior(ends[best])
-        found[: len(self.names) - 1] = np.clip(found[: len(self.names) - 1], 0.0, 1.0)
-        return np.insert(np.clip(samples, 0.0, 1.0), place, drawn, axis=1), np.insert(found, place, best)
+            samples, end = problems[best].posterior(found[best])
+            unknowns = np.insert(end, place, NODES[best])
+        return np.insert(np.clip(samples, 0.0, 1.0), place, drawn, axis=1), unknowns
 
     def laplace(self, unknowns: np.ndarray) -> np.ndarray:
         """Samples of the shares, shape (samples, shares): the normal approximation of the likelihood in the ranges."""
         r, jacobian = self.residuals(unknowns)
-        gradient, normal = jacobian.T @ r, jacobian.T @ jacobian + 1e-6 * np.eye(len(unknowns))
         count = len(self.names)
-        # Without the states of the segments.
-        inner = np.linalg.solve(normal[count:, count:], np.column_stack([normal[count:, :count], gradient[count:]]))
-        precision = normal[:count, :count] - normal[:count, count:] @ inner[:, :-1]
-        slope = gradient[:count] - normal[:count, count:] @ inner[:, -1]
         # Drawn with a normal prior as wide as the ranges, which the weights take back.
-        mode = unknowns[:count]
-        covariance = np.linalg.inv(precision + np.eye(count))
-        middle = mode + covariance @ (0.5 - mode - slope)
-        factor = np.linalg.cholesky(covariance)
-        generator, found = np.random.default_rng(0), np.zeros((0, count))
-        for _ in range(200):
-            every = middle + generator.standard_normal((SAMPLES, count)) @ factor.T
-            drawn = every[((every >= 0.0) & (every <= 1.0)).all(axis=1)]
-            weight = np.exp(0.5 * np.sum((drawn - 0.5) ** 2 - 0.25, axis=1) + (drawn - 1.0) @ self.densities)
-            found = np.concatenate([found, drawn[generator.uniform(size=len(drawn)) < weight]])
-            if len(found) >= SAMPLES:
-                break
+        prior = np.where(np.arange(len(unknowns)) < count, 1.0, 1e-6)
+        covariance = np.linalg.inv(jacobian.T @ jacobian + np.diag(prior))
+        middle = unknowns + covariance @ (prior * (0.5 - unknowns) - jacobian.T @ r)
+        factor, generator = np.linalg.cholesky(covariance[:count, :count]), np.random.default_rng(0)
+        drawn = middle[:count] + generator.standard_normal((PROPOSALS, count)) @ factor.T
+        inside = ((drawn >= 0.0) & (drawn <= 1.0)).all(axis=1)
         # A likelihood far outside of the ranges, which hardly any sample meets.
-        return np.resize(found, (SAMPLES, count)) if len(found) > 500 else np.clip(every, 0.0, 1.0)
+        drawn = drawn[inside] if inside.sum() > 500 else np.clip(drawn, 0.0, 1.0)
+        weights = np.exp(0.5 * np.sum((drawn - 0.5) ** 2, axis=1) + (drawn - 1.0) @ self.densities)
+        return drawn[generator.choice(len(drawn), SAMPLES, p=weights / weights.sum())]
 
     def statistic(self, unknowns: np.ndarray) -> float:
         """The share of the whitened residuals that past torques and the predicted motion explain, over that of noise.
