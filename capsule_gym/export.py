@@ -176,31 +176,22 @@ class Exported:
         real: Any = np.float32 if single else np.float64
         # Policies that end with tanh are steep: they amplify rounding errors before the last layer up to 80 times.
         hidden: Any = np.float64 if policy.squashing == "tanh" else real
-        nodes, initializers = list[Any](), list[Any]()
-
-        def constant(value: Any, dtype: Any) -> str:
-            initializers.append(numpy_helper.from_array(np.asarray(value, dtype), f"constant_{len(initializers)}"))
-            return initializers[-1].name
-
-        def add(operation: str, *inputs: Any, dtype: Any = real, **attributes: Any) -> str:
-            names = [each if isinstance(each, str) else constant(each, dtype) for each in inputs]
-            nodes.append(helper.make_node(operation, names, [f"value_{len(nodes)}"], **attributes))
-            return nodes[-1].output[0]
-
-        def cast(name: str, dtype: Any) -> str:
-            return add("Cast", name, to=helper.np_dtype_to_tensor_dtype(np.dtype(dtype)))
-
-        x = cast("observation", hidden)
-        x = add("Mul", add("Sub", x, policy.mean, dtype=hidden), self.scale, dtype=hidden)
-        x = add("Clip", x, -policy.clip, policy.clip, dtype=hidden)
         *layers, last = policy.layers
-        for weights, bias in layers:
-            x = add(policy.activation.capitalize(), add("Gemm", x, weights, bias, dtype=hidden, transB=1))
-        x = add("Gemm", cast(x, real), *last, transB=1)
-        if policy.squashing != "clip":
-            x = add(policy.squashing.capitalize(), x)
-        action = add("Clip", x, -1.0, 1.0)
-        nodes.append(helper.make_node("Cast", [action], ["action"], to=TensorProto.FLOAT))
+        # Each operation takes the result of the last one, and constants.
+        chain: list[Any] = [("Cast", hidden), ("Sub", hidden, policy.mean), ("Mul", hidden, self.scale)]
+        chain.append(("Clip", hidden, -policy.clip, policy.clip))
+        for layer in layers:
+            chain += [("Gemm", hidden, *layer), (policy.activation.capitalize(), hidden)]
+        chain += [("Cast", real), ("Gemm", real, *last)]
+        chain += [] if policy.squashing == "clip" else [(policy.squashing.capitalize(), real)]
+        chain += [("Clip", real, -1.0, 1.0), ("Cast", np.float32)]
+        names = ["observation", *(f"value_{n}" for n in range(1, len(chain))), "action"]
+        nodes, initializers = list[Any](), list[Any]()
+        for n, (operation, dtype, *constants) in enumerate(chain):
+            own = [f"constant_{n}_{k}" for k in range(len(constants))]
+            initializers += map(numpy_helper.from_array, (np.asarray(each, dtype) for each in constants), own)
+            options: Any = {"Cast": {"to": helper.np_dtype_to_tensor_dtype(np.dtype(dtype))}, "Gemm": {"transB": 1}}
+            nodes.append(helper.make_node(operation, [names[n], *own], [names[n + 1]], **options.get(operation, {})))
         tensor = partial(helper.make_tensor_value_info, elem_type=TensorProto.FLOAT)
         inputs, outputs = [tensor("observation", shape=["n", policy.entries])], [tensor("action", shape=["n", 1])]
         graph = helper.make_graph(nodes, policy.name, inputs, outputs, initializers, doc_string=policy.description)

@@ -217,7 +217,8 @@ def identify(
     problem.noise, problem.segments = smooth.noise, smooth.segments
     found = fits[0][0] if smooth is problem else np.insert(fits[0][0], problem.names.index("static_ratio"), RATIO)
     shares, found = problem.posterior(found)
-    samples = np.array([[problem.values(each)[0][name] for name in problem.names] for each in shares])
+    drawn, _ = problem.values(shares)
+    samples = np.transpose([drawn[name] for name in problem.names])
     estimates = dict(zip(problem.names, samples.mean(axis=0).tolist(), strict=True))
     values = {**problem.known, **estimates}
     constants = {name: values[name] for name in PLANT if name in values}

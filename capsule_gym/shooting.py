@@ -2,12 +2,11 @@
 
 The log is cut into segments, whose initial states are estimated together with the constants; the end of a segment must
 meet the start of the next. Predictions and derivatives come from the core (`capsule_gym.trajectory`). The errors of a
-sensor are a bias, white noise and a Gauss-Markov drift, whose sizes follow from the residuals (Whittle, 1953).
+sensor are a bias, white noise and a Gauss-Markov drift, whose sizes follow from the residuals.
 """
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from capsule_gym.trajectory import PLANT, STATE, constant_inputs, simulate
 
 try:
     from scipy.interpolate import Akima1DInterpolator, CubicHermiteSpline
-    from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_banded
+    from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky_banded, solve_banded
     from scipy.optimize import minimize
     from scipy.signal import lfilter
 except ImportError as error:
@@ -30,20 +29,9 @@ NOISE["x"] = 0.01, 0.01
 DISTANCE, GAP = 0.8, 0.02
 MOST_STEPS = 15
 # The reduction of the sum of squares that ends the last fits, and the number of samples of a posterior.
-FINEST, SAMPLES = 0.03, 5000
+FINEST, SAMPLES, PROPOSALS = 0.03, 5000, 200_000
 # The quantities over which the others are fitted, and the shares of their ranges at which they are.
 PROFILED, NODES = ("static_ratio", "lag"), np.linspace(0.0, 1.0, 7).tolist()
-
-
-@lru_cache(maxsize=len(STATE))
-def _gains(noise: float, drift: float, time: float, period: float, present: bytes) -> tuple[float, Any, Any]:
-    """The share of the drift that remains after a period; the filter's gains and deviations at each reading."""
-    kept, variance, gains, sizes = math.exp(-period / time), drift * drift, list[float](), list[float]()
-    for known in present:
-        sizes.append(math.sqrt(variance + noise * noise))
-        gains.append(variance / (variance + noise * noise) if known else 0.0)
-        variance = kept * kept * (1.0 - gains[-1]) * variance + (1.0 - kept * kept) * drift * drift
-    return kept, np.array(gains), np.array(sizes)
 
 
 @dataclass
@@ -86,7 +74,7 @@ class Problem:
         logarithmic, widths = self.growths > 0.0, self.high - self.low
         found = np.where(logarithmic, self.low * np.exp(self.growths * shares), self.low + shares * widths)
         slopes = np.where(logarithmic, found * self.growths, widths)
-        return {**self.known, **dict(zip(self.names, found.tolist(), strict=True))}, slopes
+        return {**self.known, **dict(zip(self.names, found.T.tolist(), strict=True))}, slopes
 
     def cut(self, seconds: float) -> np.ndarray:
         """Cuts the log into segments that begin every DISTANCE seconds; guesses their initial states from the readings.
@@ -106,14 +94,22 @@ class Problem:
                 columns.append(np.gradient(columns[-1], t) if other in self.log else np.zeros(len(t)))
         return np.array(columns).T[[first for first, _ in self.segments]][:, self.components].ravel()
 
-    def whiten(self, name: str, errors: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Innovations of a sensor's errors over their standard deviation: the Kalman filter of drift and noise."""
-        kept, gain, size = _gains(*self.noise[name], self.period, rows.tobytes())
-        bands = np.vstack([np.ones(len(rows)), np.append(-kept * (1.0 - gain[:-1]), 0.0)])
-        inputs = np.zeros_like(errors)
-        inputs[1:] = (kept * gain)[:-1, None] * errors[:-1]
-        predicted = solve_banded((1, 0), bands, inputs, check_finite=False)
-        return ((errors - predicted) / size[:, None])[rows]
+    def rows(self, name: str) -> np.ndarray:
+        """The rows within the segments in which a sensor has a reading."""
+        inside = np.concatenate([np.arange(*ends) for ends in self.segments])
+        return inside[np.isfinite(self.log[name][inside])]
+
+    def whiten(self, name: str, errors: np.ndarray) -> tuple[np.ndarray, float]:
+        """Whitens a sensor's errors; also returns the logarithm of the determinant of their covariance.
+
+        What remains of an error after the share of the last one that the drift keeps has a tridiagonal covariance.
+        """
+        rows, (noise, drift, time) = self.rows(name), self.noise[name]
+        kept = np.exp(-np.diff(rows, prepend=-np.inf) * self.period / time)
+        variances = drift**2 * (1.0 - kept**2) + noise**2 * (1.0 + kept**2)
+        factor = cholesky_banded(np.array([variances, np.append(-kept[1:] * noise**2, 0.0)]), lower=True)
+        changes = errors[rows] - kept[:, None] * errors[np.roll(rows, 1)]
+        return solve_banded((1, 0), factor, changes), 2.0 * np.log(factor[0]).sum()
 
     def predict(self, unknowns: np.ndarray, slopes: bool = True) -> tuple[Any, ...]:
         """Predicted readings of a log, shape (rows, sensors, 1 + unknowns), value first; NaN outside the segments.
@@ -124,27 +120,27 @@ class Problem:
         (values, scale), states = self.values(unknowns[:count]), unknowns[count:].reshape(-1, width)
         constants: dict[str, Any] = {name: values[name] for name in PLANT if name in values}
         inputs = constant_inputs(Capsule(**constants))
-        # Without a lag the share is 1.
-        lag = max(values["lag"], 1e-9)
-        share = 1.0 - math.exp(-self.h / lag)
-        fall = (share - 1.0) * self.h / (lag * lag)
-        # The motor's torque, as `Disturbed::drive` computes it, and its derivative by the lag.
+        # The motor's torque, as `Disturbed::drive` computes it; its derivative by the lag is the imaginary part (Squire
+        # and Trapp, 1998). Without a lag the share is 1.
+        share = 1.0 - np.exp(-self.h / (max(values["lag"], 1e-9) + 1e-30j))
         motor = lfilter([share], [1.0, share - 1.0], self.commands)
-        motor_slope = lfilter([1.0], [1.0, share - 1.0], fall * (self.commands - np.append(0.0, motor[:-1])))
         directions = [n for n, name in enumerate(self.names) if name in PLANT or name == "lag"]
         out = np.full((len(self.log["t"]), len(self.sensors), 1 + len(unknowns) * slopes), np.nan)
         gaps = np.zeros((len(self.segments) - 1, width, out.shape[2]))
         shown = [STATE.index(name) for name in self.sensors]
-        latency = values["latency"] / self.h
+        # Between the steps of the integrator: angle and position by the cubics with their rates at both ends.
+        late = math.ceil(values["latency"] / self.h)
+        cubics = CubicHermiteSpline([0.0, 1.0], np.eye(4)[::2], self.h * np.eye(4)[1::2])
+        weights = [cubics(late - values["latency"] / self.h, order) / self.h**order for order in range(3)]
         for n, (first, last) in enumerate(self.segments):
             begin, end = (first - self.lead) * self.steps, (last - 1) * self.steps + 1
             state = np.zeros(4)
             state[self.components] = states[n]
-            given = np.concatenate([inputs, state, motor[begin:end]])
+            given = np.concatenate([inputs, state, motor.real[begin:end]])
             partials = np.zeros((len(given), len(directions) + width))
             for column, which in enumerate(directions):
                 if (name := self.names[which]) == "lag":
-                    partials[len(inputs) + 4 :, column] = motor_slope[begin:end] * scale[which]
+                    partials[len(inputs) + 4 :, column] = 1e30 * motor.imag[begin:end] * scale[which]
                 else:
                     partials[PLANT.index(name), column] = scale[which]
             partials[len(inputs) + np.array(self.components), len(directions) + np.arange(width)] = 1.0
@@ -152,15 +148,14 @@ class Problem:
             own = count + n * width + np.arange(width)
             columns = np.append(0, 1 + np.append(directions, own).astype(int)) if slopes else [0]
             whole = np.concatenate([grid[:, :4, None], rates], axis=2)
-            # Between the steps of the integrator: angle and position by the cubics with their rates at both ends.
-            at = (np.arange(first, last) * self.steps - begin) - latency
-            motion = CubicHermiteSpline(np.arange(len(whole)), whole[:, ::2], self.h * whole[:, 1::2])
-            orders = [motion(at, order) / self.h**order for order in range(3)]
+            at = np.arange(first, last)[:, None] * self.steps - begin - late + [0, 1]
+            ends = whole[at].reshape(len(at), 2, 2, 2, -1)
+            orders = np.einsum("oer,neprc->npoc", np.reshape(weights, (3, 2, 2)), ends)
             out[first:last] = 0.0
-            out[first:last][:, :, columns] = np.stack(orders[:2], 2).reshape(len(at), 4, -1)[:, shown]
+            out[first:last][:, :, columns] = orders[:, :, :2].reshape(len(at), 4, -1)[:, shown]
             if slopes and "latency" in self.names:
                 which = self.names.index("latency")
-                speeds = np.stack(orders[1:], 2)[..., 0].reshape(len(at), 4)[:, shown]
+                speeds = orders[:, :, 1:, 0].reshape(len(at), 4)[:, shown]
                 out[first:last, :, 1 + which] = -speeds * scale[which]
             if n < len(gaps) and self.segments[n + 1][0] == last:
                 gaps[n][:, columns] = whole[(last - self.lead) * self.steps - begin][self.components]
@@ -177,13 +172,8 @@ class Problem:
     def residuals(self, unknowns: np.ndarray, slopes: bool = True) -> tuple[np.ndarray, np.ndarray]:
         """Whitened residuals and, in units of their deviations, the gaps between adjacent segments; their Jacobian."""
         predicted, gaps = self.predict(unknowns, slopes)
-        parts = []
-        for n, name in enumerate(self.sensors):
-            errors = predicted[:, n]
-            rows = np.isfinite(self.log[name]) & np.isfinite(errors[:, 0])
-            errors[:, 0] -= self.log[name]
-            errors[~rows] = 0.0
-            parts.append(self.whiten(name, errors, rows))
+        predicted[..., 0] -= np.transpose([self.log[name] for name in self.sensors])
+        parts = [self.whiten(name, predicted[:, n])[0] for n, name in enumerate(self.sensors)]
         sizes = [sum(self.noise.get(STATE[n], NOISE[STATE[n]])[:2]) for n in self.components]
         parts.append((gaps / (GAP * np.array(sizes)[:, None])).reshape(-1, gaps.shape[2]))
         whole = np.concatenate(parts)
@@ -226,28 +216,21 @@ class Problem:
         return unknowns, r @ r
 
     def estimate_noise(self, unknowns: np.ndarray) -> None:
-        """Sizes of white noise and drift, and the drift's time constant, by Whittle's likelihood of the residuals."""
+        """Sizes of white noise and drift, and the drift's time constant, of the largest likelihood of the errors."""
         predicted, _ = self.predict(unknowns, slopes=False)
-        powers = []
-        for n, name in enumerate(self.sensors):
-            errors = self.log[name] - predicted[:, n, 0]
-            present = np.isfinite(errors)
-            spectrum = np.abs(np.fft.rfft(np.where(present, errors, 0.0)))[1:-1] ** 2
-            powers.append(spectrum / present.sum())
-        cosine = np.cos(2.0 * np.pi * np.arange(1, len(powers[0]) + 1) / len(self.log["t"]))
+        errors = {name: predicted[:, n] - self.log[name][:, None] for n, name in enumerate(self.sensors)}
 
         def likelihood(logs: np.ndarray) -> float:
-            kept, total = math.exp(-self.period / math.exp(logs[-1])), 0.0
-            shape = (1.0 - kept * kept) / (1.0 - 2.0 * kept * cosine + kept * kept)
-            for power, noise, drift in zip(powers, logs[:-1:2], logs[1:-1:2], strict=True):
-                density = math.exp(2.0 * noise) + math.exp(2.0 * drift) * shape
-                total += np.sum(np.log(density) + power / density)
+            sizes, total = np.exp(logs), 0.0
+            self.noise = {name: (*sizes[2 * n : 2 * n + 2], sizes[-1]) for n, name in enumerate(errors)}
+            for name, each in errors.items():
+                r, determinant = self.whiten(name, each)
+                total += np.sum(r**2) + determinant
             return total
 
-        sizes = [0.5 * math.log(np.mean(power) / 2.0) for power in powers for _ in range(2)]
+        sizes = [0.5 * math.log(np.nanvar(each) / 2.0) for each in errors.values() for _ in range(2)]
         bounds = [(size - 7.0, size + 2.0) for size in sizes] + [(math.log(0.5 * self.period), 0.0)]
-        logs = np.exp(minimize(likelihood, [*sizes, math.log(0.05)], method="L-BFGS-B", bounds=bounds).x).tolist()
-        self.noise = {name: (logs[2 * n], logs[2 * n + 1], logs[-1]) for n, name in enumerate(self.sensors)}
+        likelihood(minimize(likelihood, [*sizes, math.log(0.05)], method="L-BFGS-B", bounds=bounds).x)
 
     def at(self, name: str, share: float) -> "Problem":
         """The problem in which a quantity is known, with the value at this share of its range."""
@@ -267,79 +250,57 @@ class Problem:
             unknowns, _ = self.fit(unknowns, FINEST)
             return self.laplace(unknowns), unknowns
         place = self.names.index(name)
-        ends, costs = {unknowns[place]: np.delete(unknowns, place)}, dict[float, float]()
-        problems = {node: self.at(name, node) for node in NODES}
-        for node in sorted(NODES, key=lambda node: abs(node - unknowns[place])):
-            last = min(ends, key=lambda end: abs(end - node))
-            guess = ends[last].copy()
-            if name == "lag" and "latency" in self.names:
-                # The log determines little more than their sum.
-                ratio = np.ptp(self.ranges[name]) / np.ptp(self.ranges["latency"])
-                n = problems[node].names.index("latency")
-                guess[n] = np.clip(guess[n] + (last - node) * ratio, 0.0, 1.0)
-            ends[node], costs[node] = problems[node].fit(guess, FINEST)
-        shares, generator = (np.arange(1000) + 0.5) / 1000.0, np.random.default_rng(0)
-        values, below = np.array([costs[node] for node in NODES]), (shares * (len(NODES) - 1)).astype(int)
+        problems, ends = [self.at(name, node) for node in NODES], {unknowns[place]: (np.delete(unknowns, place), 0.0)}
+        for n in np.argsort(np.abs(np.array(NODES) - unknowns[place])):
+            nearest = min(ends, key=lambda end: abs(end - NODES[n]))
+            ends[NODES[n]] = problems[n].fit(ends[nearest][0], FINEST)
+        found, costs = map(np.array, zip(*(ends[node] for node in NODES), strict=True))
+        best, shares, generator = np.argmin(costs), (np.arange(1000) + 0.5) / 1000.0, np.random.default_rng(0)
         # Where the likelihood jumps, it may be as large in between as at the better end.
-        jumping = np.minimum(values[below], values[below + 1])
-        cost = Akima1DInterpolator(NODES, values)(shares) if name == "lag" else jumping
+        jumping = np.minimum(costs[:-1], costs[1:])[(shares * (len(NODES) - 1)).astype(int)]
+        cost = Akima1DInterpolator(NODES, costs)(shares) if name == "lag" else jumping
         density = np.exp(-0.5 * (cost - cost.min()) + shares * self.densities[place])
         drawn = generator.choice(shares, SAMPLES, p=density / density.sum())
         if name == "lag":
-            best = shares[np.argmin(cost)]
-            found = Akima1DInterpolator(NODES, [ends[node] for node in NODES])(best)
-            parts = np.array([problems[node].laplace(ends[node]) for node in NODES])
-            middles, nearest = parts.mean(axis=1), np.abs(np.subtract.outer(drawn, NODES)).argmin(axis=1)
-            samples = Akima1DInterpolator(NODES, middles)(drawn) + (parts - middles[:, None])[nearest, range(SAMPLES)]
+            parts = np.array([problem.laplace(each) for problem, each in zip(problems, found, strict=True)])
+            middles, near = parts.mean(axis=1), np.abs(np.subtract.outer(drawn, NODES)).argmin(axis=1)
+            samples = Akima1DInterpolator(NODES, middles)(drawn) + (parts - middles[:, None])[near, range(SAMPLES)]
+            unknowns, _ = self.fit(np.insert(found[best], place, NODES[best]), FINEST)
         else:
-            best = min(NODES, key=costs.__getitem__)
-            samples, found = problems[best].posterior(ends[best])
-        found[: len(self.names) - 1] = np.clip(found[: len(self.names) - 1], 0.0, 1.0)
-        return np.insert(np.clip(samples, 0.0, 1.0), place, drawn, axis=1), np.insert(found, place, best)
+            samples, end = problems[best].posterior(found[best])
+            unknowns = np.insert(end, place, NODES[best])
+        return np.insert(np.clip(samples, 0.0, 1.0), place, drawn, axis=1), unknowns
 
     def laplace(self, unknowns: np.ndarray) -> np.ndarray:
         """Samples of the shares, shape (samples, shares): the normal approximation of the likelihood in the ranges."""
         r, jacobian = self.residuals(unknowns)
-        gradient, normal = jacobian.T @ r, jacobian.T @ jacobian + 1e-6 * np.eye(len(unknowns))
         count = len(self.names)
-        # Without the states of the segments.
-        inner = np.linalg.solve(normal[count:, count:], np.column_stack([normal[count:, :count], gradient[count:]]))
-        precision = normal[:count, :count] - normal[:count, count:] @ inner[:, :-1]
-        slope = gradient[:count] - normal[:count, count:] @ inner[:, -1]
         # Drawn with a normal prior as wide as the ranges, which the weights take back.
-        mode = unknowns[:count]
-        covariance = np.linalg.inv(precision + np.eye(count))
-        middle = mode + covariance @ (0.5 - mode - slope)
-        factor = np.linalg.cholesky(covariance)
-        generator, found = np.random.default_rng(0), np.zeros((0, count))
-        for _ in range(200):
-            every = middle + generator.standard_normal((SAMPLES, count)) @ factor.T
-            drawn = every[((every >= 0.0) & (every <= 1.0)).all(axis=1)]
-            weight = np.exp(0.5 * np.sum((drawn - 0.5) ** 2 - 0.25, axis=1) + (drawn - 1.0) @ self.densities)
-            found = np.concatenate([found, drawn[generator.uniform(size=len(drawn)) < weight]])
-            if len(found) >= SAMPLES:
-                break
+        prior = np.where(np.arange(len(unknowns)) < count, 1.0, 1e-6)
+        covariance = np.linalg.inv(jacobian.T @ jacobian + np.diag(prior))
+        middle = unknowns + covariance @ (prior * (0.5 - unknowns) - jacobian.T @ r)
+        factor, generator = np.linalg.cholesky(covariance[:count, :count]), np.random.default_rng(0)
+        drawn = middle[:count] + generator.standard_normal((PROPOSALS, count)) @ factor.T
+        inside = ((drawn >= 0.0) & (drawn <= 1.0)).all(axis=1)
         # A likelihood far outside of the ranges, which hardly any sample meets.
-        return np.resize(found, (SAMPLES, count)) if len(found) > 500 else np.clip(every, 0.0, 1.0)
+        drawn = drawn[inside] if inside.sum() > 500 else np.clip(drawn, 0.0, 1.0)
+        weights = np.exp(0.5 * np.sum((drawn - 0.5) ** 2, axis=1) + (drawn - 1.0) @ self.densities)
+        return drawn[generator.choice(len(drawn), SAMPLES, p=weights / weights.sum())]
 
     def statistic(self, unknowns: np.ndarray) -> float:
         """The share of the whitened residuals that past torques and the predicted motion explain, over that of noise.
 
         It is a chi-square per degree of freedom (Ljung, System Identification, Sect. 16.6).
         """
-        predicted, _ = self.predict(unknowns, slopes=False)
-        motion, torque = np.nan_to_num(predicted[..., 0]), self.log["torque"]
+        motion, torque = np.nan_to_num(self.predict(unknowns, slopes=False)[0][..., 0]), self.log["torque"]
         # The present torque may follow from the present reading.
         lags = range(1, round(1.0 / self.period), max(1, round(0.01 / self.period)))
         regressors = [np.ones(len(torque)), *(np.append(np.zeros(lag), torque[: len(torque) - lag]) for lag in lags)]
         regressors += [function(motion[:, n]) for n in range(len(self.sensors)) for function in (np.sign, np.abs)]
-        basis, sizes, _ = np.linalg.svd(np.array(regressors).T, full_matrices=False)
-        basis = basis[:, sizes > 1e-3 * sizes[0]]
-        r = self.residuals(unknowns, slopes=False)[0]
-        total, begin = 0.0, 0
-        for n, name in enumerate(self.sensors):
-            rows = np.isfinite(self.log[name]) & np.isfinite(predicted[:, n, 0])
-            own = np.linalg.qr(basis[rows])[0]
-            total += np.sum((own.T @ r[begin : begin + rows.sum()]) ** 2) / (own.shape[1] * len(self.sensors))
-            begin += rows.sum()
+        X, r, total = np.transpose(regressors), self.residuals(unknowns, slopes=False)[0], 0.0
+        for name in self.sensors:
+            rows = self.rows(name)
+            solution, _, rank, _ = np.linalg.lstsq(X[rows], r[: len(rows)], rcond=1e-3)
+            total += np.sum((X[rows] @ solution) ** 2) / (rank * len(self.sensors))
+            r = r[len(rows) :]
         return total

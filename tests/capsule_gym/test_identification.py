@@ -104,16 +104,19 @@ def test_quantities_segments_and_first_states_by_hand():
 def test_errors_are_whitened_by_their_covariance_and_give_the_sizes_of_noise_and_drift():
     problem, rng = make_small_problem(), np.random.default_rng(0)
     noise, drift, time = problem.noise["theta"] = (0.02, 0.05, 0.3)
-    rows = rng.uniform(size=400) > 0.1
-    errors = np.where(rows[:, None], rng.normal(size=(400, 3)), 0.0)
+    problem.segments, rows = [(0, 400)], rng.uniform(size=400) > 0.1
+    errors, problem.log["theta"] = rng.normal(size=(400, 3)), np.where(rows, problem.log["theta"], np.nan)
     covariance = drift**2 * np.exp(-np.abs(np.subtract.outer(T, T)) / time) + noise**2 * np.eye(400)
     expected = np.linalg.solve(np.linalg.cholesky(covariance[rows][:, rows]), errors[rows])
-    np.testing.assert_allclose(problem.whiten("theta", errors, rows), expected, rtol=1e-8, atol=1e-9)
+    found, determinant = problem.whiten("theta", errors)
+    np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-9)
+    assert determinant == pytest.approx(np.linalg.slogdet(covariance[rows][:, rows])[1])
     count, rng, kept = 40_000, np.random.default_rng(1), math.exp(-0.01 / 0.2)
     drift = lfilter([math.sqrt(1.0 - kept**2)], [1.0, -kept], 0.05 * rng.normal(size=count))
     problem = make_small_problem(count, theta=drift + 0.02 * rng.normal(size=count))
     problem.log["theta"][rng.uniform(size=count) < 0.01] = np.nan
     problem.predict = lambda *_, **__: (np.zeros((count, 1, 1)), None)
+    problem.segments = [(0, count)]
     problem.estimate_noise(np.zeros(3))
     assert problem.noise["theta"] == pytest.approx((0.02, 0.05, 0.2), rel=0.15)
 
@@ -183,6 +186,7 @@ def test_the_posterior_of_a_likelihood_that_jumps_begins_where_it_may_jump(monke
 
 def test_chi2_is_what_past_torques_and_the_motion_explain_of_the_residuals():
     problem, rng = make_small_problem(x_dot=np.where(np.arange(400) % 5 == 0, np.nan, T)), np.random.default_rng(2)
+    problem.segments = [(2, 400)]
     motion, u, n = rng.normal(size=(400, 2)), problem.log["torque"], np.arange(2, 400)
     r, rows = [rng.normal(size=398), 1.2 * rng.normal(size=319)], [n, n[n % 5 > 0]]
     problem.predict = lambda *_, **__: (np.where(np.arange(400)[:, None] < 2, np.nan, motion)[..., None], None)
