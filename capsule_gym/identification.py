@@ -37,6 +37,7 @@ STARTS, KEPT = tuple({"latency": latency, "mu": mu} for latency in (0.3, 0.7) fo
 # Share of the static ratio's range at which the search fixes it.
 RATIO = 0.25
 LARGEST_CHI2 = 1.2
+FIGURES = (".png", ".svg", ".pdf")
 # Width of an interval in units of the range's from which on it is the prior's.
 OPEN = 0.8
 
@@ -119,9 +120,11 @@ class Fit:
         return "\n".join([*rows, f"chi2 {self.chi2:.2f}; minima of the fits: {self.minima}"])
 
     def report(self, path: str | os.PathLike[str]) -> None:
-        """Draws measured and predicted readings, the residuals, and the correlations of the estimates."""
+        """Draws measured and predicted readings, residuals and correlations of the estimates: a .png, .svg or .pdf."""
         from matplotlib.figure import Figure
 
+        path = Path(path)
+        require(path.suffix in FIGURES, "path", f"the name of a file {' or '.join(FIGURES)}", str(path))
         problem, t = self._problem, self._problem.log["t"]
         predicted, _ = problem.predict(self._found, slopes=False)
         figure = Figure(figsize=(11.0, 2.2 * len(problem.sensors) + 4.5), layout="constrained")
@@ -140,7 +143,7 @@ class Fit:
         axes.set_xticks(range(len(names)), names, rotation=60)
         axes.set_yticks(range(len(names)), names)
         figure.colorbar(image, label="correlation")
-        with replacing(Path(path)) as temporary:
+        with replacing(path) as temporary:
             figure.savefig(temporary, dpi=110)
 
 

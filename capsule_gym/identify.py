@@ -6,6 +6,7 @@ from types import ModuleType
 
 from capsule_gym import identify
 from capsule_gym.command_line import Positional, check_output, command
+from capsule_gym.identification import FIGURES
 
 
 @command("python -m capsule_gym.identify", TypeError, ValueError)
@@ -28,7 +29,7 @@ def main(
     """
     if not log.is_file():
         raise ValueError(f"log must be a file, got {str(log)!r}")
-    check_output("--report", report, (".png", ".svg", ".pdf"))
+    check_output("--report", report, FIGURES)
     fit = identify(log, known, prior)
     print(fit.table())
     if report:

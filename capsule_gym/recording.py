@@ -66,8 +66,8 @@ def read_log(log: Any) -> dict[str, np.ndarray]:
     equal = 1e-4 <= period <= 0.05 and bool((np.abs(dt - period) <= 0.05 * period).all())
     accepted = (
         f"in equal steps of 0.0001 to 0.05 s, over at least {SHORTEST:g} s and at most {LONGEST:g} s, in at most "
+        f"{MOST_ROWS} rows"
     )
-    accepted += f"{MOST_ROWS} rows"
     worst = int(np.abs(dt - period).argmax()) if len(dt) else 0
     found = f"{len(t)} rows over {dt.sum():g} s; the step after row {worst} is {dt[worst : worst + 1]}"
     require(equal and SHORTEST <= dt.sum() <= LONGEST and len(t) <= MOST_ROWS, "column 't'", accepted, found)
