@@ -28,7 +28,8 @@ NOISE["x"] = 0.01, 0.01
 # Distance between the starts of segments, s, and the standard deviation of a gap over that of a reading.
 DISTANCE, GAP = 0.8, 0.02
 MOST_STEPS = 15
-# The reduction of the sum of squares that ends the last fits, and the number of samples of a posterior.
+# The reduction of the sum of squares that ends the last fits; the number of samples of a posterior, and of the draws
+# from which they are chosen.
 FINEST, SAMPLES, PROPOSALS = 0.03, 5000, 200_000
 # The quantities over which the others are fitted, and the shares of their ranges at which they are.
 PROFILED, NODES = ("static_ratio", "lag"), np.linspace(0.0, 1.0, 7).tolist()

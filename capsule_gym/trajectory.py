@@ -117,11 +117,9 @@ def sensitivity(
             raise ValueError(f"wrt must contain names out of {known}, got {name!r}{nearest(name, known)}")
         if name == "stribeck_speed" and capsule.stribeck_speed == 0.0:
             raise ValueError("wrt may contain 'stribeck_speed' only where capsule.stribeck_speed > 0, got 0.0")
-    units = [np.eye(len(inputs), spans[name][1], -spans[name][0]) for name in wrt]
-    for name, unit in zip(wrt, units, strict=True):
-        if name == "torque":
-            unit[first:, 0] = commands
-    partials = np.hstack([np.zeros((len(inputs), 0)), *units])
+    factor = np.append(np.zeros(first), commands)[:, None]
+    own = [factor if name == "torque" else np.eye(len(inputs), spans[name][1], -spans[name][0]) for name in wrt]
+    partials = np.hstack([factor[:, :0], *own])
     steps = settings.physics_steps * settings.law_steps
     states, slopes, ended = simulate(inputs, partials, steps, settings.physics_dt)
     if ended >= 0:

@@ -32,9 +32,9 @@ from capsule_gym.files import synchronise, write_atomically
 from capsule_gym.policy import POLICY
 
 LOCK = "lock"
-# Names, without suffix, of the files that the process with the lock replaces.
 CHECKPOINTS = "checkpoint-" + 12 * "[0-9]"
-WRITTEN = (CHECKPOINTS, *(Path(name).stem for name in (CONFIG, EVALUATIONS, MODEL, NORMALISATION, POLICY)))
+# Names, without suffix, of the files that the process with the lock replaces; temporary files shorten them.
+WRITTEN = ("checkpoint-*", *(Path(name).stem for name in (CONFIG, EVALUATIONS, MODEL, NORMALISATION, POLICY)))
 DIGEST_SIZE = hashlib.sha256().digest_size
 
 

@@ -242,7 +242,7 @@ def scores(episodes: Sequence[Episode], metric: str) -> np.ndarray:
 
 def failures(episodes: Sequence[Episode]) -> int:
     """Counts the episodes that were terminated."""
-    return sum(int(episode["failed"]) for episode in episodes)
+    return int(scores(episodes, "failed").sum())
 
 
 def summarise(episodes: Sequence[Episode]) -> dict[str, Any]:
@@ -254,7 +254,7 @@ def summarise(episodes: Sequence[Episode]) -> dict[str, Any]:
         training seed, `seeds`. Further `episodes` and `failures` as counts over all training seeds (a trimmed mean
         would hide a few failures), and `training_seeds`, empty for scripted policies.
     """
-    found, failed = dict[str, Any](), int(scores(episodes, "failed").sum())
+    found, failed = dict[str, Any](), failures(episodes)
     for name in (name for name in episodes[0] if name not in LABELS and name != "failed"):
         values = scores(episodes, name)
         value, low, high = estimate(values, mean=True).to_dict().values()

@@ -110,6 +110,7 @@ def test_a_run_goes_on_from_the_checkpoint_before_a_damaged_one(tmp_path, capsys
     # Removes a final file, and adds partial files of a process that was killed while it wrote.
     (run / "model.zip").unlink()
     left = [run / ".model.77.tmp.zip", run / "best" / ".policy.77.tmp.safetensors"]
+    left += [run / f".{older.name[:20]}.77.tmp"]
     other, backup = run / ".report.78.tmp.html", run / f"{older.name}.bak"  # of a process that needs no lock
     for path in (*left, other, backup):
         path.write_bytes(b"half")
