@@ -55,4 +55,6 @@ struct Dual {
     return any;
   }
 };
+INLINE double value(double a) { return a; }
+INLINE double value(const Dual& a) { return a.v; }
 }  // namespace LEVEL
