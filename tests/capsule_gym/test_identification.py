@@ -102,15 +102,19 @@ def test_quantities_segments_and_first_states_by_hand():
 
 
 def test_errors_are_whitened_by_their_covariance_and_give_the_sizes_of_noise_and_drift():
-    problem, rng = make_small_problem(), np.random.default_rng(0)
-    noise, drift, time = problem.noise["theta"] = (0.02, 0.05, 0.3)
-    problem.segments, rows = [(0, 400)], rng.uniform(size=400) > 0.1
-    errors, problem.log["theta"] = rng.normal(size=(400, 3)), np.where(rows, problem.log["theta"], np.nan)
-    covariance = drift**2 * np.exp(-np.abs(np.subtract.outer(T, T)) / time) + noise**2 * np.eye(400)
-    expected = np.linalg.solve(np.linalg.cholesky(covariance[rows][:, rows]), errors[rows])
-    found, determinant = problem.whiten("theta", errors)
-    np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-9)
-    assert determinant == pytest.approx(np.linalg.slogdet(covariance[rows][:, rows])[1])
+    problem, rng = make_small_problem(x_dot=T), np.random.default_rng(0)
+    problem.noise, problem.segments = {"theta": (0.02, 0.05, 0.3), "x_dot": (0.4, 0.1, 0.2)}, [(0, 400)]
+    errors, expected, determinants = rng.normal(size=(400, 2, 3)), [], []
+    for n, (name, (noise, drift, time)) in enumerate(problem.noise.items()):
+        rows = rng.uniform(size=400) > 0.1
+        problem.log[name] = np.where(rows, problem.log[name], np.nan)
+        covariance = drift**2 * np.exp(-np.abs(np.subtract.outer(T, T)) / time) + noise**2 * np.eye(400)
+        covariance = covariance[rows][:, rows]
+        expected.append(np.linalg.solve(np.linalg.cholesky(covariance), errors[rows, n]))
+        determinants.append(np.linalg.slogdet(covariance)[1])
+    found, determinant = problem.whiten(errors)
+    np.testing.assert_allclose(found, np.concatenate(expected), rtol=1e-8, atol=1e-9)
+    assert determinant == pytest.approx(sum(determinants))
     count, rng, kept = 40_000, np.random.default_rng(1), math.exp(-0.01 / 0.2)
     drift = lfilter([math.sqrt(1.0 - kept**2)], [1.0, -kept], 0.05 * rng.normal(size=count))
     problem = make_small_problem(count, theta=drift + 0.02 * rng.normal(size=count))
