@@ -106,18 +106,18 @@ class Problem:
 
         What remains of an error after the share of the last one that the drift keeps has a tridiagonal covariance.
         """
-        variances, covariances, changes = [], [], []
-        for n, name in enumerate(self.sensors):
-            rows, (noise, drift, time) = self.rows(name), self.noise[name]
-            kept = np.exp(-np.diff(rows, prepend=-np.inf) * self.period / time)
-            variances.append(drift**2 * (1.0 - kept**2) + noise**2 * (1.0 + kept**2))
-            covariances.append(-kept * noise**2)
-            changes.append(errors[rows, n])
-            changes[-1][1:] -= kept[1:, None] * changes[-1][:-1]
-        diagonal, below, _ = dpttrf(np.concatenate(variances), np.concatenate(covariances)[1:])
+        rows = [self.rows(name) for name in self.sensors]
+        sizes = [self.noise[name] for name in self.sensors]
+        noise, drift, time = np.repeat(sizes, [len(own) for own in rows], axis=0).T
+        # 0.0 at a sensor's first reading.
+        kept = np.exp(-np.hstack([np.diff(own, prepend=-np.inf) for own in rows]) * self.period / time)
+        changes = np.concatenate([errors[own, n] for n, own in enumerate(rows)])
+        changes[1:] -= kept[1:, None] * changes[:-1]
+        variances = drift**2 * (1.0 - kept**2) + noise**2 * (1.0 + kept**2)
+        diagonal, below, _ = dpttrf(variances, -kept[1:] * noise[1:] ** 2)
         # `cholesky_banded` and `solve_banded` take twice as long.
-        whole, _ = dtbtrs([diagonal, np.append(below, 0.0)], np.concatenate(changes), uplo="L", diag="U")
-        return whole / np.sqrt(diagonal)[:, None], np.log(diagonal).sum()
+        white, _ = dtbtrs([diagonal, np.append(below, 0.0)], changes, uplo="L", diag="U")
+        return white / np.sqrt(diagonal)[:, None], np.log(diagonal).sum()
 
     def predict(self, unknowns: np.ndarray, slopes: bool = True) -> tuple[Any, ...]:
         """Predicted readings of a log, shape (rows, sensors, 1 + unknowns), value first; NaN outside the segments.
