@@ -204,7 +204,8 @@ INLINE auto pass_rest(const Phase<P>& start, const State<T>& lasting, T h) {
                    m.x + correction * m.x_dot, 0.0};
   T next_slip = p.contact_phase(rest, u);
   T remaining = h - tau;
-  auto [last, lasts] = p.template smooth_step<true>(rest, next_slip, u, remaining);
+  Stepped<T> last;
+  auto lasts = p.template smooth_step<true>(rest, next_slip, u, remaining, last);
   const State<T>& e = last.end;
   T turned = swept(s.theta_dot, rest.theta_dot, rest.theta - s.theta, tau) +
              swept(rest.theta_dot, e.theta_dot, e.theta - rest.theta, remaining);

@@ -13,45 +13,50 @@ struct Dual {
   Doubles d[COUNT];
   Dual() = default;
   INLINE Dual(double v) : v(v), d{} {}
-
   // The number with this value, and with partial(i) in register i of the derivatives.
-  template <class F> static INLINE Dual make(double v, F partial) {
-    Dual number;
-    number.v = v;
-    for (int i = 0; i < COUNT; i++) number.d[i] = partial(i);
-    return number;
+  template <class F> INLINE Dual(double v, F partial) : v(v) {
+    for (int i = 0; i < COUNT; i++) d[i] = partial(i);
   }
 #define PARTIAL(derivative) [&](int i) __attribute__((always_inline)) { return derivative; }
-  friend INLINE Dual operator+(const Dual& a, const Dual& b) { return make(a.v + b.v, PARTIAL(a.d[i] + b.d[i])); }
-  friend INLINE Dual operator-(const Dual& a, const Dual& b) { return make(a.v - b.v, PARTIAL(a.d[i] - b.d[i])); }
-  friend INLINE Dual operator-(const Dual& a) { return make(-a.v, PARTIAL(-a.d[i])); }
+  // Register by register: g++ copies structs through memory.
+  INLINE Dual(const Dual& a) : Dual(a.v, PARTIAL(a.d[i])) {}
+  INLINE Dual& operator=(const Dual& a) {
+    v = a.v;
+    for (int i = 0; i < COUNT; i++) d[i] = a.d[i];
+    return *this;
+  }
+  friend INLINE Dual operator+(const Dual& a, const Dual& b) { return Dual(a.v + b.v, PARTIAL(a.d[i] + b.d[i])); }
+  friend INLINE Dual operator-(const Dual& a, const Dual& b) { return Dual(a.v - b.v, PARTIAL(a.d[i] - b.d[i])); }
+  friend INLINE Dual operator-(const Dual& a) { return Dual(-a.v, PARTIAL(-a.d[i])); }
   friend INLINE Dual operator*(const Dual& a, const Dual& b) {
-    return make(a.v * b.v, PARTIAL(a.d[i] * b.v + b.d[i] * a.v));
+    return Dual(a.v * b.v, PARTIAL(a.d[i] * b.v + b.d[i] * a.v));
   }
   friend INLINE Dual operator/(const Dual& a, const Dual& b) {
     double quotient = a.v / b.v, reciprocal = 1.0 / b.v;
-    return make(quotient, PARTIAL((a.d[i] - b.d[i] * quotient) * reciprocal));
+    return Dual(quotient, PARTIAL((a.d[i] - b.d[i] * quotient) * reciprocal));
   }
   friend INLINE Dual fma(const Dual& a, const Dual& b, const Dual& c) {
-    return make(fma(a.v, b.v, c.v), PARTIAL(a.d[i] * b.v + b.d[i] * a.v + c.d[i]));
+    return Dual(fma(a.v, b.v, c.v), PARTIAL(a.d[i] * b.v + b.d[i] * a.v + c.d[i]));
   }
   // The whole turns that the function of a double subtracts have no derivative.
   friend INLINE SinCos<Dual> sincos(const Dual& a) {
     auto value = sincos(a.v);
-    return {make(value.sin, PARTIAL(a.d[i] * value.cos)), make(value.cos, PARTIAL(a.d[i] * -value.sin))};
+    return {Dual(value.sin, PARTIAL(a.d[i] * value.cos)), Dual(value.cos, PARTIAL(a.d[i] * -value.sin))};
   }
+  friend INLINE Dual select(bool condition, const Dual& a, const Dual& b) {
+    return Dual(condition ? a.v : b.v, PARTIAL(condition ? a.d[i] : b.d[i]));
+  }
+  friend INLINE Dual abs(const Dual& a) { return select(a.v < 0.0, -a, a); }
 #undef PARTIAL
 
 #define COMPARISON(symbol) \
   friend INLINE bool operator symbol(const Dual& a, const Dual& b) { return a.v symbol b.v; }
   COMPARISON(<) COMPARISON(>) COMPARISON(<=) COMPARISON(>=) COMPARISON(==)
 #undef COMPARISON
-  friend INLINE Dual select(bool condition, const Dual& a, const Dual& b) { return condition ? a : b; }
-  friend INLINE Dual abs(const Dual& a) { return a.v < 0.0 ? -a : a; }
   // A factor that is zero counts where it has a derivative.
   friend INLINE bool acts(const Dual& a) {
     bool any = a.v != 0.0;
-    for (int i = 0; i < DIRECTIONS; i++) any |= ((const double*)&a.d)[i] != 0.0;
+    for (int i = 0; i < COUNT; i++) any |= acts(Pack(a.d[i]));
     return any;
   }
 };

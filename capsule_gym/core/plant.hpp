@@ -70,10 +70,6 @@ template <class T> struct Stepped {
   // The smallest N of the stages: if it is negative, the platform did not press on the floor during the whole step.
   T smallest;
 };
-template <class T, class M> struct Smooth {
-  Stepped<T> step;
-  M lasts;  // whether the phase lasts; if not, `event_step` takes the step
-};
 
 // Rate in rad/s below which the motor's Coulomb friction is smooth, so that the integrator resolves a change of sign,
 // and its slope at rest, 35 / 16, in units of the friction over that rate.
@@ -265,12 +261,12 @@ template <class T, Kind kind_> struct Plant {
     return {slip * s.x_dot, slip * x_ddot};
   }
 
-  // A step of h seconds inside one phase. may_stick = false asserts that slip is nowhere 0.0, which saves a third of
-  // the work.
+  // Takes a step of h seconds inside one phase, and returns whether the phase lasts; if not, `event_step` takes the step.
+  // may_stick = false asserts that slip is nowhere 0.0, which saves a third of the work.
   template <bool may_stick>
-  INLINE auto smooth_step(const State<T>& s, T slip, T u, T h) const {
+  INLINE auto smooth_step(const State<T>& s, T slip, T u, T h, Stepped<T>& r) const {
     T mu = kinetic_friction(slip);
-    auto r = runge_kutta(s, slip, mu, u, h, pressed_accelerations(s.theta, s.theta_dot, s.x_dot, slip, mu, u));
+    r = runge_kutta(s, slip, mu, u, h, pressed_accelerations(s.theta, s.theta_dot, s.x_dot, slip, mu, u));
     const auto& [end, first, smallest] = r;
     T before = slip * s.x_dot, rate = slip * first.x_ddot, after = slip * end.x_dot;
     auto stopped = end.x_dot == 0.0;
@@ -281,8 +277,7 @@ template <class T, Kind kind_> struct Plant {
       after = select(sticks, stick_margin(end.theta, end.theta_dot, u).value, after);
       stopped = stopped & !sticks;
     }
-    auto lasts = !(crosses(before, rate, after, h) | stopped | (smallest < 0.0));
-    return Smooth<T, decltype(lasts)>{r, lasts};
+    return !(crosses(before, rate, after, h) | stopped | (smallest < 0.0));
   }
 };
 

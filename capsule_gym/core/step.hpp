@@ -147,7 +147,8 @@ template <class T, int N> struct Step {
     auto s = load_record<State<T>, T, N>(FROM(theta), j);
     T torque = GET(torque), slip = select(s.x_dot > 0.0, T(1.0), T(-1.0));
     if constexpr (may_stick) slip = p.contact_phase(s, torque);
-    auto [r, lasts] = p.template smooth_step<may_stick>(s, slip, torque, h);
+    Stepped<T> r;
+    auto lasts = p.template smooth_step<may_stick>(s, slip, torque, h, r);
     auto going = GET(halt) == UNDER_WAY;
     auto smooth = lasts & continues(r.end.theta, r.first.normal);
     auto commit = going & smooth;

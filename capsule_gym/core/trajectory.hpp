@@ -22,15 +22,10 @@ long long trajectory(const double* values, const double* partials, long long n, 
     if constexpr (N > 0) __builtin_memcpy(&number.d, partials + N * i, sizeof number.d);
     return number;
   };
-  auto plant = []<class N>(const TrajectoryInputs<N>& in) {
-    auto p = derive((const Constants<N>&)in.m);
-    p.M = in.M, p.mu = in.mu, p.mass_ratio = p.m / (p.M + p.m), p.pivot_torque_on_contact = value(in.paper);
-    return p;
-  };
   TrajectoryInputs<T> in;
   for (int i = 0; i < SIZE; i++) ((T*)&in)[i] = input(i);
-  auto p = plant(in);
-  auto p_value = plant(load<TrajectoryInputs<double>>(values));
+  auto p = derive((const Constants<T>&)in.m);
+  p.M = in.M, p.mu = in.mu, p.mass_ratio = p.m / (p.M + p.m), p.pivot_torque_on_contact = value(in.paper);
   auto s = (const State<T>&)in.theta;
   double events = 0.0;
   long long ended = -1;
@@ -43,24 +38,21 @@ long long trajectory(const double* values, const double* partials, long long n, 
     }
     if (i == n) return ended;
     T u = input(SIZE + i);
-    double u_value = value(u);
     // A small velocity of a platform that would stick ends at once: the pendulum takes its momentum.
     if (i == 0 && p.contact_phase(s, u) == 0.0)
       s.theta_dot = s.theta_dot - sincos(s.theta).cos / p.l * s.x_dot, s.x_dot = 0.0;
     for (long long step = 0; step < steps; step++) {
-      // The values alone tell whether the phase lasts; then only the integrator's step is differentiated.
-      State<double> s_value = {value(s.theta), value(s.theta_dot), value(s.x), value(s.x_dot)};
-      double slip = p_value.contact_phase(s_value, u_value);
-      auto [whole, lasts] = slip == 0.0 ? p_value.template smooth_step<true>(s_value, slip, u_value, h)
-                                        : p_value.template smooth_step<false>(s_value, slip, u_value, h);
-      double normal_force = whole.first.normal;
+      // Most steps stay in one phase, and need less than `plant_step` computes.
+      T slip = p.contact_phase(s, u);
+      Stepped<T> r;
+      bool lasts = slip == 0.0 ? p.template smooth_step<true>(s, slip, u, h, r)
+                               : p.template smooth_step<false>(s, slip, u, h, r);
+      double normal_force = value(r.first.normal);
       if (lasts) {
-        T mu = p.kinetic_friction(slip);
-        s = p.runge_kutta(s, slip, mu, u, h, p.pressed_accelerations(s.theta, s.theta_dot, s.x_dot, slip, mu, u)).end;
+        s = r.end;
       } else {
         auto m = plant_step(s, u, p, T(h));
-        s = m.end;
-        events += value(m.events), normal_force = value(m.normal_force);
+        s = m.end, normal_force = value(m.normal_force), events += value(m.events);
       }
       bool goes_on = (abs(s.theta) < THETA_LIMIT) & (normal_force > 0.0);
       if (!goes_on && ended < 0) ended = i;
