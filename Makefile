@@ -126,7 +126,7 @@ core-coverage:  ## Run the environment's tests and fail below the minimum covera
 	$(COUNTED)/bin/gcovr --merge-lines --gcov-suspicious-hits-threshold 0 --filter capsule_gym/core/ \
 		--fail-under-line 95 $(COUNTED)/build
 
-install-check:  ## Install as the README does in an empty environment, with and without a compiler, and run it
+install-check:  ## Install as the README does in an empty environment without a compiler, and run it
 	PYTHON="$(PYTHON)" .ci/install
 
 # The oldest matplotlib calls names that pyparsing 3.3 deprecates.
