@@ -99,7 +99,7 @@ typedef void (*UserLaw)(void* data, double* block, double* torques, long long n)
 // distribution: uniform in [low, low + range]; the same with a random sign; uniform within range of low; or low e^z with
 // z uniform in [0, range].
 struct Draw { double row, stream, place, low, range, distribution; };
-enum Distribution { UNIFORM, SIGNED, CENTRED, LOGARITHMIC };
+constexpr double UNIFORM = 0.0, SIGNED = 1.0, CENTRED = 2.0, LOGARITHMIC = 3.0;
 
 // Everything that belongs to the environments of a simulation: arrays, by their addresses, and their sizes. Python
 // passes the address of an array of these numbers.
