@@ -275,6 +275,8 @@ class Problem:
             unknowns, _ = self.fit(np.insert(found[best], place, NODES[best]), FINEST)
         else:
             samples, end = problems[best].posterior(found[best])
+            # The other draws have the same seed: in their order all would rise with the static ratio.
+            samples = generator.permutation(samples)
             unknowns = np.insert(end, place, NODES[best])
         return np.insert(np.clip(samples, 0.0, 1.0), place, drawn, axis=1), unknowns
 
