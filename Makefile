@@ -101,7 +101,7 @@ bits-check: $(STAMP)  ## Compare whole episodes with the committed hashes, one s
 # At each level of instructions; then without the vectors of NumPy and of the C library, which unknown names do not disturb.
 bits: VECTORS := import numpy; print(*numpy.show_config(mode='dicts')['SIMD Extensions'].get('found', []))
 bits: $(STAMP)  ## The same for all seeds, as other processors compute, and for the live page
-	for level in $$($(BIN)/python -c "from capsule_gym import _core; print(*_core.LEVELS)"); do \
+	for level in $$($(BIN)/python -c "from capsule_gym.core import _core; print(*_core.LEVELS)"); do \
 		CAPSULE_GYM_LEVEL=$$level $(BIN)/python -m tests.bits || exit 1; done
 	NPY_DISABLE_CPU_FEATURES="$$($(BIN)/python -c "$(VECTORS)")" \
 		GLIBC_TUNABLES=glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX512F,-AVX2_Usable,-FMA_Usable,-FMA4_Usable,-AVX512F_Usable \

@@ -36,9 +36,9 @@ from agents.training.presets import ROWS, preset, row_settings  # noqa: E402
 from baselines.drawing import new_figure, style  # noqa: E402
 from capsule_gym.checks import first_cause  # noqa: E402
 from capsule_gym.command_line import NO_NEGATIONS, parse, refuse  # noqa: E402
-from capsule_gym.controller import is_own  # noqa: E402
-from capsule_gym.policy import POLICY  # noqa: E402
-from capsule_gym.task import ENV_ID  # noqa: E402
+from capsule_gym.control.lookup import is_own  # noqa: E402
+from capsule_gym.policies.policy import POLICY  # noqa: E402
+from capsule_gym.tasks.task import ENV_ID  # noqa: E402
 
 PROG = "train.py"
 RUNS = Path("runs")

@@ -6,8 +6,8 @@ from pathlib import Path
 import gymnasium as gym
 
 import capsule_gym
-from baselines.laws import LAWS, find_law
-from capsule_gym.task import TASKS
+from capsule_gym.control.laws import LAWS, find_law
+from capsule_gym.tasks.registry import TASKS
 
 assert not Path(capsule_gym.__file__).is_relative_to(Path(__file__).parents[1].resolve()), capsule_gym.__file__
 for name in ("llvmlite", "numba", "pygame", "stable_baselines3", "torch"):

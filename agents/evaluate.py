@@ -9,7 +9,10 @@ from typing import Annotated, Any
 from tqdm import tqdm
 
 from agents.evaluation.criteria import CRITERIA
-from baselines.evaluation.episodes import (
+from baselines.tables import text_table
+from capsule_gym.command_line import Positional, arg, check_output, command
+from capsule_gym.evaluation.candidates import find_candidate
+from capsule_gym.evaluation.episodes import (
     TABLE_METRICS,
     TASK_METRICS,
     Episode,
@@ -20,11 +23,8 @@ from baselines.evaluation.episodes import (
     summarise,
     versions,
 )
-from baselines.evaluation.policies import find_candidate
-from baselines.evaluation.statistics import estimate, paired_difference
-from baselines.tables import text_table
-from capsule_gym.command_line import Positional, arg, check_output, command
-from capsule_gym.evaluation_sets import load_set
+from capsule_gym.evaluation.sets import load_set
+from capsule_gym.evaluation.statistics import estimate, paired_difference
 from capsule_gym.files import to_json, write_atomically
 
 

@@ -13,10 +13,10 @@ from agents.leaderboard.rows import RESULTS, load_row
 from agents.training.config import EVALUATIONS, Config, read_config
 from agents.training.presets import ROWS
 from baselines.drawing import BLUE, DPI, MUTED, new_figure, style
-from baselines.evaluation.episodes import Episode, evaluate, scores
-from baselines.evaluation.policies import Policy, find_candidate
 from capsule_gym import CapsuleEnv, load_policy
-from capsule_gym.evaluation_sets import NOMINAL_PLANT, EvaluationSet, PlantSpec, load_set
+from capsule_gym.evaluation.candidates import AnyPolicy, find_candidate
+from capsule_gym.evaluation.episodes import Episode, evaluate, scores
+from capsule_gym.evaluation.sets import NOMINAL_PLANT, EvaluationSet, PlantSpec, load_set
 from capsule_gym.files import replacing
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -105,7 +105,7 @@ def _likely_reason(config: Config, row: Config, run: Path, theta: np.ndarray, *,
     return "the spread of seeds; rounding errors of another processor or version of torch act as another seed"
 
 
-def record(policy: Policy, plant: PlantSpec, evaluation_set: EvaluationSet) -> dict[str, np.ndarray]:
+def record(policy: AnyPolicy, plant: PlantSpec, evaluation_set: EvaluationSet) -> dict[str, np.ndarray]:
     """Runs a policy's episode on one plant of a set.
 
     Returns:

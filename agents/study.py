@@ -23,12 +23,12 @@ from agents.evaluation.criteria import CRITERIA
 from agents.training.config import BEST, CONFIG, EVALUATIONS, Config, RunError, read_config
 from agents.training.presets import ROWS, row_settings
 from agents.training.signals import INTERRUPTED, Stop
-from baselines.evaluation.policies import CHECKPOINTS
 from baselines.tables import text_table
 from capsule_gym.checks import check_count
 from capsule_gym.command_line import Positional, arg, command
+from capsule_gym.evaluation.candidates import CHECKPOINTS
 from capsule_gym.files import write_atomically
-from capsule_gym.policy import POLICY
+from capsule_gym.policies.policy import POLICY
 
 # Written into a run's folder when its training is complete.
 FINISHED = "finished"

@@ -1,10 +1,31 @@
-"""The scripted baselines: the paper's trajectories, control laws and policies made of them.
+"""The scripted baselines: the paper, its trajectories and its results, dynamic programming, LQR, MPC and tuning.
 
-The environment's argument `controller` accepts the laws of `baselines.laws.LAWS`, as in
-`controller="baselines:adaptive"`; those of another task in that task.
+The control laws are in `capsule_gym.control.laws`, and also have the names of this package: `baselines.adaptive()` is
+the law of the environment's argument `controller="baselines:adaptive"`.
 """
 
-from baselines.laws import LAWS
+from capsule_gym.control.laws.adaptive import adaptive, adaptive_as_published, adaptive_optimal_profile
+from capsule_gym.control.laws.feedback_linearisation import (
+    epc,
+    feedback_linearising,
+    feedback_linearising_optimal_profile,
+)
+from capsule_gym.control.laws.gait import gait, gait_predictive, goal_pulses, velocity_pulses
+from capsule_gym.control.laws.periodic import open_loop, open_loop_real, oscillator, pd
 
-__all__ = sorted(LAWS)
-globals().update(LAWS)
+__all__ = [
+    "adaptive",
+    "adaptive_as_published",
+    "adaptive_optimal_profile",
+    "epc",
+    "feedback_linearising",
+    "feedback_linearising_optimal_profile",
+    "gait",
+    "gait_predictive",
+    "goal_pulses",
+    "open_loop",
+    "open_loop_real",
+    "oscillator",
+    "pd",
+    "velocity_pulses",
+]

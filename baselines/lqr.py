@@ -17,9 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from baselines.dynamic_programming.policy import TORQUES, Act, Lookahead
-from baselines.dynamic_programming.problem import ACTIONS, NOMINAL_MARGIN, Problem, Transitions, record
-from capsule_gym.task import EPISODE_STEPS, START_THETA, TORQUE_LIMIT
+from baselines.dynamic_programming.policy import TORQUES, Lookahead
+from baselines.dynamic_programming.problem import ACTIONS, NOMINAL_MARGIN, Problem, Transitions, run_episodes
+from capsule_gym.policies.scripted import Act
+from capsule_gym.tasks.task import EPISODE_STEPS, START_THETA, TORQUE_LIMIT
 
 FILE = Path(__file__).with_name("lqr.json")
 # Acceptable deviations of theta (rad), theta_dot (rad/s) and x_dot (m/s), and of the torque (N m): the weights of the
@@ -109,7 +110,7 @@ def candidates() -> Iterator[dict[str, list]]:
     def choose(step: int, states: np.ndarray) -> np.ndarray:
         return stride * lookahead.scores(states[[0, 1, 3]].T.astype(np.float32)).argmax(axis=1)
 
-    trajectory = record(problem, np.array([START_THETA]), EPISODE_STEPS, choose)
+    trajectory = run_episodes(problem, np.array([START_THETA]), EPISODE_STEPS, choose)
     starts, transitions = trajectory.cycle_starts(problem.control_dt), Transitions(problem, 9)
     fastest: dict[int, tuple[float, np.ndarray, np.ndarray]] = {}
     for first, last in pairwise(starts.tolist()):

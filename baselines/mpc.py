@@ -9,8 +9,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from baselines.dynamic_programming.policy import FAILURE_SCORE, Act, Lookahead
+from baselines.dynamic_programming.policy import FAILURE_SCORE, Lookahead
 from baselines.dynamic_programming.problem import NOMINAL_MARGIN, Problem, Transitions
+from capsule_gym.policies.scripted import Act
 
 PLANS, INTERVALS = 32, 5
 # Largest disturbances of the plans after the first, the previous plan itself; each is a share of the torque limit.

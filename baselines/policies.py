@@ -1,106 +1,30 @@
-"""The named scripted policies: a law inside the step with a zero residual, or a function of the observation."""
+"""The scripted policies that are functions of the observation, and all scripted policies by name.
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any
-
-import numpy as np
+`pyproject.toml` registers the functions, so that `capsule_gym.evaluate` and the command `capsule_gym.demo` know them by
+name.
+"""
 
 from baselines import lqr, mpc
 from baselines.dynamic_programming import policy
-from baselines.dynamic_programming.policy import Act
+from capsule_gym.policies.scripted import LAW_POLICIES, ScriptedPolicy
 
-Start = Callable[[Sequence[int]], Act]
+LQR = ScriptedPolicy("lqr", "LQR with a gain for every phase of a limit cycle of dp-nominal", start=lqr.start)
+MPC = ScriptedPolicy("mpc", "sampling MPC on the nominal plant with the values of dp-nominal", start=mpc.start)
+DP_NOMINAL = ScriptedPolicy(
+    "dp-nominal",
+    "dynamic programming for the nominal plant with a margin of normal force, whatever the plant",
+    start=policy.start_nominal,
+)
+DP_ORACLE = ScriptedPolicy(
+    "dp-oracle",
+    "observes M and mu; dynamic programming for that plant",
+    {"observe_parameters": True},
+    policy.start_oracle,
+    told="nominal plant, M, mu",
+)
 
-
-def _no_action(seeds: Sequence[int]) -> Act:
-    """The action 0 for every environment."""
-    zeros = np.zeros((len(seeds), 1), np.float32)
-    return lambda observations: zeros
-
-
-@dataclass(frozen=True)
-class ScriptedPolicy:
-    """A policy that is not trained.
-
-    Attributes:
-        name: name in tables and on the command line.
-        description: description in one line.
-        env_kwargs: the arguments of `CapsuleVectorEnv` that it needs.
-        start: takes the seeds of the environments and returns a function from observations (n, entries) to actions
-            (n, 1), float32.
-        senses: the measurements that it reads; "state" stands for theta, theta_dot and x_dot.
-        told: its knowledge of the plant.
-    """
-
-    name: str
-    description: str
-    env_kwargs: dict[str, Any] = field(default_factory=dict)
-    start: Start = _no_action
-    senses: str = "state"
-    told: str = "nominal plant"
-
-
-def _law(
-    law: str, description: str, told: str = "nothing", senses: str = "state", name: str = "", **env_kwargs: str
-) -> ScriptedPolicy:
-    """The policy that only runs a law of `baselines`; its name is that of the law if none is given."""
-    kwargs = {"controller": f"baselines:{law}", **env_kwargs}
-    return ScriptedPolicy(name or law.replace("_", "-"), description, kwargs, senses=senses, told=told)
-
-
-_NOMINAL = "nominal plant"
-_PROFILE, _FASTEST = "the paper's profile (9)", "the fastest profile (9) with 1.5 N m"
-ALL_SCRIPTED = {
-    each.name: each
-    for each in (
-        _law("feedback_linearising", f"{_PROFILE}, feedback linearisation (35)", _NOMINAL),
-        _law("adaptive", f"{_PROFILE}, adaptive law (39), regularised", _NOMINAL, "state, x"),
-        _law("adaptive_as_published", f"{_PROFILE}, adaptive law (39), corrected, unregularised", _NOMINAL, "state, x"),
-        _law("adaptive_optimal_profile", f"{_FASTEST}, adaptive law (39), regularised", _NOMINAL, "state, x"),
-        _law(
-            "feedback_linearising_optimal_profile",
-            f"{_FASTEST} and without Principle 4, feedback linearisation (35)",
-            _NOMINAL,
-        ),
-        _law("epc", "the EPC profile, feedback linearisation (35)", _NOMINAL),
-        _law(
-            "gait",
-            "a gait at 1 kHz that does not observe the plant; a guard of the contact estimates M",
-            "nominal pendulum",
-            name="gait-guarded",
-        ),
-        _law(
-            "gait_predictive",
-            "gait-guarded on a state that an observer and a predictor of the latency give",
-            _NOMINAL,
-        ),
-        _law("open_loop", "torque as a function of time alone, tuned without disturbances", senses="nothing"),
-        _law("open_loop_real", "torque as a function of time alone, tuned under disturbances", senses="nothing"),
-        _law("pd", "PD control of the pendulum's angle along a periodic reference", senses="theta, theta_dot"),
-        _law("oscillator", "a Hopf oscillator that the state entrains"),
-        ScriptedPolicy("lqr", "LQR with a gain for every phase of a limit cycle of dp-nominal", start=lqr.start),
-        ScriptedPolicy("mpc", "sampling MPC on the nominal plant with the values of dp-nominal", start=mpc.start),
-        ScriptedPolicy(
-            "dp-nominal",
-            "dynamic programming for the nominal plant with a margin of normal force, whatever the plant",
-            start=policy.start_nominal,
-        ),
-        ScriptedPolicy(
-            "dp-oracle",
-            "observes M and mu; dynamic programming for that plant",
-            {"observe_parameters": True},
-            policy.start_oracle,
-            told="nominal plant, M, mu",
-        ),
-        _law(
-            "goal_pulses",
-            "gait-guarded towards the goal, then pulses that adapt; strokes on smooth floors",
-            task="goal",
-        ),
-        _law("velocity_pulses", "gait-guarded after the target, and pulses that adapt", task="velocity"),
-    )
-}
 # Those of the speed task, and of the other tasks.
-SCRIPTED = {name: each for name, each in ALL_SCRIPTED.items() if "task" not in each.env_kwargs}
-TASK_SCRIPTED = {name: each for name, each in ALL_SCRIPTED.items() if "task" in each.env_kwargs}
+SCRIPTED = {name: each for name, each in LAW_POLICIES.items() if "task" not in each.env_kwargs}
+SCRIPTED |= {each.name: each for each in (LQR, MPC, DP_NOMINAL, DP_ORACLE)}
+TASK_SCRIPTED = {name: each for name, each in LAW_POLICIES.items() if "task" in each.env_kwargs}
+ALL_SCRIPTED = SCRIPTED | TASK_SCRIPTED

@@ -10,20 +10,19 @@ import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from importlib import import_module
 from typing import Any, Literal
 
 import numpy as np
 
 from baselines import lqr
-from baselines.evaluation.episodes import evaluate, failures, scores, validation_set
-from baselines.laws import gains, gait, periodic
-from baselines.policies import ScriptedPolicy
 from capsule_gym.checks import check_number
 from capsule_gym.command_line import Count, Positional, command
-from capsule_gym.controller import Controller
+from capsule_gym.control.controller import Controller
+from capsule_gym.control.laws import gains, gait, periodic
+from capsule_gym.evaluation.episodes import evaluate, failures, scores, validation_set
 from capsule_gym.files import write_atomically
-from capsule_gym.task import HORIZON
+from capsule_gym.policies.scripted import ScriptedPolicy
+from capsule_gym.tasks.task import HORIZON
 
 Name = Literal["open-loop", "open-loop-real", "pd", "oscillator", "gait", "lqr"]
 
@@ -75,13 +74,15 @@ def score_law(name: str, parameters: np.ndarray, seed: int, plants: int, seconds
 
 def tune(name: str, generations: int, seed: int, step: float) -> None:
     """Runs a search; a mean of the distribution that scores better than the parameters on file replaces them."""
+    import cma  # needs an extra of the package
+
     own = json.loads(gains.TUNED.read_text(encoding="utf-8"))[name]
     rng, units = np.random.default_rng([seed, 4]), np.array(own["units"])
     validate = partial(score_law, name, seed=VALIDATION_SEED, plants=VALIDATION_PLANTS, seconds=HORIZON)
     options: dict[str, Any] = {"popsize": POPULATION, "verbose": -9}
     # The package would otherwise seed numpy's global generator.
     options |= {"seed": math.nan, "randn": lambda *shape: rng.standard_normal(shape)}
-    strategy = import_module("cma").CMAEvolutionStrategy(np.array(own["start"]) / units, step, options)
+    strategy = cma.CMAEvolutionStrategy(np.array(own["start"]) / units, step, options)
     best = validate(np.array(own["parameters"]))[0] if "parameters" in own else -math.inf
     for generation in range(generations + 1):
         if generation > 0:

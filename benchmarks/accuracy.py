@@ -21,9 +21,10 @@ from tqdm import tqdm
 
 from benchmarks import mujoco
 from benchmarks.measurement import machine, report
-from capsule_gym import sensitivity, task
+from capsule_gym import sensitivity
 from capsule_gym.command_line import check_output, command
 from capsule_gym.parameters import Capsule, Plant
+from capsule_gym.tasks import task
 
 COMMAND = "python -m benchmarks.accuracy"
 START = (task.START_THETA, 0.0, 0.0, 0.0)

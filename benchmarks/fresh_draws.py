@@ -7,11 +7,11 @@ from typing import Annotated
 from agents.leaderboard.__main__ import ROOT
 from agents.leaderboard.page import GROUPS, MAIN_SETS, SPEED
 from agents.leaderboard.rows import RESULTS, load_row
-from baselines.evaluation.episodes import evaluate, failures, scores, validation_set
-from baselines.evaluation.statistics import estimate
 from baselines.tables import text_table
 from capsule_gym.command_line import Positional, arg, command
-from capsule_gym.evaluation_sets import load_set
+from capsule_gym.evaluation.episodes import evaluate, failures, scores, validation_set
+from capsule_gym.evaluation.sets import load_set
+from capsule_gym.evaluation.statistics import estimate
 
 # Seeds far from those of frozen sets, 0, 1, ..
 FIRST_SEED, PLANTS = 31_000_000, 400

@@ -15,7 +15,7 @@ from tqdm import tqdm
 from capsule_gym import CapsuleEnv, Excitation, identify, record
 from capsule_gym.checks import check_number
 from capsule_gym.command_line import Count, PositiveCount, command
-from capsule_gym.identification import OTHERS, RANGES
+from capsule_gym.identification.fit import OTHERS, RANGES
 from capsule_gym.parameters import RANDOMIZATIONS, REAL, Capsule, Disturbances
 
 CONTROL_DT, PHYSICS_DT = 0.01, 2e-3

@@ -14,7 +14,7 @@ import numpy as np
 from tqdm import tqdm
 
 from baselines.tables import Rows, markdown_table, text_table
-from capsule_gym import native
+from capsule_gym.core import native
 from capsule_gym.files import write_atomically
 
 PACKAGES = ("capsule-gym", "numpy", "gymnasium", "mujoco")

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from capsule_gym import task
 from capsule_gym.parameters import Capsule
+from capsule_gym.tasks import task
 
 XML = Path(__file__).with_name("capsule.xml").read_text(encoding="utf-8")
 # Friction of the joint x, or of a sphere on a plane, and the options that MuJoCo documents against slip.

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from agents.training.presets import PRESETS
-from baselines.evaluation.episodes import evaluate, validation_set
 from capsule_gym import CapsuleEnv, Excitation, Policy, identify, record
 from capsule_gym.command_line import PositiveCount, command
+from capsule_gym.evaluation.episodes import evaluate, validation_set
 
 HIDDEN: dict[str, Any] = {"randomization": "real-wide", "disturbances": "real"}
 CONFIG = replace(PRESETS["direct", "ppo"], stack_size=4)

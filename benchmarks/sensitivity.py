@@ -8,7 +8,7 @@ import numpy as np
 
 from capsule_gym import Capsule, sensitivity
 from capsule_gym.command_line import PositiveCount, command
-from capsule_gym.trajectory import constant_inputs, simulate
+from capsule_gym.identification.derivatives import constant_inputs, simulate
 
 NAMES = ("torque", "M", "mu", "k", "c")
 START, INTERVALS, PERIODS = (0.1, 0.0, 0.0, 0.0), 200, {"control_dt": 0.01, "physics_dt": 1e-3}

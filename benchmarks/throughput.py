@@ -28,12 +28,14 @@ import numpy as np
 from baselines.drawing import BLUE, MUTED, new_figure, save, style
 from benchmarks import mujoco
 from benchmarks.measurement import machine, rates, report
-from capsule_gym import ENV_ID, native, task
+from capsule_gym import ENV_ID
 from capsule_gym.command_line import PositiveCount, check_output, command
-from capsule_gym.config import DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, EnvConfig
-from capsule_gym.layout import LANES, Row
+from capsule_gym.core import native
+from capsule_gym.core.layout import LANES, Row
+from capsule_gym.envs.config import DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, EnvConfig
+from capsule_gym.envs.simulation import Simulation
 from capsule_gym.parameters import Capsule
-from capsule_gym.simulation import Simulation
+from capsule_gym.tasks import task
 
 COMMAND = "python -m benchmarks.throughput"
 TURN_SECONDS = 0.02

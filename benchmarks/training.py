@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -21,12 +20,12 @@ import numpy as np
 from gymnasium import wrappers
 
 from agents.training.presets import PRESETS
-from baselines.evaluation.episodes import evaluate, scores
-from baselines.evaluation.policies import wrap_policy
 from benchmarks.measurement import machine, report
 from capsule_gym.command_line import PositiveCount, check_output, command
-from capsule_gym.evaluation_sets import EvaluationSet
-from capsule_gym.task import ENV_ID
+from capsule_gym.evaluation.candidates import wrap_policy
+from capsule_gym.evaluation.episodes import evaluate, scores
+from capsule_gym.evaluation.sets import EvaluationSet
+from capsule_gym.tasks.task import ENV_ID
 
 COMMAND = "python -m benchmarks.training"
 CONFIG = PRESETS["direct", "ppo"]
@@ -73,7 +72,11 @@ def train_model(library: str, seed: int, clock: Clock) -> None:
 
     if library:
         env = VecNormalize(make_vec_env(ID, NUM_ENVS, seed, env_kwargs=ENV_KWARGS))
-        model = import_module(library).PPO("MlpPolicy", env, seed=seed, device="cpu")
+        if library == "sbx":
+            from sbx import PPO
+        else:
+            from stable_baselines3 import PPO
+        model: Any = PPO("MlpPolicy", env, seed=seed, device="cpu")
     else:
         env, config = make_env(CONFIG, seed), replace(CONFIG, seed=seed)
         model = make_model(config, env)

@@ -3,20 +3,17 @@
 Importing the package registers `CapsuleStickSlip-v0` and the environments of the other tasks.
 """
 
-from importlib import import_module
-from typing import Any
-
 from gymnasium.envs.registration import register, registry
 
-from capsule_gym.controller import Controller
-from capsule_gym.env import CapsuleEnv
-from capsule_gym.identification import Fit, identify
+from capsule_gym.control.controller import Controller
+from capsule_gym.envs.env import CapsuleEnv
+from capsule_gym.envs.vector_env import CapsuleVectorEnv
+from capsule_gym.evaluation.episodes import evaluate, summarise
+from capsule_gym.identification import Excitation, Fit, Sensitivity, identify, record, sensitivity
 from capsule_gym.parameters import Capsule, Disturbances, Randomization
-from capsule_gym.policy import Policy, load_policy, policy_names
-from capsule_gym.recording import Excitation, record
-from capsule_gym.task import ENV_ID, TASKS
-from capsule_gym.trajectory import Sensitivity, sensitivity
-from capsule_gym.vector_env import CapsuleVectorEnv
+from capsule_gym.policies.policy import Policy, load_policy, policy_names
+from capsule_gym.tasks.registry import TASKS
+from capsule_gym.tasks.task import ENV_ID
 
 __all__ = [
     "ENV_ID",
@@ -42,19 +39,12 @@ __all__ = [
 
 __version__ = "0.1.0"
 
-for _name, (_id, _steps) in TASKS.items():
-    if _id not in registry:
+for _task in TASKS.values():
+    if _task.env_id not in registry:
         register(
-            id=_id,
-            entry_point="capsule_gym.env:CapsuleEnv",
-            vector_entry_point="capsule_gym.vector_env:CapsuleVectorEnv",
-            max_episode_steps=_steps,
-            kwargs={} if _id == ENV_ID else {"task": _name},
+            id=_task.env_id,
+            entry_point="capsule_gym:CapsuleEnv",
+            vector_entry_point="capsule_gym:CapsuleVectorEnv",
+            max_episode_steps=_task.episode_steps,
+            kwargs={} if _task.env_id == ENV_ID else {"task": _task.name},
         )
-
-
-def __getattr__(name: str) -> Any:
-    # Imported at the first use, since the evaluation needs `baselines`, which imports this package.
-    if name in ("evaluate", "summarise"):
-        return getattr(import_module("baselines.evaluation.episodes"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

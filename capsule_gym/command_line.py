@@ -21,9 +21,10 @@ try:
     import tyro
     from tyro.conf import Positional, arg
 except ImportError as error:
-    _package, _, _own = getattr(sys.modules["__main__"].__spec__, "name", "").partition(".")
-    _own = _own if _own in ("export", "identify") else "render"
-    _extra = {"agents": "train", "baselines": "paper", "benchmarks": "bench"}.get(_package, _own)
+    # The command by its package and, in capsule_gym, by its place there.
+    _package, _, _place = getattr(sys.modules["__main__"].__spec__, "name", "").partition(".")
+    _own_extra = {"export": "export", "identification": "identify"}.get(_place.partition(".")[0], "render")
+    _extra = {"agents": "train", "baselines": "paper", "benchmarks": "bench"}.get(_package, _own_extra)
     raise ImportError(f'this command needs tyro: pip install "capsule-gym[{_extra}]"') from error
 
 __all__ = ["Count", "Positional", "PositiveCount", "arg", "check_output", "command", "parse", "refuse"]

@@ -4,7 +4,6 @@ import os
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Annotated, Any
@@ -14,18 +13,12 @@ from gymnasium.error import DependencyNotInstalled
 
 from capsule_gym.checks import check_number, nearest, require, short_repr
 from capsule_gym.command_line import Count, Positional, arg, check_output, command
-from capsule_gym.env import CapsuleEnv, shown_state
-from capsule_gym.evaluation_sets import (
-    FURTHER_SET_NAMES,
-    SET_NAMES,
-    TASK_SET_NAMES,
-    EvaluationSet,
-    PlantSpec,
-    load_set,
-)
-from capsule_gym.policy import Policy, load_policy, policy_names, pretrained
+from capsule_gym.envs.env import CapsuleEnv, shown_state
+from capsule_gym.evaluation.sets import FURTHER_SET_NAMES, SET_NAMES, TASK_SET_NAMES, EvaluationSet, PlantSpec, load_set
+from capsule_gym.policies.policy import Policy, load_policy, policy_names, pretrained
+from capsule_gym.policies.scripted import find_scripted, scripted_names
 from capsule_gym.rendering import FRAME_SECONDS, Renderer, write_gif
-from capsule_gym.task import HORIZON, Termination
+from capsule_gym.tasks.task import HORIZON, Termination
 
 PROG = "python -m capsule_gym.demo"
 TERMINATIONS = "the time is up", "the ball met the platform", "the capsule left the floor", "the motion was lost"
@@ -35,7 +28,8 @@ STRENGTH = 0.4
 
 def read_keys(observations: np.ndarray) -> np.ndarray:
     """The action of the arrow keys, or A and D, of the window."""
-    pygame: Any = import_module("pygame")
+    import pygame
+
     held = pygame.key.get_pressed()
     # A growing theta swings the ball to the left.
     left, right = held[pygame.K_LEFT] or held[pygame.K_a], held[pygame.K_RIGHT] or held[pygame.K_d]
@@ -44,9 +38,7 @@ def read_keys(observations: np.ndarray) -> np.ndarray:
 
 # A policy with the attributes of `capsule_gym.Policy` that an episode needs.
 KEYBOARD = SimpleNamespace(name="keyboard", env_kwargs={}, start=lambda seeds: read_keys)
-# The scripted policies, which include control laws, and the names of all policies.
-SCRIPTED: dict[str, Any] = {**import_module("baselines.policies").SCRIPTED, KEYBOARD.name: KEYBOARD}
-NAMES = [*SCRIPTED, *policy_names()]
+NAMES = [*scripted_names(), KEYBOARD.name, *policy_names()]
 
 
 def find_policy(name_or_path: str) -> Any:
@@ -55,8 +47,10 @@ def find_policy(name_or_path: str) -> Any:
     Raises:
         ValueError: if there is no such policy, or its file is broken.
     """
-    if name_or_path in SCRIPTED:
-        return SCRIPTED[name_or_path]
+    if name_or_path == KEYBOARD.name:
+        return KEYBOARD
+    if scripted := find_scripted(name_or_path):
+        return scripted
     if name_or_path in pretrained() or os.path.exists(name_or_path):
         return load_policy(name_or_path)
     raise ValueError(

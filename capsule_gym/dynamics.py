@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from capsule_gym import _core
 from capsule_gym.checks import require
-from capsule_gym.native import evaluate, ordered
+from capsule_gym.core import _core
+from capsule_gym.core.native import evaluate, ordered
 from capsule_gym.parameters import Plant
 
 Numbers = Any

@@ -1,36 +1,5 @@
-"""Sine, cosine, logarithm and inverse cosine with the same bits on every machine.
+"""Elementary functions with the same bits on every machine, under their public name."""
 
-They are the functions of the core (`capsule_gym/core/elementary.hpp`), over arrays. Those of the standard libraries
-differ in the last digit between versions and instruction sets.
-"""
+from capsule_gym.core.elementary import arccos, log, sincos
 
-import math
-
-import numpy as np
-
-from capsule_gym.native import evaluate
-
-
-def sincos(angle: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-    """Sine and cosine of angles in rad: within 3.4e-16 of the exact values up to +-pi / 2, within 1.2e-15 beyond."""
-    sine, cosine = evaluate("sincos", angle)
-    return sine, cosine
-
-
-def log(x: np.ndarray | float) -> np.ndarray:
-    """The natural logarithm of positive, normal numbers, within 2.2e-16, beyond +-1 relative to the exact value."""
-    return evaluate("log", x)[0]
-
-
-def arccos(cosine: float) -> float:
-    """The angle in [0, pi] rad of that cosine, within 7e-16 of the exact value.
-
-    Newton's iteration on `sincos`: half the angle has the cosine and the sine below, and the error of a step is a
-    third of the cube of the previous error.
-    """
-    c, s = math.sqrt(0.5 + 0.5 * cosine), math.sqrt(0.5 - 0.5 * cosine)
-    half = 0.25 * math.pi
-    for _ in range(5):
-        sine, cos = (float(each) for each in sincos(half))
-        half += (s * cos - c * sine) / (c * cos + s * sine)
-    return 2.0 * half
+__all__ = ["arccos", "log", "sincos"]

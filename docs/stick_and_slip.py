@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from capsule_gym.demo import Episode, find_policy
-from capsule_gym.env import shown_state
-from capsule_gym.evaluation_sets import load_set
+from capsule_gym.envs.env import shown_state
+from capsule_gym.evaluation.sets import load_set
 from capsule_gym.rendering import Renderer, write_gif
 
 PERIOD, FRAME_SECONDS = 6.6, 0.07

@@ -8,7 +8,7 @@ import numpy as np
 from stable_baselines3 import PPO  # pip install -e ".[sb3]"
 from stable_baselines3.common.callbacks import BaseCallback
 
-from baselines.evaluation.episodes import evaluate, validation_set
+from capsule_gym.evaluation.episodes import evaluate, validation_set
 
 ID = "capsule_gym:CapsuleStickSlip-v0"
 # The law counteracts a residual torque; the total torque is easier to learn.

@@ -18,12 +18,12 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 import capsule_gym
-from baselines.laws import LAWS
 from baselines.policies import SCRIPTED
 from capsule_gym import Capsule, CapsuleVectorEnv, Disturbances, policy_names
 from capsule_gym.command_line import command
+from capsule_gym.control.laws import LAWS
 from capsule_gym.files import write_atomically
-from capsule_gym.task import CONTROL_DT, HORIZON
+from capsule_gym.tasks.task import CONTROL_DT, HORIZON
 
 FILE = Path(__file__).with_name("bits.json")
 # One more than fills registers of any width.

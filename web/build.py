@@ -16,9 +16,9 @@ from urllib.parse import quote
 import numpy as np
 
 from baselines import drawing
-from capsule_gym import rendering
 from capsule_gym.command_line import command, refuse
 from capsule_gym.files import write_atomically
+from capsule_gym.rendering import renderer
 from web.data import pack_data
 
 PROG = "python -m web.build"
@@ -50,7 +50,7 @@ def build_module(archive: str) -> str:
 
 def build_page(module: str) -> str:
     """The text of the page, one HTML file; an import map contains the text of every JavaScript module by its name."""
-    names = {name: value for name, value in vars(rendering).items() if name.isupper()}
+    names = {name: value for name, value in vars(renderer).items() if name.isupper()}
     lengths = {name: value for name, value in names.items() if isinstance(value, float)}
     sources = {"capsule.mjs": module, "figure.js": f"export const figure = {json.dumps(lengths)};\n"}
     folder = SOURCES / "page"

@@ -13,23 +13,29 @@ from typing import Any
 
 import numpy as np
 
-import baselines
 from baselines.dynamic_programming.policy import TORQUES
-from baselines.policies import ScriptedPolicy
-from capsule_gym import Policy, _core, evaluation_sets, parameters, resets, task
-from capsule_gym.config import EnvConfig, find_task
-from capsule_gym.controller import CoreLaw, find_controller
-from capsule_gym.layout import Row
-from capsule_gym.observation import M_BOUND, MU_BOUND
+from capsule_gym import Policy, parameters
+from capsule_gym.control.controller import CoreLaw
+from capsule_gym.control.laws import LAWS
+from capsule_gym.control.lookup import find_controller
+from capsule_gym.core import _core
+from capsule_gym.core.layout import Row
+from capsule_gym.envs import resets
+from capsule_gym.envs.config import EnvConfig
+from capsule_gym.envs.observation import M_BOUND, MU_BOUND
+from capsule_gym.envs.settings import NO_CONTROLLER
+from capsule_gym.envs.simulation import LARGEST_KEY, Simulation
+from capsule_gym.evaluation import sets
 from capsule_gym.parameters import CONSTANTS, DISTURBANCES, NOMINAL, Capsule, Disturbances, Randomization
-from capsule_gym.settings import NO_CONTROLLER
-from capsule_gym.simulation import LARGEST_KEY, Simulation
+from capsule_gym.policies.scripted import ScriptedPolicy
+from capsule_gym.tasks import task
+from capsule_gym.tasks.registry import TASKS, find_task
 from web.episodes import FILE, OVER, RECORDED, RECORDINGS, SEEDS, drivers
 
 # The name for no law; the other names are those of laws.
 DIRECT = "direct"
-LAWS = (DIRECT, *baselines.__all__)
-SETS = (*evaluation_sets.SET_NAMES, *evaluation_sets.FURTHER_SET_NAMES, *evaluation_sets.TASK_SET_NAMES)
+LAW_NAMES = (DIRECT, *sorted(LAWS))
+SETS = (*sets.SET_NAMES, *sets.FURTHER_SET_NAMES, *sets.TASK_SET_NAMES)
 # Largest friction of the motor, N m, for the capsule and for disturbances.
 LARGEST_MOTOR_FRICTION = 0.2
 # Accepted values of the plant's constants. The largest friction is also accepted at the smallest mass.
@@ -85,14 +91,14 @@ def pack_data(module: bytes) -> str:
             "limits": {**dict(zip(DISTURBANCES, map(Disturbances.limits, DISTURBANCES), strict=True)), **motor},
             "ideal": asdict(Disturbances()),
         },
-        "controllers": {name: describe_controller(name, archive) for name in LAWS},
+        "controllers": {name: describe_controller(name, archive) for name in LAW_NAMES},
         "drivers": [describe_driver(policy, archive) for policy in drivers().values()],
         "torques": TORQUES.tolist(),
-        "sets": {name: describe_set(evaluation_sets.load_set(name)) for name in SETS},
+        "sets": {name: describe_set(sets.load_set(name)) for name in SETS},
         "constants": {  # in SI units
             **{name.lower(): getattr(task, name) for name in ("CONTROL_DT", "TORQUE_LIMIT", "THETA_LIMIT")},
             "steps": task.EPISODE_STEPS,
-            "horizons": {name: steps * task.CONTROL_DT for name, (_, steps) in task.TASKS.items()},
+            "horizons": {each.name: each.episode_steps * task.CONTROL_DT for each in TASKS.values()},
             **{name: getattr(NOMINAL, name) for name in ("m", "l", "g")},
             "nominal": {name: getattr(NOMINAL, name) for name in ("M", "mu", *CONSTANTS)},
             "ranges": {name: {"M": each.M, "mu": each.mu} for name, each in ranges if each.M},
@@ -111,7 +117,7 @@ def describe_controller(name: str, archive: Archive) -> dict[str, Any]:
     """A law, its reference table, and the settings of the step for each of its tasks."""
     controller = None if name == DIRECT else f"baselines:{name}"
     acting = find_controller(controller) or NO_CONTROLLER
-    tasks = [find_task(acting.task).name] if acting.task else list(task.TASKS)
+    tasks = [find_task(acting.task).name] if acting.task else list(TASKS)
     assert isinstance(acting.law, CoreLaw)
     return {
         "law": acting.law.number,
@@ -157,7 +163,7 @@ def describe_policy(name: str, policy: Policy | ScriptedPolicy) -> dict[str, Any
     """
     options = EnvConfig(**policy.env_kwargs)
     law = DIRECT if options.controller is None else str(options.controller).removeprefix("baselines:")
-    if law not in LAWS:
+    if law not in LAW_NAMES:
         raise ValueError(f"controller must be None or a law of baselines, got {options.controller}")
     described: dict[str, Any] = {"name": name, "description": policy.description, "task": find_task(options.task).name}
     described |= {"controller": law, "settings": describe_settings(options)}
@@ -173,7 +179,7 @@ def describe_driver(policy: Policy | ScriptedPolicy, archive: Archive) -> dict[s
         return {**described, "network": archive.add_array(described["network"])}
     if name in RECORDED:
         recordings = {}
-        for each in evaluation_sets.SET_NAMES:
+        for each in sets.SET_NAMES:
             taken = np.load(RECORDINGS)[f"{name} {each}"]
             steps = (taken != OVER).sum(axis=1).tolist()
             recordings[each] = {**archive.add(taken[taken != OVER].tobytes()), "steps": steps}
@@ -181,7 +187,7 @@ def describe_driver(policy: Policy | ScriptedPolicy, archive: Archive) -> dict[s
     return {**described, "kind": "law"}
 
 
-def describe_set(found: evaluation_sets.EvaluationSet) -> dict[str, Any]:
+def describe_set(found: sets.EvaluationSet) -> dict[str, Any]:
     """A frozen set: its hash, the common settings of its environments, and its first plants."""
     plants = [{key: value for key, value in plant.to_dict().items() if value != []} for plant in found.plants[:SEEDS]]
     # The capsule is given also where it is the default, since a driver may have been trained on another.

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from baselines.drawing import BLUE, INK, MUTED, add_note, new_figure
-from baselines.evaluation.policies import find_candidate
 from baselines.tables import markdown_table
 from capsule_gym import CapsuleEnv
+from capsule_gym.evaluation.candidates import find_candidate
 from capsule_gym.parameters import NOMINAL
-from capsule_gym.task import CONTROL_DT, HORIZON, TORQUE_LIMIT
+from capsule_gym.tasks.task import CONTROL_DT, HORIZON, TORQUE_LIMIT
 
 POLICIES = ("adaptive", "pd", "gait-guarded", "direct-ppo", "dp-nominal")
 # The last part of an episode, in which a cycle is searched, s: two of the paper's cycles fit.

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from baselines.evaluation.episodes import TABLE_METRICS, evaluate, failures, scores, validation_set
-from baselines.evaluation.policies import Candidate, all_candidates
-from baselines.evaluation.statistics import interquartile_mean
+from agents.leaderboard.candidates import all_candidates
 from baselines.tables import markdown_table
+from capsule_gym.evaluation.candidates import Candidate
+from capsule_gym.evaluation.episodes import TABLE_METRICS, evaluate, failures, scores, validation_set
+from capsule_gym.evaluation.statistics import interquartile_mean
 from capsule_gym.parameters import DISTURBANCES, REAL, SENSORS, Disturbances
 
 SPEED = TABLE_METRICS["mean_speed"]

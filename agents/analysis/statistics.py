@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 
 from agents.evaluation.criteria import CRITERIA
+from agents.leaderboard.candidates import all_candidates
 from agents.leaderboard.rows import RESULTS, Row, load_rows
 from agents.training.config import EVALUATIONS
 from baselines.drawing import BLUE, GREEN, INK, MUTED, add_note, new_figure
 from baselines.dynamic_programming.archive import optimal_front
-from baselines.evaluation.episodes import TABLE_METRICS
-from baselines.evaluation.policies import CHECKPOINTS, all_candidates
-from baselines.evaluation.statistics import estimate
 from baselines.tables import markdown_table
+from capsule_gym.evaluation.candidates import CHECKPOINTS
+from capsule_gym.evaluation.episodes import TABLE_METRICS
+from capsule_gym.evaluation.statistics import estimate
 
 ROOT = Path(__file__).resolve().parents[2]
 SPEED = TABLE_METRICS["mean_speed"]

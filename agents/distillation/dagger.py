@@ -25,11 +25,11 @@ from agents.distillation.dataset import Dataset, collect
 from agents.training.checkpoint import git_revision
 from agents.training.config import CONFIG
 from baselines.dynamic_programming.policy import NUM_TORQUES
-from baselines.evaluation.episodes import evaluate, scores, validation_set
 from capsule_gym import Policy
+from capsule_gym.evaluation.episodes import evaluate, scores, validation_set
 from capsule_gym.files import to_json, write_atomically
-from capsule_gym.policy import IMITATION, POLICY
-from capsule_gym.task import CONTROL_DT
+from capsule_gym.policies.policy import IMITATION, POLICY
+from capsule_gym.tasks.task import CONTROL_DT
 
 # First seed of the validation plants for selecting the best policy; far from other seeds.
 SELECTION_SEED = 6_000_000

@@ -11,11 +11,12 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from agents.distillation.config import Student
-from baselines.dynamic_programming.policy import TORQUES, Act, Oracle
+from baselines.dynamic_programming.policy import TORQUES, Oracle
 from capsule_gym import CapsuleVectorEnv
+from capsule_gym.envs.resets import draw_plant
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
-from capsule_gym.resets import draw_plant
-from capsule_gym.task import CONTROL_DT
+from capsule_gym.policies.scripted import Act
+from capsule_gym.tasks.task import CONTROL_DT
 
 # Probabilities per step that the acting policy is drawn again, and that the action is random.
 SWITCH_PROBABILITY, EXPLORATION_PROBABILITY = 0.02, 0.01

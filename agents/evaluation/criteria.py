@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from baselines.evaluation.episodes import TABLE_METRICS, TASK_METRICS, TableMetric
-from baselines.evaluation.policies import BASELINE
+from capsule_gym.evaluation.candidates import BASELINE
+from capsule_gym.evaluation.episodes import TABLE_METRICS, TASK_METRICS, TableMetric
 
 _OF_TASKS = {metric.name: metric for metric in TASK_METRICS}
 

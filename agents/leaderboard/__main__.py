@@ -15,16 +15,17 @@ from typing import Annotated
 
 import numpy as np
 
+from agents.leaderboard.candidates import all_candidates
 from agents.leaderboard.chart import CHART, digest, draw
 from agents.leaderboard.page import COMMAND, build, files
 from agents.leaderboard.rows import RESULTS, Row, evaluate, load_row, load_rows, save_row, static_header
 from agents.training.signals import INTERRUPTED
-from baselines.evaluation.policies import Candidate, all_candidates
 from capsule_gym.checks import check_count, nearest, require
 from capsule_gym.command_line import Count, Positional, arg, command
-from capsule_gym.evaluation_sets import FURTHER_SET_NAMES, SET_NAMES, TASK_SET_NAMES, EvaluationSet, load_set
+from capsule_gym.evaluation.candidates import Candidate
+from capsule_gym.evaluation.sets import FURTHER_SET_NAMES, SET_NAMES, TASK_SET_NAMES, EvaluationSet, load_set
 from capsule_gym.files import write_atomically
-from capsule_gym.task import TASKS
+from capsule_gym.tasks.registry import TASKS
 
 ROOT = Path(__file__).resolve().parents[2]
 SETS = SET_NAMES + FURTHER_SET_NAMES + TASK_SET_NAMES

@@ -11,11 +11,11 @@ from typing import Any
 
 from agents.evaluation.criteria import CRITERIA, Criteria
 from agents.leaderboard.rows import Row
-from baselines.evaluation.episodes import LABELS, SHARE_OF_OPTIMUM, TABLE_METRICS, TASK_METRICS, summarise
-from baselines.evaluation.policies import find_candidate
-from baselines.evaluation.statistics import paired_difference
 from baselines.tables import markdown_table
-from capsule_gym.evaluation_sets import EvaluationSet
+from capsule_gym.evaluation.candidates import find_candidate
+from capsule_gym.evaluation.episodes import LABELS, SHARE_OF_OPTIMUM, TABLE_METRICS, TASK_METRICS, summarise
+from capsule_gym.evaluation.sets import EvaluationSet
+from capsule_gym.evaluation.statistics import paired_difference
 from capsule_gym.files import to_json
 
 COMMAND = "python -m agents.leaderboard"

@@ -22,14 +22,14 @@ import numpy as np
 from tqdm import tqdm
 
 from baselines.dynamic_programming.archive import UNREADABLE
-from baselines.evaluation.episodes import Episode, as_episodes, versions
-from baselines.evaluation.episodes import evaluate as evaluate_policy
-from baselines.evaluation.policies import Candidate, Policy
-from capsule_gym.config import find_task
-from capsule_gym.evaluation_sets import EvaluationSet
+from capsule_gym.evaluation.candidates import AnyPolicy, Candidate
+from capsule_gym.evaluation.episodes import Episode, as_episodes, versions
+from capsule_gym.evaluation.episodes import evaluate as evaluate_policy
+from capsule_gym.evaluation.sets import EvaluationSet
 from capsule_gym.files import write_atomically
-from capsule_gym.policy import POLICY
-from capsule_gym.task import METRICS, TASKS
+from capsule_gym.policies.policy import POLICY
+from capsule_gym.tasks.registry import TASKS, find_task
+from capsule_gym.tasks.task import METRICS
 
 # Relative to the project's folder.
 RESULTS = Path("agents", "leaderboard", "results")
@@ -107,7 +107,7 @@ def columns(task: str) -> list[str]:
     return [*COLUMNS, *of_task.metrics(memory, np.zeros(1))]
 
 
-def _work(policy: Policy, sets: Sequence[EvaluationSet], horizon: float | None) -> dict[str, np.ndarray]:
+def _work(policy: AnyPolicy, sets: Sequence[EvaluationSet], horizon: float | None) -> dict[str, np.ndarray]:
     """The metrics of one run by the set's name, each of shape (metrics, episodes)."""
     found = {}
     for each in sets:

@@ -23,8 +23,8 @@ from torch import nn
 
 from agents.training.config import Algorithm, Config, OffPolicyConfig, PPOConfig, RunError, SACConfig, TQCConfig
 from capsule_gym.checks import prefix_errors
-from capsule_gym.config import EnvConfig
-from capsule_gym.observation import observation_entries
+from capsule_gym.envs.config import EnvConfig
+from capsule_gym.envs.observation import observation_entries
 from capsule_gym.parameters import Disturbances
 from capsule_gym.sb3 import AsymmetricPolicy, CapsuleSB3VecEnv, FixedScale
 from capsule_gym.tasks import velocity

@@ -22,12 +22,13 @@ from agents.training.checkpoint import Progress
 from agents.training.config import BEST, EVALUATIONS, Config
 from agents.training.export import export, normalisation, save
 from agents.training.signals import Stop
-from baselines.evaluation.episodes import Episode, evaluate, scores, validation_set
-from baselines.evaluation.statistics import interquartile_mean
 from capsule_gym import Policy
-from capsule_gym.config import EnvConfig, find_task
-from capsule_gym.evaluation_sets import EvaluationSet
+from capsule_gym.envs.config import EnvConfig
+from capsule_gym.evaluation.episodes import Episode, evaluate, scores, validation_set
+from capsule_gym.evaluation.sets import EvaluationSet
+from capsule_gym.evaluation.statistics import interquartile_mean
 from capsule_gym.files import write_atomically
+from capsule_gym.tasks.registry import find_task
 
 # Far from the seeds 0, 1, .. of training runs and evaluation sets, so that no other plants select models.
 SELECTION_SEED = 1_000_000

@@ -29,7 +29,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 from agents.training.config import CONFIG, EVALUATIONS, MODEL, NORMALISATION, RunError
 from agents.training.export import archive, normalisation
 from capsule_gym.files import synchronise, write_atomically
-from capsule_gym.policy import POLICY
+from capsule_gym.policies.policy import POLICY
 
 LOCK = "lock"
 CHECKPOINTS = "checkpoint-" + 12 * "[0-9]"

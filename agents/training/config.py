@@ -16,11 +16,12 @@ from tyro.conf import Fixed, Suppress
 
 from capsule_gym.checks import check_integer, check_number, prefix_errors
 from capsule_gym.command_line import Count
-from capsule_gym.config import EnvConfig
-from capsule_gym.env import DOCS
+from capsule_gym.envs.config import EnvConfig
+from capsule_gym.envs.env import DOCS
 from capsule_gym.parameters import Capsule, Randomization
-from capsule_gym.policy import MOST_UNITS
-from capsule_gym.task import CONTROL_DT, TASKS
+from capsule_gym.policies.policy import MOST_UNITS
+from capsule_gym.tasks.registry import TASKS
+from capsule_gym.tasks.task import CONTROL_DT
 
 # Largest seed of numpy's legacy generator, which SB3 seeds.
 LARGEST_SEED = 2**32 - 1
@@ -159,12 +160,12 @@ class Config:
     @property
     def env_task(self) -> str:
         """The environment's argument `task`."""
-        return next(name for name, (env_id, _) in TASKS.items() if env_id == self.env)
+        return next(task.name for task in TASKS.values() if task.env_id == self.env)
 
     @property
     def horizon(self) -> float:
         """The length of the environment's episode, s."""
-        return TASKS[self.env_task][1] * CONTROL_DT
+        return TASKS[self.env_task].episode_steps * CONTROL_DT
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as plain types."""

@@ -13,7 +13,7 @@ from torch import nn
 from agents.training.config import MODEL, NORMALISATION, Config
 from capsule_gym import Policy
 from capsule_gym.files import write_atomically
-from capsule_gym.policy import POLICY
+from capsule_gym.policies.policy import POLICY
 
 
 def archive(model: BaseAlgorithm) -> bytes:

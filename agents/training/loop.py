@@ -20,7 +20,7 @@ from agents.training.checkpoint import LOCK, Progress, git_revision, locked
 from agents.training.config import BEST, CONFIG, LOGS, MODEL, Config, RunError, read_config
 from agents.training.export import save
 from agents.training.signals import Stop
-from baselines.evaluation.episodes import versions
+from capsule_gym.evaluation.episodes import versions
 from capsule_gym.files import add_name_to_errors, canonical_hash, to_json, write_atomically
 
 

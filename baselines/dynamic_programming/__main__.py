@@ -8,9 +8,10 @@ from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
 
-from baselines.dynamic_programming.archive import FOLDER, extrapolated, load_archive, set_plants, solve_plants
+from baselines.dynamic_programming.archive import extrapolated, load_archive, set_plants, solve_plants
 from baselines.dynamic_programming.problem import PROBLEMS
 from capsule_gym.command_line import command
+from capsule_gym.evaluation.optimum import FOLDER
 
 
 @command("python -m baselines.dynamic_programming", OSError, ValueError)

@@ -9,7 +9,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import cache, lru_cache
+from functools import cache
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -20,22 +20,19 @@ from baselines.dynamic_programming import solver
 from baselines.dynamic_programming.grid import Grid
 from baselines.dynamic_programming.problem import (
     ENERGY_WEIGHTS,
-    GRID,
-    PlantGrid,
     Problem,
     Trajectory,
     plant_problems,
-    record,
     repeat,
+    run_episodes,
 )
 from baselines.dynamic_programming.solver import GRIDS, STARTS, Solution
-from capsule_gym.evaluation_sets import load_set
+from capsule_gym.evaluation.optimum import ARCHIVE, ARRAYS, FOLDER, GRID
+from capsule_gym.evaluation.optimum import optimal_speed as optimal_speed
+from capsule_gym.evaluation.sets import load_set
 from capsule_gym.files import replacing, write_atomically
-from capsule_gym.task import CONTROL_DT, START_THETA
+from capsule_gym.tasks.task import CONTROL_DT, START_THETA
 
-FOLDER = Path(__file__).with_name("data")
-# Files of the archive: an object whose list has one result a line, and the arrays.
-ARCHIVE, ARRAYS = "archive.json", "arrays.npz"
 # cm: step of the stored values, larger if two bytes cannot count the steps; a control interval earns half a cm.
 RESOLUTION, MAX_STEPS = 0.005, 65535
 # Evaluation sets whose plants are solved themselves.
@@ -117,14 +114,6 @@ class Archive:
         """Mean speeds, cm/s, of the plants of evaluation sets by M, kg, and mu."""
         return {(M, mu): speed for M, mu, speed in self.arrays.get("plants", np.empty((0, 3))).tolist()}
 
-    def interpolated_speed(self, M: float, mu: float, grid: PlantGrid = GRID) -> float:
-        """The mean speed in cm/s, linear in M (kg) and log(mu) between the plants of a grid."""
-        corners, along_M, along_mu = grid.cell(M, mu)
-        problems = plant_problems(grid)
-        a, b, c, d = (self.results[problems[i].key].mean_speed for i in corners)
-        below, above = a + along_mu * (b - a), c + along_mu * (d - c)
-        return below + along_M * (above - below)
-
     def repeat(self, problem: Problem) -> Trajectory:
         """Repeats the trajectory of a problem."""
         return repeat(problem, self.arrays[f"{problem.key} torques"])
@@ -139,7 +128,9 @@ class Archive:
         if "plants" in self.arrays:
             plants, torques = self.arrays["plants"], self.arrays["plants torques"]
             thetas = np.full(len(plants), START_THETA)
-            run = record(Problem(), thetas, torques.shape[1], lambda step, states: torques[:, step], plants[:, :2])
+            run = run_episodes(
+                Problem(), thetas, torques.shape[1], lambda step, states: torques[:, step], plants[:, :2]
+            )
             found = zip(plants.tolist(), run.metrics["mean_speed"].tolist(), strict=True)
             stale += [f"M, mu, cm/s: {filed} on file, {now} cm/s now" for filed, now in found if filed[2] != now]
         return stale
@@ -178,24 +169,6 @@ def _performance(trajectory: Trajectory) -> dict[str, float]:
 def known_results() -> Archive:
     """The archived results, read once."""
     return load_archive()
-
-
-@lru_cache(maxsize=4096)
-def optimal_speed(M: float, mu: float, grid: PlantGrid = GRID) -> float:
-    """The mean speed of dynamic programming from rest over 33 s, torque within 1.5 N m every 20 ms, in cm/s; M in kg.
-
-    It is the speed of a computed trajectory, not an upper bound. The plants of the grid and of `SETS` were solved
-    themselves; for others the speed is interpolated between the plants of the grid, with errors of up to 3.3 %.
-
-    Raises:
-        ValueError: if the plant lies outside the grid, which must have its ratio of static to kinetic friction.
-    """
-    if (M, mu) not in grid:
-        ranges = f"M must be in [{grid.M[0]}, {grid.M[-1]}] kg and mu in [{grid.mu[0]}, {grid.mu[-1]}]"
-        raise ValueError(f"{ranges}, got M={M!r}, mu={mu!r}")
-    archive = known_results()
-    solved = archive.plant_speeds.get((M, mu)) if grid is GRID else None
-    return archive.interpolated_speed(M, mu, grid) if solved is None else solved
 
 
 def set_plants() -> list[tuple[float, float]]:

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from capsule_gym.elementary import sincos
+from capsule_gym.core.elementary import sincos
 from capsule_gym.parameters import NOMINAL
-from capsule_gym.task import THETA_LIMIT
+from capsule_gym.tasks.task import THETA_LIMIT
 
 STRETCH = 10.0  # rad/s: the y at which the spacing of nodes is four times that at rest
 MIN_COSINE = 0.3  # bounds the cosine in y from below

@@ -11,8 +11,9 @@ import numpy as np
 
 from baselines.dynamic_programming.archive import known_results
 from baselines.dynamic_programming.grid import clamped, coordinates, interpolate
-from baselines.dynamic_programming.problem import GRID, NOMINAL_MARGIN, PlantGrid, Problem, Transitions, plant_problems
+from baselines.dynamic_programming.problem import NOMINAL_MARGIN, Problem, Transitions, plant_problems
 from baselines.dynamic_programming.solver import cell_curvature
+from capsule_gym.evaluation.optimum import GRID, PlantGrid
 from capsule_gym.parameters import NOMINAL
 
 Act = Callable[[np.ndarray], np.ndarray]

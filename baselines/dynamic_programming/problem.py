@@ -1,20 +1,19 @@
 """The problems that dynamic programming solves, their plants, the transitions, and trajectories."""
 
 import math
-from bisect import bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from capsule_gym.config import DIRECT_PHYSICS_DT, EnvConfig
-from capsule_gym.elementary import log
-from capsule_gym.layout import Row
+from capsule_gym.core.layout import Row
+from capsule_gym.envs.config import DIRECT_PHYSICS_DT, EnvConfig
+from capsule_gym.envs.simulation import Simulation
+from capsule_gym.evaluation.optimum import GRID, STICKY_GRID, PlantGrid
 from capsule_gym.parameters import NOMINAL, Capsule
-from capsule_gym.simulation import Simulation
-from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA
+from capsule_gym.tasks.task import CONTROL_DT, HORIZON, START_THETA
 
 # Torques, divided by their limit, from which a policy chooses; their indices fit into a byte.
 ACTIONS = np.linspace(-1.0, 1.0, 121)
@@ -24,68 +23,6 @@ CONTROL_INTERVALS = (0.01, 0.005)  # s
 ENERGY_WEIGHTS = (0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0)
 # N: normal force that `dp-nominal` leaves; the lightest platform of `wide` weighs 1.47 N less than the nominal one.
 NOMINAL_MARGIN = 1.6
-
-
-@dataclass(frozen=True)
-class PlantGrid:
-    """A grid of plants, between which solutions are interpolated linearly in M and log(mu).
-
-    Attributes:
-        M: masses of the platform, kg, in ascending order.
-        mu: friction coefficients, in ascending order.
-        static_ratio: static over kinetic friction coefficient of all plants.
-    """
-
-    M: tuple[float, ...]
-    mu: tuple[float, ...]
-    static_ratio: float = NOMINAL.static_ratio
-
-    @property
-    def capsule(self) -> Capsule:
-        """The constants that the plants share."""
-        return Capsule(static_ratio=self.static_ratio)
-
-    @cached_property
-    def log_mu(self) -> tuple[float, ...]:
-        """The logarithms of mu."""
-        return tuple(log(np.array(self.mu)).tolist())
-
-    @property
-    def plants(self) -> tuple[tuple[float, float], ...]:
-        """M and mu of all plants."""
-        return tuple((M, mu) for M in self.M for mu in self.mu)
-
-    def __contains__(self, plant: tuple[float, float]) -> bool:
-        """Whether a plant, M in kg and mu, lies within the grid."""
-        M, mu = plant
-        return self.M[0] <= M <= self.M[-1] and self.mu[0] <= mu <= self.mu[-1]
-
-    def cell(self, M: float, mu: float) -> tuple[list[int], float, float]:
-        """The cell that contains a plant, M in kg and mu, or the nearest one.
-
-        Returns:
-            The four corners of the cell as indices of `plants`, and the position in the cell along M and along log(mu),
-            each from 0 to 1.
-        """
-
-        def along(value: float, nodes: Sequence[float]) -> tuple[int, float]:
-            cell = min(max(bisect_right(nodes, value), 1), len(nodes) - 1) - 1
-            return cell, min(max((value - nodes[cell]) / (nodes[cell + 1] - nodes[cell]), 0.0), 1.0)
-
-        row, along_M = along(M, self.M)
-        column, along_mu = along(float(log(max(mu, self.mu[0]))), self.log_mu)
-        corners = [i * len(self.mu) + j for i in (row, row + 1) for j in (column, column + 1)]
-        return corners, along_M, along_mu
-
-
-GRID = PlantGrid((0.35, 0.5, 0.75, 1.0), (0.005, 0.01, 0.03, 0.1, 0.2, 0.3, 0.5))
-# Grid of the frozen set `sticky`.
-STICKY_GRID = PlantGrid((0.35, 0.5, 0.75), (0.2, 0.3, 0.45, 0.6), static_ratio=1.3)
-
-
-def find_grid(capsule: Capsule) -> PlantGrid | None:
-    """The grid whose plants have the constants of a capsule other than M and mu, or None."""
-    return next((grid for grid in (GRID, STICKY_GRID) if grid.capsule == capsule), None)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,7 +131,7 @@ class Trajectory:
         return float(100.0 * (x[end] - x[begin]) / ((end - begin) * control_dt))
 
 
-def record(
+def run_episodes(
     problem: Problem,
     thetas: np.ndarray,
     steps: int,
@@ -221,4 +158,4 @@ def record(
 
 def repeat(problem: Problem, choices: np.ndarray) -> Trajectory:
     """Repeats the torques of one episode from the task's start; `choices` are indices of `ACTIONS`, shape (steps,)."""
-    return record(problem, np.array([START_THETA]), choices.size, lambda step, states: choices[step])
+    return run_episodes(problem, np.array([START_THETA]), choices.size, lambda step, states: choices[step])

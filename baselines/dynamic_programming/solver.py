@@ -19,8 +19,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from baselines.dynamic_programming.grid import FAILED, INITIAL_Y, MIN_COSINE, Grid, interpolate
-from baselines.dynamic_programming.problem import ACTIONS, SETTLED, Problem, Trajectory, Transitions, record
-from capsule_gym.task import HORIZON, START_THETA
+from baselines.dynamic_programming.problem import ACTIONS, SETTLED, Problem, Trajectory, Transitions, run_episodes
+from capsule_gym.tasks.task import HORIZON, START_THETA
 
 FAILURE_VALUE = -50.0  # cm: a loss larger than the distance of any policy in two seconds
 TORQUES = 9  # at every node, evenly spaced within the limits
@@ -163,7 +163,7 @@ def run_policy(
         scores = np.where(failed, -np.inf, rewards + (final[left] if left < len(final) else solution).at(ends))
         return scores.reshape(-1, ACTIONS.size).argmax(axis=1)
 
-    return record(solution.problem, thetas, steps, choose)
+    return run_episodes(solution.problem, thetas, steps, choose)
 
 
 def ranges(trajectory: Trajectory, q: float) -> tuple[tuple[float, float], tuple[float, float]]:

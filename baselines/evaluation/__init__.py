@@ -1,1 +1,1 @@
-"""Evaluation of policies on the frozen sets: policies by name or path, episodes, and statistics."""
+"""The evaluation of policies, which is in `capsule_gym.evaluation`."""

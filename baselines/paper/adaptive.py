@@ -10,14 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from baselines.laws.adaptive import MEMORY, adaptive, eta_of, nominal_estimates, sliding_variables
-from baselines.laws.gains import PUBLISHED, REGULARISED, UNREGULARISED
-from baselines.laws.profiles import PROPOSED
 from baselines.paper.published import M_RANGE, MU_RANGE
 from baselines.paper.tracking import CYCLES, UNLIMITED, Trajectory, make_simulation, simulate
-from capsule_gym.config import LAW_DT
-from capsule_gym.controller import Controller
-from capsule_gym.layout import Row
+from capsule_gym.control.controller import LAW_DT, Controller
+from capsule_gym.control.laws.adaptive import MEMORY, adaptive, eta_of, nominal_estimates, sliding_variables
+from capsule_gym.control.laws.gains import PUBLISHED, REGULARISED, UNREGULARISED
+from capsule_gym.control.laws.profiles import PROPOSED
+from capsule_gym.core.layout import Row
 from capsule_gym.parameters import NOMINAL, Plant
 
 REGULARISED_LAW, CORRECTED_LAW = "regularised", "corrected, unregularised"

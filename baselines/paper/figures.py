@@ -21,15 +21,15 @@ from baselines.drawing import (
     save,
     style,
 )
-from baselines.laws.adaptive import adaptive, adaptive_as_published
-from baselines.laws.feedback_linearisation import epc, feedback_linearising
-from baselines.laws.profiles import PROPOSED
 from baselines.paper import published
 from baselines.paper.adaptive import CORRECTED_LAW, REGULARISED_LAW, sliding
 from baselines.paper.tracking import CYCLES, Trajectory, simulate
-from capsule_gym.config import LAW_DT
+from capsule_gym.control.controller import LAW_DT
+from capsule_gym.control.laws.adaptive import adaptive, adaptive_as_published
+from capsule_gym.control.laws.feedback_linearisation import epc, feedback_linearising
+from capsule_gym.control.laws.profiles import PROPOSED
 from capsule_gym.parameters import NOMINAL
-from capsule_gym.task import TORQUE_LIMIT
+from capsule_gym.tasks.task import TORQUE_LIMIT
 
 Quantity = Callable[[Trajectory], np.ndarray]
 

@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from baselines.laws.profiles import OPTIMA, P2, PROPOSED, V1, Profile, platform_motion, seven_phases
 from baselines.paper import published
 from baselines.paper.principles import Cycle, principle_3, principle_4, sample
 from capsule_gym.command_line import check_output, command
+from capsule_gym.control.laws.profiles import OPTIMA, P2, PROPOSED, V1, Profile, platform_motion, seven_phases
 from capsule_gym.files import to_json, write_atomically
 from capsule_gym.parameters import NOMINAL, Plant
 
@@ -44,7 +44,7 @@ V1_RANGE, P2_SHARE = (0.5, 25.0), (0.003, 0.99)
 
 
 @dataclass(frozen=True)
-class Problem:
+class ProfileProblem:
     """One optimisation: a torque limit (N m), "nominal" or the worst of the "ranges", and a principle left out or 0."""
 
     torque_limit: float
@@ -64,17 +64,17 @@ class Problem:
         return [NOMINAL.plant(M, mu) for M in published.M_RANGE for mu in published.MU_RANGE]
 
 
-def problems() -> list[Problem]:
+def problems() -> list[ProfileProblem]:
     """All problems, each after those from whose solutions it can start."""
     variants: list[dict[str, Any]] = [{}, *({"dropped": n} for n in (2, 3, 4)), {"plants": "ranges"}]
-    return [Problem(limit, **variant) for variant in variants for limit in TORQUE_LIMITS]
+    return [ProfileProblem(limit, **variant) for variant in variants for limit in TORQUE_LIMITS]
 
 
 @dataclass(frozen=True)
 class Solution:
     """A profile (9) under exact tracking on the plants of a problem, in SI units; the worst value over the plants."""
 
-    problem: Problem
+    problem: ProfileProblem
     times: tuple[float, ...]  # t1 to t7
     V1: float
     P2: float
@@ -93,7 +93,7 @@ class Solution:
 
 
 def assess(
-    problem: Problem, times: Sequence[float], V1: float, P2: float, h: float = 1e-4, *, reserve: bool = False
+    problem: ProfileProblem, times: Sequence[float], V1: float, P2: float, h: float = 1e-4, *, reserve: bool = False
 ) -> Solution:
     """Evaluates a profile under exact tracking in steps of h seconds, which divide every phase.
 
@@ -115,7 +115,7 @@ def assess(
 
 
 def _assess_plant(
-    problem: Problem, profile: Profile, steps: Cycle, cycle: Cycle, h: float, reserve: bool, p: Plant
+    problem: ProfileProblem, profile: Profile, steps: Cycle, cycle: Cycle, h: float, reserve: bool, p: Plant
 ) -> tuple[float, float, float, float, dict[str, float]]:
     """The assessment on one plant; `steps` are integrated, and the demands are evaluated at the samples of `cycle`."""
     t, (theta, theta_dot, theta_ddot) = steps.t, steps.motion
@@ -145,7 +145,7 @@ def _assess_plant(
     return distance / (h * len(x)), cost, peak, back, shares
 
 
-def _decode(z: np.ndarray, problem: Problem) -> tuple[tuple[float, ...], float, float]:
+def _decode(z: np.ndarray, problem: ProfileProblem) -> tuple[tuple[float, ...], float, float]:
     """Times, V1 and P2 of a point of the search space."""
     durations = np.maximum(1.0, np.rint(10.0 ** np.asarray(z[:7]) / GRID))
     times = tuple(float(t) for t in np.round(np.cumsum(durations) * GRID, 3))
@@ -154,7 +154,7 @@ def _decode(z: np.ndarray, problem: Problem) -> tuple[tuple[float, ...], float, 
 
 
 def search(
-    problem: Problem, known: Sequence[Solution] = (), *, seed: int, generations: int, members: int = 10
+    problem: ProfileProblem, known: Sequence[Solution] = (), *, seed: int, generations: int, members: int = 10
 ) -> Solution:
     """Solves one problem by differential evolution: feasible profiles rank by speed, all others by violation.
 
@@ -195,7 +195,9 @@ def exchange(solutions: Sequence[Solution]) -> list[Solution]:
 def load(path: Path = OPTIMA) -> list[Solution]:
     """Reads the solutions that the command has written."""
     rows = json.loads(path.read_text(encoding="utf-8"))["solutions"]
-    return [Solution(**{**row, "problem": Problem(**row["problem"]), "times": tuple(row["times"])}) for row in rows]
+    return [
+        Solution(**{**row, "problem": ProfileProblem(**row["problem"]), "times": tuple(row["times"])}) for row in rows
+    ]
 
 
 @command(PROG, ValueError)

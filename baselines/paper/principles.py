@@ -20,11 +20,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from baselines.laws.profiles import EPC, PROPOSED, Profile
 from baselines.paper import published
 from capsule_gym import dynamics
+from capsule_gym.control.laws.profiles import EPC, PROPOSED, Profile
 from capsule_gym.parameters import NOMINAL, Capsule, Plant
-from capsule_gym.task import START_THETA
+from capsule_gym.tasks.task import START_THETA
 
 # Samples of a phase, and of the angle in the proof.
 SAMPLES_PER_PHASE, SAMPLES = 2001, 20_001

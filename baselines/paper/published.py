@@ -7,7 +7,7 @@ Dynamics 94 (2018).
 from dataclasses import dataclass
 from typing import cast
 
-from baselines.laws.profiles import V1, V1_EPC
+from capsule_gym.control.laws.profiles import V1, V1_EPC
 from capsule_gym.parameters import RANDOMIZATIONS
 
 

@@ -10,16 +10,16 @@ from typing import Any, get_args
 
 import numpy as np
 
-from baselines.laws.adaptive import adaptive, nominal_estimates
-from baselines.laws.gains import UNREGULARISED
 from baselines.paper import principles, published, selection, tracking
 from baselines.paper.adaptive import ERRORS, LONG_CYCLES, LONG_PLANTS, run_cycles, study_law, study_variants
 from baselines.paper.optimal_profiles import Solution, load
 from baselines.paper.published import Number
 from baselines.paper.tracking import speed_ratio
 from baselines.tables import fields_table, printed_below
+from capsule_gym.control.laws.adaptive import adaptive, nominal_estimates
+from capsule_gym.control.laws.gains import UNREGULARISED
 from capsule_gym.parameters import NOMINAL, NormalForce
-from capsule_gym.task import TORQUE_LIMIT
+from capsule_gym.tasks.task import TORQUE_LIMIT
 
 Results = dict[str, Any]
 Row = Mapping[str, Any]

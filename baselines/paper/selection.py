@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from scipy.integrate import trapezoid
 
-from baselines.laws.profiles import P2, TABLE_1, V1, seven_phases
 from baselines.paper.principles import THETA_0, friction_bound
 from baselines.paper.published import NATURAL_FREQUENCY
+from capsule_gym.control.laws.profiles import P2, TABLE_1, V1, seven_phases
 from capsule_gym.parameters import NOMINAL
 
 # Half a unit of the last digit of each time in Table 1, s.

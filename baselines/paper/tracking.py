@@ -11,13 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from baselines.laws.feedback_linearisation import feedback_linearising
-from baselines.laws.profiles import EPC, PROPOSED, Profile, platform_motion
 from capsule_gym import Capsule, Controller
-from capsule_gym.config import LAW_DT, EnvConfig
-from capsule_gym.layout import ROWS, Row
+from capsule_gym.control.controller import LAW_DT
+from capsule_gym.control.laws.feedback_linearisation import feedback_linearising
+from capsule_gym.control.laws.profiles import EPC, PROPOSED, Profile, platform_motion
+from capsule_gym.core.layout import NUM_ROWS, Row
+from capsule_gym.envs.config import EnvConfig
+from capsule_gym.envs.simulation import Simulation
 from capsule_gym.parameters import NOMINAL, NormalForce, Plant
-from capsule_gym.simulation import Simulation
 
 PROFILES = (PROPOSED, EPC)
 UNLIMITED = 50.0  # beyond any torque of the paper: its Figures 5 and 8 show no limit
@@ -77,7 +78,7 @@ def simulate(
     `torque_limit` is in N m; `options` are further options of the environment.
     """
     simulation = make_simulation(controller, plants, LAW_DT, torque_limit=torque_limit, **options)
-    steps, rows = cycles * len(simulation.reference), ROWS + len(simulation.memory)
+    steps, rows = cycles * len(simulation.reference), NUM_ROWS + len(simulation.memory)
     states = np.zeros((steps + 1, rows, len(plants)))
     states[0] = simulation.rows(0, rows)
     running, last = np.ones(len(plants), np.bool_), np.zeros(len(plants), np.int64)
@@ -95,7 +96,7 @@ def simulate(
         columns = {name: own[:, getattr(Row, name)] for name in ("theta", "theta_dot", "x", "x_dot", "torque")}
         reference = simulation.reference[own[:, Row.clock].astype(np.int64)]
         found = {name: float(values[i]) for name, values in metrics.items()}
-        t, memory = np.arange(end + 1) * LAW_DT, own[:, ROWS:]
+        t, memory = np.arange(end + 1) * LAW_DT, own[:, NUM_ROWS:]
         trajectories.append(Trajectory(t, **columns, reference=reference, memory=memory, metrics=found))
     return trajectories
 

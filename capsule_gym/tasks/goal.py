@@ -62,10 +62,9 @@ from typing import Any
 
 import numpy as np
 
-from capsule_gym import _core, native
 from capsule_gym.checks import check_number, require
-from capsule_gym.task import LARGEST_STATE, TASKS, Draw, Option, Task
-from capsule_gym.tasks import DEFAULTS
+from capsule_gym.core import _core, native
+from capsule_gym.tasks.task import GRIP_DEFAULTS, LARGEST_STATE, Draw, Option, Task
 
 # Range of the drawn displacements, m.
 NEAREST, FARTHEST = 0.05, 0.5
@@ -116,7 +115,8 @@ def metrics(memory: Any, whole: np.ndarray) -> dict[str, np.ndarray]:
 
 TASK = Task(
     name="goal",
-    episode_steps=TASKS["goal"][1],
+    env_id="CapsuleGoal-v0",
+    episode_steps=750,
     term="reward_goal",
     entries={
         "goal_error": (-_core.ERROR_BOUND, _core.ERROR_BOUND),
@@ -126,5 +126,5 @@ TASK = Task(
     shown=("goal", "error", "held"),
     options={"goal": Option((Draw(NEAREST, FARTHEST, signed=True),), parse_goal)},
     metrics=metrics,
-    defaults=DEFAULTS,
+    defaults=GRIP_DEFAULTS,
 )

@@ -61,11 +61,9 @@ from typing import Any
 
 import numpy as np
 
-from capsule_gym import _core
-from capsule_gym._core import COMMANDS, SPEED_BOUND
 from capsule_gym.checks import check_number, check_timed, require
-from capsule_gym.task import TASKS, Draw, Option, Task
-from capsule_gym.tasks import DEFAULTS
+from capsule_gym.core import _core
+from capsule_gym.tasks.task import GRIP_DEFAULTS, Draw, Option, Task
 
 # Largest drawn and largest accepted command, m/s, and the range of its duration, s.
 DRAWN, LARGEST = 0.1, 0.2
@@ -74,8 +72,10 @@ LASTS = (4.0, 8.0)
 
 def parse_commands(name: str, value: Any) -> list[float]:
     """The velocities of the commands and how long each lasts, from `[{"t": s, "v": m/s}]`."""
-    accepted = f"a list of 1 to {COMMANDS} dicts {{'t': s, 'v': m/s}}, the first at 0 s, each later than the one before"
-    if isinstance(value, (list, tuple)) and not 1 <= len(value) <= COMMANDS:
+    accepted = (
+        f"a list of 1 to {_core.COMMANDS} dicts {{'t': s, 'v': m/s}}, the first at 0 s, each later than the one before"
+    )
+    if isinstance(value, (list, tuple)) and not 1 <= len(value) <= _core.COMMANDS:
         raise ValueError(f"{name} must be {accepted}, got {len(value)}")
     times: list[float] = []
     commands: list[float] = []
@@ -84,7 +84,7 @@ def parse_commands(name: str, value: Any) -> list[float]:
         times.append(t)
         limit = f"a number of m/s within {LARGEST:g} of 0"
         commands.append(check_number(f"{where}['v']", command["v"], limit, -LARGEST, LARGEST))
-    more = COMMANDS - len(times)
+    more = _core.COMMANDS - len(times)
     lasts = [later - t for t, later in zip(times, [*times[1:], math.inf], strict=True)]
     return [*commands, *[commands[-1]] * more, *lasts, *[math.inf] * more]
 
@@ -107,18 +107,21 @@ def metrics(memory: Any, whole: np.ndarray) -> dict[str, np.ndarray]:
 
 TASK = Task(
     name="velocity",
-    episode_steps=TASKS["velocity"][1],
+    env_id="CapsuleVelocity-v0",
+    episode_steps=1000,
     term="reward_tracking",
     entries={
         "command": (-LARGEST, LARGEST),
         "near_error": (-1.0, 1.0),
         "far_error": (-1.0, 1.0),
-        "mean_x_dot": (-SPEED_BOUND, SPEED_BOUND),
+        "mean_x_dot": (-_core.SPEED_BOUND, _core.SPEED_BOUND),
     },
     shown=("command", "target", "error"),
-    options={"commands": Option((Draw(-DRAWN, DRAWN),) * COMMANDS + (Draw(*LASTS),) * COMMANDS, parse_commands)},
+    options={
+        "commands": Option((Draw(-DRAWN, DRAWN),) * _core.COMMANDS + (Draw(*LASTS),) * _core.COMMANDS, parse_commands)
+    },
     metrics=metrics,
-    defaults=DEFAULTS,
+    defaults=GRIP_DEFAULTS,
 )
 
 
@@ -133,5 +136,5 @@ def with_commands(low: float, high: float) -> Task:
     low = check_number("low", low, accepted, -LARGEST, LARGEST)
     high = check_number("high", high, f"{accepted} and not below low", low, LARGEST)
     commands = TASK.options["commands"]
-    draws = (Draw(low, high),) * COMMANDS + commands.draws[COMMANDS:]
+    draws = (Draw(low, high),) * _core.COMMANDS + commands.draws[_core.COMMANDS :]
     return replace(TASK, options={"commands": commands._replace(draws=draws)})

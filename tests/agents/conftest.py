@@ -2,7 +2,8 @@ import json
 
 import pytest
 
-from baselines.evaluation import policies
+from agents.leaderboard import candidates as leaderboard
+from capsule_gym.evaluation import candidates
 from tests.agents.fakes import PLANTS, Sine, write_run
 
 
@@ -17,8 +18,10 @@ def tiny_file(tmp_path):
 def world(tmp_path, monkeypatch):
     """Two scripted policies and a checkpoint with two seeds."""
     known = {name: Sine(amplitude, name=name) for name, amplitude in (("adaptive", 0.3), ("bold", 0.5))}
-    monkeypatch.setattr(policies, "SCRIPTED", known)
-    monkeypatch.setattr(policies, "CHECKPOINTS", tmp_path / "checkpoints")
+    monkeypatch.setattr(candidates, "scripted_names", lambda: list(known))
+    monkeypatch.setattr(candidates, "find_scripted", known.get)
+    monkeypatch.setattr(leaderboard, "SCRIPTED", known)
+    monkeypatch.setattr(candidates, "CHECKPOINTS", tmp_path / "checkpoints")
     for seed in (10, 2):
         write_run(tmp_path / "checkpoints" / "learnt" / f"seed-{seed}", seed)
     return tmp_path

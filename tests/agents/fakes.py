@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from capsule_gym import Controller
-from capsule_gym.policy import POLICY
-from tests.capsule_gym import test_policy as policies
+from capsule_gym.policies.policy import POLICY
+from tests.capsule_gym.policies import test_policy as policies
 
 CHANGED = {"M": 0.5, "mu": 0.01, "seed": 2, "changes": [{"t": 0.5, "M": 0.7, "mu": 0.3}]}
 PLANTS = {"name": "tiny", "plants": [{"M": 0.5, "mu": 0.01, "seed": 0}, {"M": 0.6, "mu": 0.1, "seed": 1}, CHANGED]}

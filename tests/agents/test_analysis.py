@@ -11,8 +11,8 @@ from agents.analysis import __main__ as analysis
 from agents.analysis import limit_cycle, sensitivity, statistics
 from baselines.drawing import BLUE, GREEN, INK, MUTED, new_figure
 from baselines.dynamic_programming.archive import optimal_front
-from baselines.evaluation.policies import Candidate, find_candidate
-from baselines.evaluation.statistics import estimate
+from capsule_gym.evaluation.candidates import Candidate, find_candidate
+from capsule_gym.evaluation.statistics import estimate
 from capsule_gym.parameters import REAL, Disturbances
 from tests.agents.fakes import Sine
 from tests.agents.leaderboard.world import table

@@ -15,7 +15,7 @@ from agents.training.signals import INTERRUPTED
 from baselines.dynamic_programming.policy import NUM_TORQUES, TORQUES
 from capsule_gym import load_policy
 from capsule_gym.parameters import NOMINAL
-from capsule_gym.task import CONTROL_DT
+from capsule_gym.tasks.task import CONTROL_DT
 
 NAME = "dp-distilled-wide"
 SIZES = {"num_envs": 3, "steps": 30, "updates": 3, "final_updates": 4, "final_parts": 2, "batch_size": 16}

@@ -8,8 +8,8 @@ from agents import report
 from agents.leaderboard.rows import load_row
 from agents.training.presets import ROWS
 from baselines.drawing import BLUE, MUTED
-from baselines.evaluation.episodes import evaluate
-from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec, load_set
+from capsule_gym.evaluation.episodes import evaluate
+from capsule_gym.evaluation.sets import EvaluationSet, PlantSpec, load_set
 from tests import ROOT
 from tests.agents.fakes import Sine, write_run
 from tests.agents.training.small import small

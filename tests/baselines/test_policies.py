@@ -8,10 +8,10 @@ from scipy.linalg import solve_discrete_are
 import baselines
 from baselines import lqr, mpc
 from baselines.dynamic_programming.problem import Problem, Transitions
-from baselines.laws import LAWS
 from baselines.policies import ALL_SCRIPTED
 from capsule_gym import CapsuleVectorEnv
-from capsule_gym.controller import Controller
+from capsule_gym.control.controller import Controller
+from capsule_gym.control.laws import LAWS
 
 
 @pytest.mark.parametrize("name", ALL_SCRIPTED)

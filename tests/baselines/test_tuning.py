@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from baselines import lqr, tuning
-from baselines.laws import gains, periodic
-from baselines.policies import ScriptedPolicy
+from capsule_gym.control.laws import gains, periodic
+from capsule_gym.policies.scripted import ScriptedPolicy
 
 pytest.importorskip("cma")
 

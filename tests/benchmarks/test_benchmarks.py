@@ -12,7 +12,7 @@ from baselines.drawing import BLUE, MUTED
 from benchmarks import accuracy, fresh_draws, identification, measurement, rig, sensitivity, throughput, training
 from benchmarks.mujoco import FRICTIONS, build, hold
 from capsule_gym import load_policy
-from capsule_gym.layout import Row
+from capsule_gym.core.layout import Row
 from capsule_gym.parameters import Capsule
 from tests.agents.fakes import Sine
 from tests.figures import assert_bars, texts

@@ -1,6 +1,6 @@
 import pytest
 
-from capsule_gym import _core, native
+from capsule_gym.core import _core, native
 
 
 @pytest.fixture

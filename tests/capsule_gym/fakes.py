@@ -1,7 +1,7 @@
 import numpy as np
 
 from capsule_gym import Controller
-from capsule_gym.layout import Row
+from capsule_gym.core.layout import Row
 
 # Inputs of a step, and values that every step overwrites; all other rows belong to the episode.
 SCRATCH = {"action", "active", "mass_ratio", "before_x", "read_before_x", "slip", "elapsed", "halt", "cursor"} | {

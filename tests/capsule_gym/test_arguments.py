@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Disturbances, Randomization
-from capsule_gym.config import EnvConfig
-from capsule_gym.layout import LANES
-from capsule_gym.parameters import DIVISORS
-from capsule_gym.simulation import MOST_ENVS
-from capsule_gym.task import CHANGE
+from capsule_gym.core.layout import LANES
+from capsule_gym.envs.config import EnvConfig
+from capsule_gym.envs.simulation import MOST_ENVS
+from capsule_gym.parameters.limits import DIVISORS
+from capsule_gym.tasks.task import CHANGE
 
 # numpy may warn of imaginary parts, and of numbers beyond float32, before an action is refused.
 pytestmark = pytest.mark.filterwarnings(

@@ -5,9 +5,9 @@ import pytest
 
 from capsule_gym import demo
 from capsule_gym.demo import KEYBOARD, NAMES, STRENGTH, Episode, find_policy
-from capsule_gym.env import shown_state
-from capsule_gym.evaluation_sets import load_set
-from capsule_gym.task import Termination
+from capsule_gym.envs.env import shown_state
+from capsule_gym.evaluation.sets import load_set
+from capsule_gym.tasks.task import Termination
 
 Image, ImageSequence = pytest.importorskip("PIL.Image"), pytest.importorskip("PIL.ImageSequence")
 pygame = pytest.importorskip("pygame")

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from benchmarks.accuracy import START, solve
-from capsule_gym import _core, dynamics, native
-from capsule_gym.config import EnvConfig
+from capsule_gym import dynamics
+from capsule_gym.core import _core, native
+from capsule_gym.core.layout import Row
 from capsule_gym.dynamics import step
-from capsule_gym.layout import Row
+from capsule_gym.envs.config import EnvConfig
+from capsule_gym.envs.simulation import Simulation
 from capsule_gym.parameters import Capsule
-from capsule_gym.simulation import Simulation
 
 HOLD = 0.02
 

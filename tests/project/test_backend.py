@@ -6,7 +6,7 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 
-from capsule_gym import _core
+from capsule_gym.core import _core
 from tests.project.test_pages import ROOT
 
 SET = ("CMAKE_ARGS", "CMAKE_GENERATOR", "ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR")

@@ -14,40 +14,43 @@ from agents.study import main as study
 from agents.training.algorithms import make_env
 from agents.training.config import Config, RunError
 from baselines.drawing import style
-from baselines.evaluation.episodes import evaluate, summarise
-from baselines.evaluation.policies import find_candidate
-from baselines.evaluation.statistics import estimate, paired_difference
-from baselines.laws.adaptive import adaptive
-from baselines.laws.feedback_linearisation import feedback_linearising
-from baselines.laws.gains import known_parameters
-from baselines.laws.gait import gait
-from baselines.laws.profiles import TABLE_1, seven_phases, six_phases
 from benchmarks import fresh_draws, identification, rig, throughput, training
 from benchmarks import sensitivity as derivatives
-from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Randomization, dynamics, identify, native, sensitivity
+from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Randomization, dynamics, identify, sensitivity
 from capsule_gym.checks import first_cause
-from capsule_gym.config import find_task
-from capsule_gym.controller import Controller, CoreLaw
+from capsule_gym.control.controller import Controller, CoreLaw
+from capsule_gym.control.laws.adaptive import adaptive
+from capsule_gym.control.laws.feedback_linearisation import feedback_linearising
+from capsule_gym.control.laws.gains import known_parameters
+from capsule_gym.control.laws.gait import gait
+from capsule_gym.control.laws.profiles import TABLE_1, seven_phases, six_phases
+from capsule_gym.core import native
 from capsule_gym.demo import main as demo
-from capsule_gym.evaluation_sets import load_set, parse_set
-from capsule_gym.export import Exported
+from capsule_gym.envs.settings import divide
+from capsule_gym.envs.simulation import Simulation
+from capsule_gym.evaluation.candidates import find_candidate
+from capsule_gym.evaluation.episodes import evaluate, summarise
+from capsule_gym.evaluation.sets import load_set, parse_set
+from capsule_gym.evaluation.statistics import estimate, paired_difference
 from capsule_gym.export import main as export
-from capsule_gym.identification import OTHERS
-from capsule_gym.identify import main as identify_file
-from capsule_gym.network import rollout
+from capsule_gym.export.exported import Exported
+from capsule_gym.identification.__main__ import main as identify_file
+from capsule_gym.identification.excitation import Excitation
+from capsule_gym.identification.fit import OTHERS
+from capsule_gym.identification.log import read_log
+from capsule_gym.identification.recording import record
+from capsule_gym.identification.shooting import PLANT
 from capsule_gym.parameters import NOMINAL, Disturbances
-from capsule_gym.policy import load_policy
-from capsule_gym.recording import Excitation, read_log, record
+from capsule_gym.policies.policy import load_policy
+from capsule_gym.policies.rollout import rollout
 from capsule_gym.rendering import write_gif
 from capsule_gym.sb3 import CapsuleSB3VecEnv
-from capsule_gym.settings import divide
-from capsule_gym.shooting import PLANT
-from capsule_gym.simulation import Simulation
-from capsule_gym.task import Task
+from capsule_gym.tasks.registry import find_task
+from capsule_gym.tasks.task import Task
 from tests.agents.fakes import Sine
-from tests.capsule_gym.test_evaluation_sets import plant
-from tests.capsule_gym.test_policy import make_policy
-from tests.capsule_gym.test_trajectory import START
+from tests.capsule_gym.evaluation.test_sets import plant
+from tests.capsule_gym.identification.test_derivatives import START
+from tests.capsule_gym.policies.test_policy import make_policy
 from train import main as train
 
 T = np.arange(0.0, 3.0, 0.01)
@@ -259,14 +262,15 @@ def test_an_invalid_command_line_ends_with_2_and_names_the_option(main, words, m
     assert not list(tmp_path.iterdir())
 
 
+SHOOTING = "capsule_gym.identification.shooting"
 MISSING = [
     ("jinja2", lambda: Exported("direct-ppo").c(), "--c needs jinja2"),
     ("onnx", lambda: Exported("direct-ppo").onnx(), "--onnx needs onnx"),
     ("matplotlib", lambda: style().__enter__(), "figures need matplotlib"),
-    ("scipy.linalg", lambda: importlib.reload(importlib.import_module("capsule_gym.shooting")), "identify needs scipy"),
+    ("scipy.linalg", lambda: importlib.reload(importlib.import_module(SHOOTING)), "identify needs scipy"),
     ("scipy.special", lambda: estimate(np.arange(12.0).reshape(3, 4)), "intervals need scipy"),
 ]
-EXTRAS = {"capsule_gym.demo": "render", "capsule_gym.export": "export", "baselines.tuning": "paper"}
+EXTRAS = {"capsule_gym.demo": "render", "capsule_gym.export.__main__": "export", "baselines.tuning": "paper"}
 
 
 @pytest.mark.parametrize(("library", "call", "message"), MISSING, ids=[library for library, *_ in MISSING])

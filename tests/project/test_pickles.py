@@ -16,7 +16,7 @@ import pytest
 
 from agents.study import train_job
 from agents.training.presets import row_settings
-from baselines.dynamic_programming.archive import ARCHIVE, ARRAYS
+from capsule_gym.evaluation.optimum import ARCHIVE, ARRAYS
 from tests.agents.training.small import small
 from tests.project.test_commands import commands
 
@@ -85,7 +85,7 @@ READERS = {
         *(["adaptive", *words, "-o", "a.gif"] for words in (["--set", "set.json"], ["--rival", "run"])),
     ],
     "capsule_gym.export": [[path, "--c", "policy.h"] for path in PATHS],
-    "capsule_gym.identify": [["policy.safetensors"], ["model.zip"]],
+    "capsule_gym.identification": [["policy.safetensors"], ["model.zip"]],
     "train": [["--run", "run"], ["--run", "old", "--task", "direct", "--algo", "sac"]],
 }
 # The commands with an option that trusts the path.

@@ -1,26 +1,74 @@
 import dataclasses
 import importlib
+import pkgutil
 import subprocess
 import sys
+from graphlib import TopologicalSorter
+from types import ModuleType
 
 import pytest
 
+from capsule_gym.control.lookup import find_controller
+from capsule_gym.evaluation.episodes import evaluate
+from capsule_gym.evaluation.sets import NOMINAL_PLANT, EvaluationSet
 from tests.project.test_pages import MODULES, ROOT
 
+PACKAGES = ("capsule_gym", "baselines", "agents", "benchmarks", "web", "examples")
+# What imports a module by a name that is computed.
+IMPORTING = ("import_module", "resolve_name", "__import__", "entry_points")
+# Names under which the documentation has shown objects, and where they are.
+FORMER_NAMES = {
+    "baselines.adaptive": "capsule_gym.control.laws.adaptive:adaptive",
+    "baselines.dynamic_programming.archive:optimal_speed": "capsule_gym.evaluation.optimum:optimal_speed",
+    "baselines.evaluation.episodes:validation_set": "capsule_gym.evaluation.episodes:validation_set",
+    "baselines.evaluation.policies:wrap_policy": "capsule_gym.evaluation.candidates:wrap_policy",
+    "baselines.laws:find_law": "capsule_gym.control.laws:find_law",
+    "capsule_gym.controller:find_controller": "capsule_gym.control.lookup:find_controller",
+    "capsule_gym.elementary:sincos": "capsule_gym.core.elementary:sincos",
+    "capsule_gym.evaluation_sets:load_set": "capsule_gym.evaluation.sets:load_set",
+    "capsule_gym.network:rollout": "capsule_gym.policies.rollout:rollout",
+    "capsule_gym.parameters:REAL": "capsule_gym.parameters.disturbances:REAL",
+    "capsule_gym.sb3:AsymmetricPolicy": "capsule_gym.envs.sb3:AsymmetricPolicy",
+    "capsule_gym.task:METRICS": "capsule_gym.tasks.task:METRICS",
+}
 
-def test_another_package_baselines_is_named(tmp_path):
-    (tmp_path / "baselines").mkdir()
-    (tmp_path / "baselines" / "__init__.py").touch()
-    # Loaded by its path, and without the finders of an editable installation, which know where `baselines.laws` is.
-    code = (
-        "import sys; from importlib import machinery, util; from capsule_gym import CapsuleEnv;"
-        "spec = util.spec_from_file_location('baselines', sys.argv[1]);"
-        "sys.modules['baselines'] = util.module_from_spec(spec); sys.meta_path[:] = [machinery.PathFinder];"
-        "CapsuleEnv(controller='baselines:adaptive')"
-    )
-    command = [sys.executable, "-c", code, str(tmp_path / "baselines" / "__init__.py")]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert str(tmp_path) in done.stderr and "uninstall that one" in done.stderr
+
+def test_another_package_named_baselines_does_not_hide_the_laws(monkeypatch):
+    """OpenAI Baselines has the same name, and both may be installed in one environment."""
+    monkeypatch.setitem(sys.modules, "baselines", ModuleType("baselines"))
+    assert find_controller("baselines:adaptive").name == "adaptive"
+    (episode,) = evaluate("adaptive", EvaluationSet("one", (NOMINAL_PLANT,)), horizon=0.1)
+    assert episode["duration"] == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(("former", "found"), FORMER_NAMES.items())
+def test_names_of_the_documentation_stay(former, found):
+    assert pkgutil.resolve_name(former) is pkgutil.resolve_name(found)
+
+
+def test_no_module_imports_one_that_imports_it():
+    """Also in functions and for types; import-linter checks the order of the layers."""
+    graph = pytest.importorskip("grimp").build_graph(*PACKAGES, cache_dir=None)
+    order = {module: graph.find_modules_directly_imported_by(module) for module in graph.modules}
+    TopologicalSorter(order).prepare()  # raises an error that names a circle
+
+
+def test_no_module_is_imported_by_its_name_unless_the_user_gives_it():
+    """Static checks of imports do not see these."""
+    found = set()
+    for package in PACKAGES:
+        for path in (ROOT / package).rglob("*.py"):
+            text = path.read_text(encoding="utf-8")
+            found |= {(path.relative_to(ROOT).as_posix(), name) for name in IMPORTING if f"{name}(" in text}
+    assert found == {
+        ("capsule_gym/control/lookup.py", "resolve_name"),  # the argument `controller`
+        ("capsule_gym/evaluation/candidates.py", "resolve_name"),  # `python -m agents.evaluate module:attribute`
+        ("agents/training/algorithms.py", "resolve_name"),  # `train.py --wrapper module:attribute`
+        (
+            "capsule_gym/policies/scripted.py",
+            "entry_points",
+        ),  # policies of the distributions that the user has installed
+    }
 
 
 def test_settings_and_results_cannot_be_changed():
@@ -30,7 +78,7 @@ def test_settings_and_results_cannot_be_changed():
     values = [each for name in names for each in vars(importlib.import_module(name)).values()]
     found = [each for each in values if dataclasses.is_dataclass(each) and getattr(each, "__module__", "") in names]
     changing = {(each.__module__, each.__name__) for each in found if not each.__dataclass_params__.frozen}
-    assert {name for _, name in changing} == {"Archive", "Problem", "Progress"} and len(changing) == 3
+    assert {name for _, name in changing} == {"Archive", "Progress", "ShootingProblem"} and len(changing) == 3
 
 
 def test_no_tracked_file_is_large_or_names_a_path_of_a_machine():

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from capsule_gym import CapsuleEnv, Disturbances, load_policy
-from capsule_gym.evaluation_sets import SET_NAMES, load_set
+from capsule_gym.evaluation.sets import SET_NAMES, load_set
 from tests import ROOT
 from web import build, data, episodes
 

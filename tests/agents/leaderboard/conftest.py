@@ -1,7 +1,8 @@
 import pytest
 
+from agents.leaderboard import candidates as leaderboard
 from agents.leaderboard import page
-from baselines.evaluation import policies
+from capsule_gym.evaluation import candidates
 from tests.agents.fakes import Sine, write_run
 from tests.agents.leaderboard.world import write_all
 
@@ -15,9 +16,11 @@ def world(tmp_path, monkeypatch):
     known = {name: Sine(0.05 + 0.02 * n, name=name) for n, name in enumerate(sorted(names))}
     known["wild"] = Sine(1.5, period=10.0, name="wild")
     known["rocking"] = Sine(0.4, name="rocking")
-    monkeypatch.setattr(policies, "SCRIPTED", known)
-    monkeypatch.setattr(policies, "TASK_SCRIPTED", {"stay": Sine(0.1, name="stay", env_kwargs={"task": "goal"})})
-    monkeypatch.setattr(policies, "CHECKPOINTS", tmp_path / "checkpoints")
+    of_tasks = {"stay": Sine(0.1, name="stay", env_kwargs={"task": "goal"})}
+    monkeypatch.setattr(candidates, "find_scripted", lambda name: known.get(name, of_tasks.get(name)))
+    monkeypatch.setattr(leaderboard, "SCRIPTED", known)
+    monkeypatch.setattr(leaderboard, "TASK_SCRIPTED", of_tasks)
+    monkeypatch.setattr(candidates, "CHECKPOINTS", tmp_path / "checkpoints")
     for seed in (0, 1):
         write_run(tmp_path / "checkpoints" / "learnt" / f"seed-{seed}", seed)
     (tmp_path / "docs/media").mkdir(parents=True)

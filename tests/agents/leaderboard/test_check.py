@@ -3,11 +3,13 @@ from dataclasses import replace
 import pytest
 
 from agents.leaderboard import __main__ as leaderboard
+from agents.leaderboard import candidates as scripted
+from agents.leaderboard.candidates import all_candidates
 from agents.leaderboard.chart import CHART
 from agents.leaderboard.page import MAIN_SETS, TABLES
 from agents.leaderboard.rows import RESULTS
-from baselines.evaluation import policies
-from capsule_gym import evaluation_sets
+from capsule_gym.evaluation.candidates import find_candidate
+from capsule_gym.evaluation.sets import load_set
 from tests.agents.fakes import write_run
 from tests.agents.leaderboard.world import checked, edit_row, evaluated_again, make_set, table
 
@@ -17,7 +19,7 @@ WRONG["pd"] = "adaptive: no results in adaptive.npz; `python -m agents.leaderboa
 
 
 def test_written_results_pass_the_check_and_the_chart_is_stale_if_a_drawn_number_changes(written):
-    assert checked(written) == [] and evaluated_again(written, *policies.all_candidates()) == []
+    assert checked(written) == [] and evaluated_again(written, *all_candidates()) == []
     assert not list(written.glob(".*")) and not list((written / RESULTS).glob(".*"))
     readme = (written / "README.md").read_text()
     assert readme.startswith("# Title\n\n<!--") and readme.count("\n\nBetween.\n\n") == 1 and "Torque as a" in readme
@@ -30,8 +32,8 @@ def test_written_results_pass_the_check_and_the_chart_is_stale_if_a_drawn_number
 def test_the_published_pages_and_the_first_episodes_of_policies_are_those_of_the_results():
     names = ["adaptive", "lqr", "pd", "oscillator", "gait-guarded", "gait-predictive", "goal-pulses", "velocity-pulses"]
     names += ["dp-oracle", "dp-nominal", "direct-ppo"]
-    sets = [evaluation_sets.load_set(name) for name in leaderboard.SETS]
-    candidates = {each.name: each for task in leaderboard.TASKS for each in policies.all_candidates(task)}
+    sets = [load_set(name) for name in leaderboard.SETS]
+    candidates = {each.name: each for task in leaderboard.TASKS for each in all_candidates(task)}
     assert list(leaderboard.find_stale(leaderboard.ROOT, list(candidates.values()), sets)) == []
     firsts = [replace(each, plants=each.plants[:1]) for each in sets]
     slow = ("mpc", "adaptive-as-published", "feedback-linearising", "open-loop")
@@ -43,7 +45,7 @@ def test_the_published_pages_and_the_first_episodes_of_policies_are_those_of_the
 def test_check_names_changed_rows(written):
     edit_row(written, "learnt", lambda row: row.header.update(revision="feed"))
     write_run(written / "checkpoints" / "learnt" / "seed-1", 1, clip=9.0)
-    policies.SCRIPTED.pop("rocking")
+    scripted.SCRIPTED.pop("rocking")
     gone, revision, changed, *pages = checked(written)
     assert gone == "rocking: has results and does not exist"
     assert (revision, changed) == tuple(f"learnt: {field} differs from its results" for field in ("revision", "files"))
@@ -68,12 +70,12 @@ def test_check_compares_the_last_bit_of_every_episode(written, name):
         row.scores["paper"][0, -1, 1] *= 1.0 + 2.0**-51
 
     edit_row(written, name, nudge)
-    (stale,) = evaluated_again(written, policies.find_candidate(name))
+    (stale,) = evaluated_again(written, find_candidate(name))
     assert stale.startswith(f"{name} on paper: mean_speed is ")
     seed = "training seed 1, " if name == "learnt" else ""
-    assert f" now ({seed}episode 1; 1 of " in stale and evaluated_again(written, policies.find_candidate("pd")) == []
+    assert f" now ({seed}episode 1; 1 of " in stale and evaluated_again(written, find_candidate("pd")) == []
     # The first plants of every set alone, without and with the episode that differs.
-    assert [len(evaluated_again(written, policies.find_candidate(name), plants=n)) for n in (1, 2)] == [0, 1]
+    assert [len(evaluated_again(written, find_candidate(name), plants=n)) for n in (1, 2)] == [0, 1]
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ from agents.leaderboard import page
 from agents.leaderboard.chart import contents, draw
 from agents.leaderboard.page import _section, grouped, message
 from baselines.drawing import BLUE, VERMILION
-from baselines.evaluation.policies import Candidate
+from capsule_gym.evaluation.candidates import Candidate
 from tests import ROOT
 from tests.agents.leaderboard.world import checked, edit_row, read, table
 from tests.figures import assert_bars, texts

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from agents.leaderboard.rows import evaluate, load_row, load_rows, save_row, static_header
-from baselines.evaluation import episodes
-from baselines.evaluation.policies import find_candidate
+from capsule_gym.evaluation import episodes
+from capsule_gym.evaluation.candidates import find_candidate
 from tests.agents.leaderboard.world import HORIZON, SETS, make_set
 
 

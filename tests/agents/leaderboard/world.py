@@ -4,11 +4,11 @@ import dataclasses
 import json
 
 from agents.leaderboard.__main__ import check_episodes, find_stale
+from agents.leaderboard.candidates import all_candidates
 from agents.leaderboard.chart import CHART, draw
 from agents.leaderboard.page import MAIN_SETS, build, files
 from agents.leaderboard.rows import RESULTS, evaluate, load_row, load_rows, save_row
-from baselines.evaluation.policies import all_candidates
-from capsule_gym.evaluation_sets import parse_set
+from capsule_gym.evaluation.sets import parse_set
 
 HORIZON = 0.6
 

@@ -15,7 +15,7 @@ from agents.training.callbacks import TrainingCallback
 from agents.training.loop import begin, train
 from agents.training.presets import PRESETS
 from capsule_gym import load_policy
-from capsule_gym.policy import POLICY
+from capsule_gym.policies.policy import POLICY
 
 SMALL = {"num_envs": 8, "batch_size": 64, "hidden": 8, "evaluation_episodes": 2, "evaluate_every": 10_000}
 # Columns with times, and with counts since the last resumption.

@@ -19,7 +19,7 @@ from agents.training.config import TD3Config
 from agents.training.export import export, save
 from agents.training.presets import PRESETS
 from capsule_gym import load_policy
-from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec
+from capsule_gym.evaluation.sets import EvaluationSet, PlantSpec
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 from tests.agents.training.small import finished, small
 

@@ -12,9 +12,9 @@ from agents.training.callbacks import validation_plants
 from agents.training.config import read_config
 from agents.training.loop import begin, train
 from agents.training.presets import preset
-from baselines.evaluation.episodes import evaluate, scores
-from baselines.evaluation.statistics import interquartile_mean
 from capsule_gym import load_policy
+from capsule_gym.evaluation.episodes import evaluate, scores
+from capsule_gym.evaluation.statistics import interquartile_mean
 from capsule_gym.parameters import RANDOMIZATIONS
 from tests.agents.training.small import SMALL, differences, finished, log, parameters, rows, small, train_until
 

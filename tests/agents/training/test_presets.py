@@ -14,9 +14,9 @@ from agents.distillation.config import STUDENTS
 from agents.distillation.dagger import CLIP, EPSILON, HIDDEN, MIN_VARIANCE
 from agents.training.config import CONFIG, EVALUATIONS, RANGES, read_config
 from agents.training.presets import PRESETS, ROWS
-from baselines.evaluation.policies import CHECKPOINTS, checkpoint_names, find_candidate
+from capsule_gym.evaluation.candidates import CHECKPOINTS, checkpoint_names, find_candidate
 from capsule_gym.files import to_json
-from capsule_gym.policy import IMITATION
+from capsule_gym.policies.policy import IMITATION
 
 
 @pytest.mark.parametrize("name", RANGES)

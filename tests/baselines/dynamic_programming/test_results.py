@@ -5,14 +5,15 @@ import pytest
 
 from baselines.dynamic_programming import __main__ as command
 from baselines.dynamic_programming import archive, solver
-from baselines.dynamic_programming.archive import Archive, known_results, load_archive, optimal_speed, set_plants
+from baselines.dynamic_programming.archive import Archive, known_results, load_archive, set_plants
 from baselines.dynamic_programming.grid import Grid
 from baselines.dynamic_programming.policy import Oracle
-from baselines.dynamic_programming.problem import GRID, STICKY_GRID, Problem, find_grid, plant_problems, repeat
+from baselines.dynamic_programming.problem import Problem, plant_problems, repeat
 from baselines.dynamic_programming.solver import Solution, solve_on_grids
-from baselines.evaluation.episodes import evaluate
 from baselines.policies import SCRIPTED
-from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec
+from capsule_gym.evaluation.episodes import evaluate
+from capsule_gym.evaluation.optimum import GRID, STICKY_GRID, find_grid, interpolated_speed, optimal_speed
+from capsule_gym.evaluation.sets import EvaluationSet, PlantSpec
 from capsule_gym.parameters import Capsule
 from tests import ROOT
 
@@ -34,7 +35,7 @@ def test_the_plants_of_the_sets_are_solved_themselves_and_others_are_interpolate
     plants = set_plants()
     assert list(known.plant_speeds) == plants and len(plants) > 700
     solved = np.array([optimal_speed(*plant) for plant in plants])
-    ratios = np.array([known.interpolated_speed(*plant) for plant in plants]) / solved
+    ratios = np.array([interpolated_speed(*plant) for plant in plants]) / solved
     assert 0.001 < np.abs(ratios - 1.0).mean() < 0.02 and np.abs(ratios - 1.0).max() < 0.0335
     # Solved again, a plant has the torques on file; a solution on a much coarser grid is slightly slower.
     runs = (plants[722], solver.GRIDS[0]), (plants[1], (13, 18, 7))

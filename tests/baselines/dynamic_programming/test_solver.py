@@ -12,7 +12,7 @@ from baselines.dynamic_programming.grid import FAILED, Grid
 from baselines.dynamic_programming.problem import Problem, Transitions
 from baselines.dynamic_programming.solver import Solution, final_solutions, run_policy, solve, transitions
 from capsule_gym import CapsuleEnv
-from capsule_gym.task import START_THETA
+from capsule_gym.tasks.task import START_THETA
 
 SHAPE = (13, 18, 7)
 

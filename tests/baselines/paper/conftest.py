@@ -3,7 +3,7 @@
 import pytest
 
 from baselines.paper import adaptive
-from capsule_gym.task import TORQUE_LIMIT
+from capsule_gym.tasks.task import TORQUE_LIMIT
 
 
 @pytest.fixture(scope="session")

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from baselines.laws.adaptive import adaptive
-from baselines.laws.gains import UNREGULARISED
 from baselines.paper import adaptive as study
 from baselines.paper.adaptive import lyapunov, run_cycles, sliding
 from baselines.paper.tracking import simulate
 from capsule_gym import Capsule
+from capsule_gym.control.laws.adaptive import adaptive
+from capsule_gym.control.laws.gains import UNREGULARISED
 
 PLANT = Capsule().plant()
 LIGHT, HEAVY = (0.45, 0.009), (0.55, 0.011)

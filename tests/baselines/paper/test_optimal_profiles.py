@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from baselines.laws.profiles import P2, PROPOSED, TABLE_1, V1, reference_table
 from baselines.paper import optimal_profiles
-from baselines.paper.optimal_profiles import Problem, assess, load, problems, search
+from baselines.paper.optimal_profiles import ProfileProblem, assess, load, problems, search
+from capsule_gym.control.laws.profiles import P2, PROPOSED, TABLE_1, V1, reference_table
 from capsule_gym.parameters import NOMINAL
 
 SOLUTIONS = {each.problem: each for each in load()}
@@ -13,7 +13,7 @@ SOLUTIONS = {each.problem: each for each in load()}
 
 def test_assessment_agrees_with_the_reference_table():
     p = NOMINAL.plant()
-    found = assess(Problem(1.5), TABLE_1, V1, P2)
+    found = assess(ProfileProblem(1.5), TABLE_1, V1, P2)
     table = reference_table(PROPOSED, p)
     assert found.mean_speed == pytest.approx(table[-1, 3] / 6.6, rel=1e-4)
     theta, theta_dot, theta_ddot, _, _, x_ddot = table.T[:6]
@@ -26,14 +26,18 @@ def test_assessment_agrees_with_the_reference_table():
     # The published profile defines the bounds of Principles 1 and 2.
     bounds = ("principle_1", "principle_2_velocity", "principle_2_acceleration")
     assert [found.shares[name] for name in bounds] == pytest.approx([1.0] * 3)
-    assert found.excess == 0.0 < assess(Problem(1.0), TABLE_1, V1, P2).excess
-    assert 0.97 < found.shares["torque"] / assess(Problem(1.5), TABLE_1, V1, P2, reserve=True).shares["torque"] < 1.0
+    assert found.excess == 0.0 < assess(ProfileProblem(1.0), TABLE_1, V1, P2).excess
+    assert (
+        0.97
+        < found.shares["torque"] / assess(ProfileProblem(1.5), TABLE_1, V1, P2, reserve=True).shares["torque"]
+        < 1.0
+    )
 
 
 def test_worst_plant_lies_at_a_corner_of_the_ranges(monkeypatch):
-    worst = SOLUTIONS[Problem(1.0, "ranges")]
+    worst = SOLUTIONS[ProfileProblem(1.0, "ranges")]
     inside = [NOMINAL.plant(M, mu) for M in np.linspace(0.45, 0.55, 3) for mu in np.linspace(0.009, 0.011, 3)]
-    monkeypatch.setattr(Problem, "plant_list", lambda self: inside)
+    monkeypatch.setattr(ProfileProblem, "plant_list", lambda self: inside)
     everywhere = assess(worst.problem, worst.times, worst.V1, worst.P2)
     assert everywhere.mean_speed == pytest.approx(worst.mean_speed, rel=1e-9)
     assert everywhere.shares == pytest.approx(worst.shares, rel=1e-9)
@@ -52,12 +56,12 @@ def test_committed_solutions_are_what_they_claim():
 
 def test_short_search_is_seeded_and_says_when_it_fails():
     pytest.importorskip("scipy")
-    first, second = (search(Problem(1.5), seed=3, generations=1, members=1) for _ in range(2))
+    first, second = (search(ProfileProblem(1.5), seed=3, generations=1, members=1) for _ in range(2))
     assert first == second
     # The published profile is in the first generation.
     assert first.feasible and first.found_by == "1.5 N m, nominal, seed 3"
-    assert first.mean_speed >= assess(Problem(1.5), TABLE_1, V1, P2).mean_speed * 0.999
-    hopeless = search(Problem(0.001), seed=3, generations=1, members=1)
+    assert first.mean_speed >= assess(ProfileProblem(1.5), TABLE_1, V1, P2).mean_speed * 0.999
+    hopeless = search(ProfileProblem(0.001), seed=3, generations=1, members=1)
     assert not hopeless.feasible and hopeless.excess > 1.0
 
 

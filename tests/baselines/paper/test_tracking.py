@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from baselines.laws.profiles import EPC, PROPOSED
 from baselines.paper import selection
 from baselines.paper.tracking import friction_for, grid, speed_map, speed_ratio, track
+from capsule_gym.control.laws.profiles import EPC, PROPOSED
 
 # Equation, given and implied value of each row, to half a unit of the last given digit, and whether one follows.
 EXPECTED = [

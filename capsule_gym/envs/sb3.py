@@ -1,0 +1,221 @@
+"""The native batch as a `VecEnv` of Stable-Baselines3, the only module that needs that library (extra `sb3`).
+
+A model saved with `AsymmetricPolicy` loads wherever this package and Stable-Baselines3 are installed.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AutoresetMode
+
+from capsule_gym.checks import check_flag, require
+from capsule_gym.envs.simulation import check_seed
+from capsule_gym.envs.vector_env import CapsuleVectorEnv
+from capsule_gym.parameters import DISTURBANCES, Disturbances
+
+try:
+    from stable_baselines3.common.monitor import Monitor
+    from stable_baselines3.common.policies import MultiInputActorCriticPolicy
+    from stable_baselines3.common.running_mean_std import RunningMeanStd
+    from stable_baselines3.common.torch_layers import MlpExtractor
+    from stable_baselines3.common.vec_env import VecEnv
+    from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
+    from torch import Tensor, nn
+except ImportError as error:
+    raise ImportError('capsule_gym.sb3 needs Stable-Baselines3: pip install "capsule-gym[sb3]"') from error
+
+# A critic observes the logarithm of mu, which may be 0.
+LEAST_MU = 1e-3
+
+
+class CapsuleSB3VecEnv(VecEnv):
+    """The native batch as a `VecEnv` of Stable-Baselines3, without a Python loop over environments.
+
+    It replaces `make_vec_env("capsule_gym:CapsuleStickSlip-v0", n_envs=num_envs)`. The info of an environment is empty,
+    and the same dict at every step, except at the end of an episode. There it contains "terminal_observation",
+    "TimeLimit.truncated", "episode" with the return "r" and the length "l" as in SB3's `Monitor`, and "metrics"
+    (`capsule_gym.tasks.task.METRICS`, and the task's). With `goal_env=True` every info contains the terms that
+    `HerReplayBuffer(copy_info_dict=True)` adds to a reward.
+
+    Args:
+        num_envs: number of environments.
+        seed: environment i gets seed + i.
+        privileged: give observations {"policy": .., "critic": ..}. "policy" is the environment's observation; "critic"
+            is what only a critic may see in training: M in kg, log(mu), and all other constants of the plant and
+            disturbances that an episode draws, and where the agent observes sensors, the true theta, theta_dot and
+            x_dot. `AsymmetricPolicy` is for these observations.
+        **env_kwargs: arguments of `CapsuleVectorEnv` except `autoreset_mode`.
+
+    Raises:
+        TypeError: if an argument is of the wrong type, or `autoreset_mode` is given.
+        ValueError: if an argument is out of range.
+
+    Attributes:
+        batch: the `CapsuleVectorEnv`, stepped with SAME_STEP.
+    """
+
+    def __init__(self, num_envs: int, seed: int | None = None, *, privileged: bool = False, **env_kwargs: Any) -> None:
+        self.privileged = check_flag("privileged", privileged)
+        self.batch = CapsuleVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **env_kwargs)
+        goal_env = self.batch.simulation.options.goal_env
+        require(not (privileged and goal_env), "privileged", "False with goal_env=True", privileged)
+        self._actions: np.ndarray | None = None
+        # Creating empty infos at every step takes longer than what SB3 does with them.
+        self._no_infos: list[dict[str, Any]] = [{} for _ in range(self.batch.num_envs)]
+        self._returns = np.zeros(num_envs)
+        self._lengths = np.zeros(num_envs, np.int64)
+        space: gym.spaces.Space[Any] = self.batch.single_observation_space
+        if self.privileged:
+            simulation = self.batch.simulation
+            disturbed = Disturbances.named(simulation.options.disturbances) or Disturbances()
+            # The names in `info` of what episodes draw besides M and mu.
+            self._drawn = {
+                "capsule": simulation.randomization.drawn,
+                "disturbances": [name for name in DISTURBANCES if isinstance(getattr(disturbed, name), tuple)],
+            }
+            self._reads = simulation.settings.agent_reads
+            entries = (3 if self._reads else 0) + 2 + sum(map(len, self._drawn.values()))
+            critic = gym.spaces.Box(-np.inf, np.inf, (entries,), np.float32)
+            space = gym.spaces.Dict({"policy": space, "critic": critic})
+        super().__init__(num_envs, space, self.batch.single_action_space)
+        if seed is not None:
+            self.seed(check_seed(seed, count=num_envs))
+
+    def reset(self) -> VecEnvObs:
+        """Begins a new episode in every environment, with the options of `set_options`; returns the observations.
+
+        Raises:
+            ValueError: if the options of the environments have different keys, or an option is unknown or out of range.
+        """
+        # SB3's options are one dict per environment; under each key the batch takes a value per environment.
+        names = self._options[0].keys()
+        same = all(options.keys() == names for options in self._options)
+        require(same, "options", "dicts with the same keys for every environment", self._options)
+        gathered = {name: [options[name] for options in self._options] for name in names}
+        observations, info = self.batch.reset(seed=self._seeds, options=gathered or None)
+        self._reset_seeds()
+        self._reset_options()
+        self._returns[:] = 0.0
+        self._lengths[:] = 0
+        return self._with_critic(observations, info)
+
+    def _with_critic(self, observations: Any, info: dict[str, Any]) -> VecEnvObs:
+        """The observations, with those of the critic from an info of the batch if privileged."""
+        if not self.privileged:
+            return observations
+        columns = [info["M"], np.log(np.maximum(info["mu"], LEAST_MU))]
+        columns += [info[key][name] for key, names in self._drawn.items() for name in names]
+        if self._reads:
+            theta, theta_dot, _, x_dot = info["state"].T
+            columns += [theta, theta_dot, x_dot]
+        return {"policy": observations, "critic": np.array(columns, np.float32).T}
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Takes the actions of the next step, shape (num_envs, 1)."""
+        self._actions = actions
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Steps; returns observations, rewards (float32), dones and infos."""
+        assert self._actions is not None, "step_async() comes before step_wait()"
+        observations, rewards, terminated, truncated, info = self.batch.step(self._actions)
+        dones = terminated | truncated
+        self._returns += rewards
+        self._lengths += 1
+        infos = self._no_infos
+        if self.batch.simulation.options.goal_env:
+            last, infos = info["final_info"] if dones.any() else info, [{} for _ in range(self.num_envs)]
+            for name in ("reward_energy", "reward_termination"):
+                for own, value in zip(infos, np.where(dones, last[name], info[name]), strict=True):
+                    own[name] = float(value)
+        if dones.any():
+            infos = infos.copy()
+            metrics = info["final_info"]["metrics"]
+            final = self._with_critic(info["final_obs"], info["final_info"])
+            for i in np.flatnonzero(dones):
+                last = {name: part[i] for name, part in final.items()} if isinstance(final, dict) else final[i]
+                infos[i] = infos[i] | {
+                    "terminal_observation": last,
+                    "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
+                    "episode": {"r": float(self._returns[i]), "l": int(self._lengths[i])},
+                    "metrics": {name: float(values[i]) for name, values in metrics.items() if name[0] != "_"},
+                }
+            self._returns[dones] = 0.0
+            self._lengths[dones] = 0
+        return self._with_critic(observations, info), rewards.astype(np.float32), dones, infos
+
+    def close(self) -> None:
+        """Ends the threads of the batch."""
+        self.batch.close()
+
+    def get_images(self) -> Sequence[np.ndarray | None]:
+        """One frame per environment."""
+        return self.batch.render() or [None] * self.num_envs
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """The attribute of the batch, once per requested environment."""
+        return [getattr(self.batch, attr_name)] * len(list(self._get_indices(indices)))
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Raises an AttributeError, since the environments of a batch share their settings."""
+        raise AttributeError(f"cannot set {attr_name!r}: the environments of a batch share their settings")
+
+    def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
+        """Calls `compute_reward`; other methods raise an AttributeError: a batch has no separate environments."""
+        if method_name == "compute_reward":
+            return [self.batch.compute_reward(*args, **kwargs)] * len(list(self._get_indices(indices)))
+        raise AttributeError(f"cannot call {method_name!r} of one environment: call it of the attribute `batch`")
+
+    def env_is_wrapped(self, wrapper_class: type[gym.Wrapper], indices: VecEnvIndices = None) -> list[bool]:
+        """False except for `Monitor`, whose infos a batch contains: with True, SB3 evaluates whole episodes."""
+        return [wrapper_class is Monitor] * len(list(self._get_indices(indices)))
+
+
+class FixedScale(RunningMeanStd):
+    """Statistics with which SB3's `VecNormalize` multiplies an observation by fixed factors.
+
+    Assign it to `env.obs_rms`, or to its entry "policy" where observations are dicts.
+
+    Running statistics would magnify `stick`, which is almost constant. `VecNormalize.training = False` would also stop
+    the normalisation of rewards.
+
+    Args:
+        factors: the factor of each entry of the observation, shape (entries,), > 0.
+    """
+
+    def __init__(self, factors: np.ndarray) -> None:
+        super().__init__(shape=factors.shape)
+        self.var = factors**-2.0
+
+    def update(self, arr: np.ndarray) -> None:
+        """Changes nothing."""
+
+
+class _Last(nn.Module):
+    """The last entries of the features."""
+
+    def __init__(self, count: int) -> None:
+        super().__init__()
+        self.count = count
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Features of shape (.., all) to (.., count)."""
+        return features[..., -self.count :]
+
+
+class AsymmetricPolicy(MultiInputActorCriticPolicy):
+    """A policy of SB3's `PPO` for `CapsuleSB3VecEnv(privileged=True)`, whose critic sees more than its actor.
+
+    The actor takes the observation "policy", the critic that and the observation "critic" (Pinto et al., "Asymmetric
+    actor critic for image-based robot learning", 2018). `predict` also takes both, but its actions depend only on
+    "policy". Arguments are those of SB3's `MultiInputActorCriticPolicy`.
+    """
+
+    def _build_mlp_extractor(self) -> None:
+        # The features are both observations, in the order of their names: the critic's, then the policy's.
+        super()._build_mlp_extractor()
+        assert isinstance(self.observation_space, gym.spaces.Dict)
+        (observed,) = self.observation_space["policy"].shape or ()
+        actor = MlpExtractor(observed, self.net_arch, self.activation_fn, self.device)
+        self.mlp_extractor.policy_net = nn.Sequential(_Last(observed), *actor.policy_net)

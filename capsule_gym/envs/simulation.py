@@ -1,0 +1,434 @@
+"""The simulation of N environments, which `CapsuleEnv` and `CapsuleVectorEnv` share."""
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from capsule_gym.checks import check_count, check_integer, check_number, check_timed, short_repr
+from capsule_gym.control.controller import CoreLaw
+from capsule_gym.control.lookup import find_controller
+from capsule_gym.control.user_law import bind_user_law
+from capsule_gym.core import _core, layout, native
+from capsule_gym.core.layout import LANES, Row
+from capsule_gym.envs import resets
+from capsule_gym.envs.config import EnvConfig
+from capsule_gym.envs.metrics import episode_metrics
+from capsule_gym.envs.observation import observation_entries, parameter_bounds
+from capsule_gym.envs.settings import DEFAULTS, NO_CONTROLLER, check_step, ends, make_settings
+from capsule_gym.parameters import CONSTANTS, DISTURBANCES, NOMINAL, Capsule, Disturbances, Randomization
+from capsule_gym.parameters.limits import LARGEST
+from capsule_gym.tasks import task
+from capsule_gym.tasks.registry import find_task
+
+# Upper limit of the keys of an episode's noise; floats represent all whole numbers up to it exactly.
+LARGEST_KEY = 2.0**53
+
+# Bound of an achieved or a desired goal, m and m/s.
+GOAL_BOUND = 1e7
+
+# Largest number of environments in a batch: some 15 GB.
+MOST_ENVS = 2**24
+
+# The arrays of a simulation's episodes, which a copy takes over; the copy binds them to the core itself.
+COPIED_ATTRIBUTES = ("world", "observations", "_keys", "_episodes")
+
+
+def check_seed(seed: Any, accepted: str = "an integer in [0, 2**128) or None", count: int = 1) -> int:
+    """An environment's seed as an int; `count` environments get seeds from this one on.
+
+    Raises a TypeError or ValueError for what is not accepted.
+    """
+    return check_integer("seed", seed, accepted, 0, 2**128 - count)
+
+
+class Simulation:
+    """The state of N environments and its evolution; everything is float64 and in SI units.
+
+    Attributes:
+        options: options of the environments.
+        capsule: the plant's constants.
+        controller: the law inside the step, or None.
+        settings: the options as the core reads them.
+        world: shape (blocks, rows, lanes): environment i is lane i % lanes of block i // lanes, and `lanes` is LANES
+            or, for a single environment, 1. `capsule_gym.core.layout` describes the rows; those of the task's memory,
+            of varied plants that with true values, are `task_row` to `task_end`. `row`, `rows` and `columns` read it by
+            environments.
+        observations: shape (num_envs, entries), float32, of the present state.
+        entries: the bounds of the observation's entries by name, in order.
+        fields: the numbers and arrays of the core's `Batch` by name; `settings` is in the order of `_core.SETTINGS`.
+
+    Raises:
+        TypeError: if an option is of the wrong type.
+        ValueError: if an option is out of range.
+    """
+
+    def __init__(self, num_envs: int, options: EnvConfig = DEFAULTS) -> None:
+        self.num_envs = check_count("num_envs", num_envs, MOST_ENVS)
+        self.options = options
+        self.capsule = options.capsule or NOMINAL
+        self.randomization = Randomization.named(options.randomization)
+        # Largest M in kg and mu if they are observed.
+        self._largest = parameter_bounds(self.capsule, self.randomization)
+        self.controller = find_controller(options.controller)
+        self.task = find_task(options.task)
+        if self.controller and self.controller.task and find_task(self.controller.task).name != self.task.name:
+            raise ValueError(
+                f"controller must be a law for the task {self.task.name!r} or for any, got {self.controller.name!r}, "
+                f"which is for the task {find_task(self.controller.task).name!r}"
+            )
+        self.settings = make_settings(options, self.controller)
+        if options.initial_range and options.initial_noise > 0.0:
+            raise ValueError(f"initial_noise must be 0 where initial_range is given, got {options.initial_noise}")
+        at_rest = task.START_THETA, options.initial_noise, 0.0
+        start = resets.start_table(*((0.0, *options.initial_range) if options.initial_range else at_rest))
+        disturbed = Disturbances.named(options.disturbances) or Disturbances()
+        # The lightest platform on the roughest floor is the stiffest plant.
+        for corner in self.randomization.corners(self.capsule):
+            stiffest = replace(corner, motor_friction=corner.motor_friction + ends(disturbed.motor_friction)[1])
+            check_step(stiffest, corner.M, corner.mu, self.settings)
+        self.lanes = 1 if self.num_envs == 1 else LANES
+        blocks = -(-self.num_envs // self.lanes)
+        acting = self.controller or NO_CONTROLLER
+        self._law_end = layout.NUM_ROWS + len(acting.memory) + acting.reference.shape[1]
+        # A law that observes the sensors observes the memory with measured values, which then comes first.
+        self.task_row = self._law_end + self.settings.law_reads * self.task.rows
+        self.task_end = self.task_row + self.task.rows
+        memories, filter_rows = 2 if self.settings.history else 1, _core.CELLS if options.observe_estimates else 0
+        rows = self._law_end + memories * self.task.rows + layout.HISTORY_ROWS * self.settings.history + filter_rows
+        tables = [start, resets.plant_table(self.randomization, self.capsule)]
+        tables.append(resets.draw_table(self.task_end - len(self.task.draws), resets.Stream.task, self.task.draws))
+        if self.settings.history:
+            constants = [getattr(self.randomization, name) or getattr(self.capsule, name) for name in CONSTANTS]
+            ranges = [*constants, *(getattr(disturbed, name) for name in DISTURBANCES), (0.0, LARGEST_KEY)]
+            draws = [task.Draw(*ends(each)) for each in ranges]
+            tables.append(resets.draw_table(Row.drawn_m, resets.Stream.variation, draws))
+        self.draw_table = np.concatenate(tables)
+        self.entries = observation_entries(options)
+        try:
+            self.world = native.aligned_zeros((blocks, rows, self.lanes))
+            self.observations = np.zeros((self.num_envs, len(self.entries)), np.float32)
+        except MemoryError as error:
+            raise ValueError(f"num_envs must fit into memory, got {self.num_envs}: {error}") from None
+        self._keys = np.zeros((self.num_envs, 2), np.uint64)
+        self._episodes = np.zeros(self.num_envs, np.int64)
+        # Whether `Row.active` is 1 everywhere.
+        self._everyone = False
+        self.resets = 0
+        # Each thread has whole blocks, so that two threads never write to the same block.
+        count = min(options.threads, blocks)
+        edges = [min(self.num_envs, self.lanes * (blocks * n // count)) for n in range(count + 1)]
+        self._ranges = list(pairwise(edges))
+        self._pool: ThreadPoolExecutor | None = None
+        # The process that owns the threads.
+        self._owner = os.getpid()
+        self._bind()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The state of the episodes, without code and threads."""
+        return {name: getattr(self, name) for name in ("num_envs", "options", "_changes", *COPIED_ATTRIBUTES)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        options = state["options"]
+        # A function that returns the controller may return another one the second time: a copy passes its own.
+        Simulation.__init__(
+            self, state["num_envs"], replace(options, controller=state.get("controller", options.controller))
+        )
+        self.options = options
+        if self.world.shape != state["world"].shape:
+            raise ValueError(
+                f"controller={options.controller!r} must be as it was when the simulation was pickled, with as "
+                f"much memory and as many columns of the reference"
+            )
+        for name in COPIED_ATTRIBUTES:
+            getattr(self, name)[...] = state[name]
+        self._set_changes(state["_changes"])
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "Simulation":
+        twin = memo[id(self)] = type(self).__new__(type(self))
+        twin.__setstate__({**self.__getstate__(), "controller": self.controller})
+        return twin
+
+    def _bind(self) -> None:
+        """Binds the arrays and the law to the core."""
+        acting = self.controller or NO_CONTROLLER
+        self.reference, self.memory = acting.reference, acting.memory
+        plant, count = self.capsule.plant(), self.num_envs
+        given = {**vars(self.settings), **plant._asdict(), "varied": bool(self.settings.history)}
+        # The environments that begin, and what their episodes draw.
+        self._rows, self._drawn = np.zeros(count, np.int64), np.zeros((len(self.draw_table), count))
+        # Exceptions of a law that Python calls.
+        self._raised: list[Exception] = []
+        if isinstance(acting.law, CoreLaw):
+            law = {"law": acting.law.number, "law_constants": np.array([*acting.law.constants, 0.0])}
+        else:
+            observed = Row.read_theta if self.settings.law_reads else Row.theta
+            law = {"law": len(_core.LAWS), **bind_user_law(acting, self.lanes, observed, self._raised)}
+        self.fields: dict[str, Any] = {
+            **law,
+            "world": self.world,
+            "block_rows": self.world.shape[1],
+            "num_envs": count,
+            "lanes": self.lanes,
+            "observations": self.observations,
+            "entries": self.observations.shape[1],
+            "settings": native.ordered(_core.SETTINGS, given),
+            "task": self.task.number,
+            "task_size": self.task.rows,
+            "memory": np.array(self.memory),
+            "memory_size": len(self.memory),
+            "reference": self.reference,
+            "reference_rows": len(self.reference),
+            "reference_size": self.reference.shape[1],
+            "keys": self._keys,
+            "episodes": self._episodes,
+            "rows": self._rows,
+            "draw_table": self.draw_table,
+            "draw_lines": len(self.draw_table),
+            "drawn": self._drawn,
+        }
+        self._fields = np.array(native.addressed(self.fields.get(name, 0) for name in _core.BATCH))
+        self._batch = native.address(self._fields)
+        self._set_changes(np.zeros((0, 4)))
+        # Looking the arguments up each time takes a tenth of a step.
+        self._advance = partial(_core.call, "advance", self._batch)
+        # Steps a single environment with an action, without the arrays; returns as the `work` of `run`.
+        self.step_one = partial(_core.call_locked, "step_one", self._batch)
+
+    def row(self, row: int) -> np.ndarray:
+        """A copy of one quantity of every environment, shape (num_envs,)."""
+        return self.world[:, row].flatten()[: self.num_envs]
+
+    def rows(self, first: int, last: int) -> np.ndarray:
+        """A copy of the quantities first..last-1 of every environment, shape (last - first, num_envs)."""
+        part = self.world[:, first:last].transpose(1, 0, 2)
+        return np.array(part, order="C").reshape(last - first, -1)[:, : self.num_envs]
+
+    def columns(self, environments: np.ndarray) -> np.ndarray:
+        """A copy of every quantity of some environments, shape (rows, n)."""
+        return self.world[environments // self.lanes, :, environments % self.lanes].T
+
+    def write(self, row: int, values: np.ndarray) -> None:
+        """Sets one quantity of every environment, from an array of shape (num_envs,)."""
+        whole, rest = divmod(self.num_envs, self.lanes)
+        self.world[:whole, row] = values[: whole * self.lanes].reshape(whole, self.lanes)
+        if rest:
+            self.world[whole, row, :rest] = values[whole * self.lanes :]
+
+    def seed(self, i: int, seed: int) -> None:
+        """Gives environment i a seed; its next episode is the first of that seed."""
+        self._keys[i] = resets.make_key(seed)
+        self._episodes[i] = 0
+
+    def reset(
+        self,
+        rows: np.ndarray,
+        M: Sequence[float] | None = None,
+        mu: Sequence[float] | None = None,
+        state: np.ndarray | None = None,
+        **options: Sequence[Any],
+    ) -> None:
+        """Begins a new episode in some environments. Values that are not given are drawn.
+
+        Args:
+            rows: indices of the environments, shape (n,).
+            M: masses of their platforms, kg.
+            mu: their friction coefficients.
+            state: shape (n, 4), or one state for all.
+            **options: the other options of `CapsuleEnv.reset`, one value per environment.
+
+        Raises:
+            TypeError: if a value is of the wrong type.
+            ValueError: if a value is out of range, or the law returned a torque that is not finite.
+            IndexError: if there is no such environment.
+        """
+        for name in ("capsule", "disturbances"):
+            # An empty dict sets nothing.
+            given = any(not isinstance(value, dict) or value for value in options.get(name, ()))
+            if given and not self.settings.history:
+                raise ValueError(
+                    f"options[{name!r}] needs an environment with disturbances other than 'none', or with a "
+                    "Randomization of constants besides M and mu"
+                )
+        count = len(rows)
+        fits = count <= self.num_envs
+        if fits:
+            self._rows[:count] = rows
+        if not fits or _core.call("draw_episodes", self._batch, count) >= 0:
+            accepted = f"rows must be indices of environments, from 0 to {self.num_envs - 1}, each at most once"
+            raise IndexError(f"{accepted}, got {short_repr(rows.tolist())}")
+        starts = self._drawn[: Row.torque, :count]
+        drawn = self._drawn[Row.torque :, :count]
+        resets.write_options(drawn, options, self.task, self.settings)
+        changes: list[tuple[int, float, float, float]] = []
+        if M is not None or mu is not None or any(map(options.get, ("changes", "capsule", "disturbances"))):
+            masses = starts[Row.M].tolist() if M is None else M
+            frictions = starts[Row.mu].tolist() if mu is None else mu
+            schedules = options.get("changes", [()] * count)
+            for n, (mass, friction, schedule) in enumerate(zip(masses, frictions, schedules, strict=True)):
+                capsule = self._episode_capsule(drawn[len(self.task.draws) :, n].tolist())
+                self._check_plant(mass, friction, capsule)
+                changes += [(int(rows[n]), *change) for change in self._schedule(schedule, capsule)]
+            starts[Row.M], starts[Row.mu] = masses, frictions
+        if state is not None:
+            starts[: Row.M] = resets.check_state("options['state']", state, count).T
+
+        # Nothing above changes the environments, so a reset that raises an error leaves them unchanged.
+        if changes or len(self._changes):
+            others = self._changes[~np.isin(self._changes[:, 0], rows)]
+            merged = np.concatenate([others, np.reshape(changes, (-1, 4))])
+            self._set_changes(merged[np.argsort(merged[:, 0], kind="stable")])
+        _core.call("begin_episodes", self._batch, count)
+        self._everyone = False
+        self.resets += 1
+        self.run(lambda first, last: self._advance(first, last, True))
+
+    def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> None:
+        """One agent step.
+
+        Args:
+            actions: shape (num_envs,), finite; clipped to [-1, 1].
+            active: shape (num_envs,), bool: the environments that take part; the others do not change. None means all.
+
+        Raises:
+            ValueError: if a control law returned a torque that is not finite. A law's own exception is raised as it is.
+        """
+        self.write(Row.action, actions)
+        if active is not None:
+            self.write(Row.active, active)
+        elif not self._everyone:
+            self.world[:, Row.active] = 1.0
+        self._everyone = active is None
+        self.run(lambda first, last: self._advance(first, last, False))
+
+    def run(self, work: Callable[[int, int], int]) -> None:
+        """Runs the core on all environments, distributed over the threads.
+
+        Args:
+            work: function of the first environment and one past the last, which releases the interpreter's lock and
+                returns the index of an environment whose law has failed, or -1.
+
+        Raises:
+            ValueError: as `step`.
+        """
+        try:
+            broken = max(self._share(work))
+        except BaseException:
+            self.discard_failed()
+            raise
+        if broken >= 0:
+            self.report(broken)
+
+    def _share(self, work: Callable[[int, int], int]) -> list[int]:
+        """The results of `work`, which the threads call for parts of the environments."""
+        (first, last), *others = self._ranges
+        if not others:
+            return [work(first, last)]
+        # A forked process inherits the pool, but none of its threads.
+        if self._pool is None or self._owner != os.getpid():
+            self._owner = os.getpid()
+            self._pool = ThreadPoolExecutor(len(others), thread_name_prefix="capsule")
+        futures = [self._pool.submit(work, *bounds) for bounds in others]
+        try:
+            # The calling thread takes a part too, so one thread less has to be woken up.
+            return [work(first, last), *(future.result() for future in futures)]
+        except BaseException:
+            # The caller may change what the other threads still write.
+            wait(futures)
+            raise
+
+    def report(self, broken: int) -> None:
+        """Raises the exception of a law that has failed in an environment, or the error for its torque."""
+        column = self.columns(np.array([broken]))[:, 0]
+        raised = self._raised[:]
+        self.discard_failed()
+        if raised:
+            raise raised[0]
+        names = "theta", "theta_dot", "x", "x_dot"
+        prefix = "read_" if self.settings.law_reads else ""
+        state = {name: float(column[getattr(Row, prefix + name)]) for name in names}
+        assert self.controller is not None
+        law, reads_task = self.controller.law, self.controller.task is not None
+        if not isinstance(law, CoreLaw):
+            # Compiled code catches the law's exceptions. The arguments are still those of the call that has failed.
+            first, last = layout.NUM_ROWS + len(self.memory), self._law_end + reads_task * self.task.rows
+            memory, row = (tuple(part.tolist()) for part in (column[layout.NUM_ROWS : first], column[first:last]))
+            getattr(law, "py_func", law)(*state.values(), memory, row)
+        raise ValueError(
+            f"the control law {self.controller.name!r} returned a torque that is not finite in environment {broken} "
+            f"(step {column[Row.steps]:.0f}, state {state}); a law must return finite numbers"
+        )
+
+    def discard_failed(self) -> None:
+        """Discards the exceptions of failed laws, and their torques, which a reset of others would return too."""
+        self._raised.clear()
+        lost = np.flatnonzero(~np.isfinite(self.row(Row.law_torque)))
+        self.world[lost // self.lanes, Row.law_torque, lost % self.lanes] = 0.0
+        self.observations[lost] = np.nan_to_num(self.observations[lost])
+
+    def metrics(self, rows: np.ndarray, horizon: int | None = None) -> dict[str, np.ndarray]:
+        """`episode_metrics` of the running episodes with these indices.
+
+        Args:
+            rows: indices of the environments, int64, shape (n,).
+            horizon: agent steps of a whole episode. The mean speed of a failed episode is over all of them, so that an
+                early failure is no advantage; None takes the elapsed time.
+        """
+        seconds = horizon * self.options.control_dt if horizon else None
+        return episode_metrics(self.columns(rows)[: self.task_end], seconds, self.task)
+
+    def observe(self) -> Any:
+        """A copy of the observations; with `goal_env` a dict with the achieved and the desired goals beside them."""
+        if not self.options.goal_env:
+            return self.observations.copy()
+        x, x_dot = (Row.read_x, Row.read_x_dot) if self.settings.agent_reads else (Row.x, Row.x_dot)
+        goal = self.row(self.task_row + self.task.fields.index("goal"))
+        goals = {"achieved_goal": (self.row(x), self.row(x_dot)), "desired_goal": (goal, np.zeros(self.num_envs))}
+        bounded = {name: np.clip(np.stack(each, 1), -GOAL_BOUND, GOAL_BOUND) for name, each in goals.items()}
+        return {"observation": self.observations.copy(), **bounded}
+
+    def close(self) -> None:
+        """Ends the threads."""
+        if self._pool is not None and self._owner == os.getpid():
+            self._pool.shutdown()
+        self._pool = None
+
+    def _episode_capsule(self, drawn: Sequence[float]) -> Capsule:
+        """The constants that an episode has drawn, with the whole friction of the motor, for any M and mu."""
+        constants: dict[str, Any] = dict(zip(CONSTANTS, drawn, strict=False))
+        if constants:
+            constants["motor_friction"] += drawn[len(CONSTANTS) + DISTURBANCES.index("motor_friction")]
+        # Heavy and smooth: the check of M and mu is `_check_plant`'s.
+        return replace(self.capsule, M=LARGEST, mu=0.0, **constants)
+
+    def _check_plant(self, M: float, mu: float, capsule: Capsule) -> None:
+        """Raises an error for M and mu that are invalid, too stiff for the step, or outside their observed bounds."""
+        capsule.check_plant(M, mu)
+        check_step(capsule, float(M), float(mu), self.settings)
+        if self.settings.with_parameters:
+            for name, value, largest in zip(("M", "mu"), (M, mu), self._largest, strict=True):
+                accepted = f"at most {largest:g} where observe_parameters shows it (a wider randomization shows more)"
+                check_number(name, value, accepted, 0.0, largest)
+
+    def _schedule(self, changes: Sequence[dict[str, float]], capsule: Capsule) -> list[tuple[float, float, float]]:
+        """The changes of one episode, with the other constants of `capsule`, as (t, M, mu)."""
+        accepted = "a list of dicts {'t': s, 'M': kg, 'mu': ..}, each later than the one before"
+        schedule: list[tuple[float, float, float]] = []
+        for name, t, change in check_timed("options['changes']", changes, accepted, task.CHANGE):
+            try:
+                self._check_plant(change["M"], change["mu"], capsule)
+            except (TypeError, ValueError) as error:
+                raise type(error)(f"{name}: {error}") from None
+            schedule.append((t, float(change["M"]), float(change["mu"])))
+        return schedule
+
+    def _set_changes(self, changes: np.ndarray) -> None:
+        """Sets the changes of M and mu, as `changes` of the core's `Batch`."""
+        self._changes = changes
+        for name, value in (("changes", native.address(changes)), ("num_changes", len(changes))):
+            self._fields[_core.BATCH.index(name)] = value

@@ -1,0 +1,1 @@
+"""Evaluation of policies: evaluation sets, episodes, statistics, and the optimum of dynamic programming."""

@@ -1,0 +1,49 @@
+"""The command `python -m capsule_gym.export`."""
+
+from pathlib import Path
+from typing import Annotated
+
+from capsule_gym.command_line import Positional, arg, check_output, command
+from capsule_gym.export.exported import Exported
+from capsule_gym.files import write_atomically
+
+
+@command("python -m capsule_gym.export", ImportError, OSError, TypeError, ValueError)
+def main(
+    policy: Positional[str],
+    c: Path | None = None,
+    onnx: Path | None = None,
+    single: Annotated[bool, arg(name="float")] = False,
+    law: bool = False,
+    overwrite: bool = False,
+) -> None:
+    """Exports a trained policy, and the control law that it acts on, as C99 or as ONNX.
+
+    FILE.h of --c has no dependency and allocates nothing; FILE_test.c, next to it, checks it on an episode of an
+    evaluation set. A control law of the core, such as baselines:adaptive, is exported alone.
+
+    Examples:
+      python -m capsule_gym.export direct-ppo --c policy.h
+      python -m capsule_gym.export residual-real --c policy.h --float --law
+      python -m capsule_gym.export runs/mine --onnx policy.onnx
+
+    Args:
+        policy: Name of a pretrained policy, path of a policy file or of a run's folder, or import string of a control
+            law.
+        c: C header to write.
+        onnx: ONNX model to write.
+        single: Compute in float instead of double, which has the bits of this package.
+        law: Export the control law, too.
+        overwrite: Replace existing files.
+    """
+    if c is None and onnx is None:
+        raise ValueError("at least one of --c and --onnx must be given")
+    test = c and c.with_name(f"{c.stem}_test.c")
+    for option, path, suffix in (("--c", c, ".h"), ("--c", test, ".c"), ("--onnx", onnx, ".onnx")):
+        check_output(option, path, (suffix,), overwrite=overwrite)
+    exported = Exported(policy, law)
+    if onnx is not None:
+        write_atomically(onnx, exported.onnx(single=single))
+    if c is not None and test is not None:
+        write_atomically(c, exported.c(single=single))
+        write_atomically(test, exported.c_test(c.name, single=single))

@@ -1,0 +1,38 @@
+"""Identifies a rig from a log: `python -m capsule_gym.identification log.csv`."""
+
+import sys
+from pathlib import Path
+
+from capsule_gym.command_line import Positional, check_output, command
+from capsule_gym.identification.fit import FIGURES, identify
+
+
+@command("python -m capsule_gym.identification", TypeError, ValueError)
+def main(
+    log: Positional[Path],
+    prior: str = "real-wide",
+    known: dict[str, float] | None = None,
+    report: Path | None = None,
+) -> None:
+    """Estimates a rig's plant from a log with columns t, torque and some of theta, theta_dot, x, x_dot (SI units).
+
+    Examples:
+      python -m capsule_gym.identification log.csv --known lag 0.005 --report fit.png
+
+    Args:
+        log: CSV file; torque is the command that acts from t on.
+        prior: Ranges of the plant: a name of the environment's argument randomization.
+        known: Quantities that are not estimated: --known lag 0.005
+        report: A new figure of readings, residuals and correlations.
+    """
+    if not log.is_file():
+        raise ValueError(f"log must be a file, got {str(log)!r}")
+    check_output("--report", report, FIGURES)
+    fit = identify(log, known, prior)
+    print(fit.table())
+    if report:
+        fit.report(report)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,75 @@
+"""Logs of environments, which stand for a rig."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from capsule_gym.checks import check_number, require
+from capsule_gym.core.layout import Row
+from capsule_gym.envs.env import CapsuleEnv
+from capsule_gym.files import write_atomically
+from capsule_gym.identification.derivatives import STATE
+from capsule_gym.identification.excitation import Excitation
+from capsule_gym.parameters import Disturbances
+
+
+def record(
+    env: Any,
+    policy: Any = None,
+    path: str | os.PathLike[str] | None = None,
+    *,
+    seconds: float = 20.0,
+    seed: int | None = None,
+    options: dict[str, Any] | None = None,
+) -> dict[str, np.ndarray]:
+    """Records an episode as a log for `identify`.
+
+    Args:
+        env: an environment with direct torque, wrapped or not; with disturbances the log contains its readings.
+        policy: a function from an observation to an action, or an object whose `start([0])` returns one, such as a
+            `Policy`; None for `Excitation`.
+        path: a new CSV file for the log, or None.
+        seconds: duration, s; the log ends earlier where the episode does.
+        seed: seed of the reset.
+        options: options of the reset.
+
+    Returns:
+        The columns, float64.
+
+    Raises:
+        TypeError: if an argument is of the wrong type.
+        ValueError: if the torque is not constant during an agent step, or the file exists.
+    """
+    plain: Any = getattr(env, "unwrapped", None)
+    direct = isinstance(plain, CapsuleEnv) and plain.simulation.controller is None
+    require(direct, "env", "an environment with direct torque, without a controller", env)
+    fits = path is None or (os.path.isdir(Path(path).parent) and not os.path.exists(path))
+    require(fits, "path", "that of a new file in a folder that exists", path)
+    settings, dt = plain.simulation.settings, plain.simulation.options.control_dt
+    scale = settings.torque_limit if settings.total_torque else settings.residual_limit
+    limit = min(settings.residual_limit, settings.torque_limit)
+    steps = round(check_number("seconds", seconds, f"a finite number >= {dt:g} (s)", dt) / dt)
+    policy = Excitation(torque_limit=scale, control_dt=dt) if policy is None else policy
+    act = policy.start([0]) if hasattr(policy, "start") else policy
+    require(callable(act), "policy", "None, a function, or an object with `start`", policy, TypeError)
+    observation, info = env.reset(seed=seed, options=options)
+    disturbed = Disturbances.named(plain.simulation.options.disturbances)
+    missing = () if disturbed is None else (*disturbed.unmeasured, *(("x",) if disturbed.x_noise is None else ()))
+    sensors = [name for name in STATE if name not in missing]
+    rows = []
+    for step in range(steps):
+        reading = dict(zip(STATE, (info["state"] if disturbed is None else info["reading"]).tolist(), strict=True))
+        observation, _, terminated, truncated, info = env.step(act(observation))
+        # That of the innermost environment: wrappers may change it.
+        action = plain.simulation.world[0, Row.action, 0]
+        torque = float(np.clip(scale * action, -limit, limit))
+        rows.append([step * dt, torque, *(reading[name] for name in sensors)])
+        if terminated or truncated:
+            break
+    names = ("t", "torque", *sensors)
+    if path is not None:
+        lines = [",".join(names), *(",".join(map(repr, row)) for row in rows)]
+        write_atomically(Path(path), "\n".join(lines) + "\n")
+    return dict(zip(names, np.array(rows).T, strict=True))

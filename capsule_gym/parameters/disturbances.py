@@ -1,0 +1,132 @@
+"""Imperfect sensors and motor, and pushes on the platform, with their checks."""
+
+from dataclasses import dataclass, fields
+from typing import Literal
+
+from capsule_gym.checks import check_choice, check_name, check_number, check_pair, require
+from capsule_gym.parameters.limits import SHORTEST_STEP, check_divisor
+from capsule_gym.parameters.randomization import Range
+
+# Largest sizes of disturbances (SI units), and the longest latency, s, whose states each environment remembers.
+LARGEST_DISTURBANCE, LONGEST_LATENCY = 1e3, 0.5
+# The sensors that always exist, unless they are `unmeasured`.
+SENSORS = ("theta", "theta_dot", "x_dot")
+
+Draws = float | Range
+
+
+@dataclass(frozen=True, kw_only=True)
+class Disturbances:
+    """Imperfect sensors and motor, and pushes on the platform.
+
+    A pair (low, high) of numbers is a range from which every episode draws uniformly. The control law and the agent
+    both observe the sensors. Sensors are read at every call of the control law or, without one, at every agent step.
+    The measured x is the integral of the measured x_dot or, where `x_noise` is given, the reading of a sensor. The
+    observation's `stick` is 1 where the measured |x_dot| is at most `stick_threshold`.
+
+    Attributes:
+        theta_noise, theta_dot_noise, x_dot_noise: standard deviations of the sensors' white noise, rad, rad/s and m/s;
+            independent between readings.
+        theta_bias, theta_dot_bias, x_dot_bias: constant errors of the sensors.
+        theta_drift, theta_dot_drift, x_dot_drift: standard deviations of the sensors' Gauss-Markov errors.
+        drift_time: time constant of the Gauss-Markov errors, s.
+        theta_resolution, theta_dot_resolution, x_dot_resolution: steps to which readings are rounded; 0 does not round.
+        latency: age of the state that a reading shows, s; rounded to whole periods of the law or, without a law, to
+            steps of the integrator.
+        lag: time constant of the motor's torque, s.
+        motor_friction: Coulomb friction of the motor, N m, added to `Capsule.motor_friction`.
+        torque_resolution: step to which the commanded torque is rounded, N m; 0 does not round.
+        push: largest force on the platform, N. In every second a force drawn uniformly from [-push, push] acts for
+            0.1 s from a random time on.
+        unmeasured: any of "theta", "theta_dot" and "x_dot"; their readings are 0.
+        controls: which controller observes the sensors: "both", "law" or "agent"; the other one observes the state.
+        stick_threshold: largest measured |x_dot| that counts as stick, m/s.
+        x_noise: standard deviation of the white noise of a sensor of x, m; None if there is none.
+
+    Raises:
+        TypeError: if a field is of the wrong type.
+        ValueError: if a field is out of range.
+
+    Examples:
+        >>> Disturbances(latency=(0.005, 0.015), x_dot_noise=0.01).latency
+        (0.005, 0.015)
+    """
+
+    theta_noise: Draws = 0.0
+    theta_dot_noise: Draws = 0.0
+    x_dot_noise: Draws = 0.0
+    theta_bias: Draws = 0.0
+    theta_dot_bias: Draws = 0.0
+    x_dot_bias: Draws = 0.0
+    theta_drift: Draws = 0.0
+    theta_dot_drift: Draws = 0.0
+    x_dot_drift: Draws = 0.0
+    drift_time: Draws = 0.05
+    theta_resolution: Draws = 0.0
+    theta_dot_resolution: Draws = 0.0
+    x_dot_resolution: Draws = 0.0
+    latency: Draws = 0.0
+    lag: Draws = 0.0
+    motor_friction: Draws = 0.0
+    torque_resolution: Draws = 0.0
+    push: Draws = 0.0
+    unmeasured: tuple[str, ...] = ()
+    controls: Literal["both", "law", "agent"] = "both"
+    stick_threshold: float = 0.01
+    x_noise: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in DISTURBANCES:
+            low, high = self.limits(name)
+            accepted = f"a number from {low:g} to {high:g}, or a pair (low, high) of such numbers with low <= high"
+            value, whose = getattr(self, name), f"Disturbances.{name}"
+            check = check_pair if isinstance(value, (tuple, list)) else check_number
+            checked = check(whose, value, accepted, low=low, high=high)
+            for end in checked if isinstance(checked, tuple) else (checked,):
+                check_divisor(name, whose, end)
+            object.__setattr__(self, name, checked)
+        names = self.unmeasured
+        fits = isinstance(names, (tuple, list)) and all(isinstance(name, str) and name in SENSORS for name in names)
+        require(fits, "Disturbances.unmeasured", f"a tuple of names out of {SENSORS}", names)
+        object.__setattr__(self, "unmeasured", tuple(names))
+        check_choice("Disturbances.controls", self.controls, ("both", "law", "agent"), "'both', 'law' or 'agent'")
+        for name, kinds in (("stick_threshold", "a number of m/s"), ("x_noise", "None or a number of m")):
+            if (value := getattr(self, name)) is not None or name == "stick_threshold":
+                accepted = f"{kinds} from 0 to {LARGEST_DISTURBANCE:g}"
+                number = check_number(f"Disturbances.{name}", value, accepted, 0.0, LARGEST_DISTURBANCE)
+                object.__setattr__(self, name, number)
+
+    @staticmethod
+    def limits(name: str) -> tuple[float, float]:
+        """The smallest and the largest value that a field of `DISTURBANCES` may have."""
+        if name.endswith("_bias"):
+            return -LARGEST_DISTURBANCE, LARGEST_DISTURBANCE
+        lowest = SHORTEST_STEP if name == "drift_time" else 0.0
+        return lowest, LONGEST_LATENCY if name == "latency" else LARGEST_DISTURBANCE
+
+    @classmethod
+    def named(cls, name: "str | Disturbances") -> "Disturbances | None":
+        """The `Disturbances` of a name, None for "none"; a `Disturbances` is returned unchanged."""
+        if isinstance(name, cls):
+            return name
+        return REAL if check_name("disturbances", name, cls, ("none", "real")) == "real" else None
+
+
+DISTURBANCES = tuple(each.name for each in fields(Disturbances))[:-4]
+"""The fields of `Disturbances` that are numbers or ranges."""
+
+REAL = Disturbances(
+    theta_noise=0.01,
+    theta_dot_noise=0.1,
+    x_dot_noise=0.01,
+    theta_bias=(-0.02, 0.02),
+    theta_dot_bias=(-0.1, 0.1),
+    x_dot_bias=(-0.02, 0.02),
+    theta_drift=0.02,
+    theta_dot_drift=0.1,
+    x_dot_drift=0.02,
+    latency=(0.005, 0.015),
+    lag=0.005,
+    motor_friction=0.05,
+)
+"""The disturbances of `disturbances="real"`: cheap sensors, and the latency of a bus or a camera."""

@@ -1,0 +1,317 @@
+"""Trained policies: one small file each, loaded without torch and without unpickling; actions are machine-independent.
+
+A file is in the safetensors format:
+
+| tensor | dtype | shape |
+|---|---|---|
+| `layers.0.weight`, `layers.1.weight`, .. | float32, as trained | (outputs, inputs) |
+| `layers.0.bias`, `layers.1.bias`, .. | float32 | (outputs,) |
+| `inputs.mean`, `inputs.variance` | float64 | (inputs,) |
+
+The metadata are `format`, "capsule_gym policy", `format_version`, "2", and the fields of `Policy` by name, as text or
+JSON.
+"""
+
+import json
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from capsule_gym.checks import check_integer, check_number, nearest, require, short_repr, shortened
+from capsule_gym.control.laws import LAWS
+from capsule_gym.control.lookup import is_own
+from capsule_gym.core.native import call
+from capsule_gym.envs.config import EnvConfig
+from capsule_gym.envs.observation import observation_entries
+from capsule_gym.files import write_atomically
+from capsule_gym.policies.network import Layer, pack
+
+POLICY = "policy.safetensors"
+# The policies that come with the package.
+FOLDER = Path(__file__).parents[1] / "data" / "policies"
+FORMAT, FORMAT_VERSION = "capsule_gym policy", "2"
+# The entries of a file's metadata that are plain text, and those that are JSON; `Policy` checks the values.
+TEXTS = ("algorithm", "activation", "squashing", "revision")
+VALUES = ("clip", "epsilon", "env_kwargs", "training_seed")
+# The algorithm of policies that imitate others, without a reward.
+IMITATION = "dagger"
+CHOICES = {"activation": ("tanh", "relu"), "squashing": ("clip", "tanh")}
+# Within these limits no float32 weights give a sum beyond float64, and no finite observation gives a NaN.
+MOST_LAYERS, MOST_UNITS, LARGEST_CLIP = 6, 1024, 1e6
+# Largest file that is read, bytes: larger than any file within the limits above, many times larger than usual.
+LARGEST_FILE = 32 * 2**20
+# The options of the environment that change the task of a policy, which observes an array.
+NO_ARGUMENTS = ("threads", "render_mode", "goal_env")
+ENV_ARGUMENTS = tuple(each.name for each in fields(EnvConfig) if each.name not in NO_ARGUMENTS)
+
+
+def policy_names(*, seeds: bool = False) -> list[str]:
+    """The names of the policies that come with the package, or of all their training runs ("residual-ppo/seed-2")."""
+    return [name for name in pretrained() if ("/" in name) is seeds]
+
+
+@lru_cache(maxsize=1)
+def pretrained() -> dict[str, Path]:
+    """The files of the policies that come with the package: every run's, and under the plain name the first run's."""
+    files = sorted(FOLDER.glob(f"*/seed-*/{POLICY}"), key=lambda file: (file.parts[-3], int(file.parts[-2][5:])))
+    found: dict[str, Path] = {}
+    for file in files:
+        found.setdefault(file.parts[-3], file)
+        found["/".join(file.parts[-3:-1])] = file
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Policy:
+    """A trained, deterministic policy: `policy(observation)` returns the action.
+
+    The action for an observation is the same bit for bit alone, in any batch and on any processor.
+
+    Attributes:
+        name: name in messages and tables.
+        algorithm: training algorithm: "ppo", "sac", "td3", "tqc", "dagger".
+        layers: weights (outputs, inputs) and biases (outputs,) of each layer, float32; the last has one output.
+        activation: activation of the hidden layers, "tanh" or "relu".
+        squashing: function that limits the output to [-1, 1], "clip" or "tanh".
+        mean: mean of the inputs, which are the entries of the observation, in training, shape (entries,), float64.
+        variance: their variance; an input i becomes (i - mean) / sqrt(variance + epsilon), kept within +-clip.
+        clip: see `variance`.
+        epsilon: see `variance`.
+        env_kwargs: arguments of the training environment, for `gym.make` with the id of the policy's task.
+        training_seed: seed of the training run.
+        revision: git revision of the training code.
+        entries: number of entries of an observation.
+
+    Raises:
+        TypeError: if a field is of the wrong type.
+        ValueError: if a field is out of range, or the shapes do not fit each other or the environment's observation.
+    """
+
+    name: str
+    algorithm: str
+    layers: tuple[Layer, ...] = field(repr=False)
+    activation: str
+    squashing: str
+    mean: np.ndarray = field(repr=False)
+    variance: np.ndarray = field(repr=False)
+    clip: float
+    epsilon: float
+    env_kwargs: dict[str, Any]
+    training_seed: int
+    revision: str
+    entries: int = field(init=False)
+    _network: np.ndarray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        for name, choices in CHOICES.items():
+            require((value := getattr(self, name)) in choices, name, f"one of {choices}", value)
+        for name in ("algorithm", "revision"):
+            text = isinstance(value := getattr(self, name), str) and value != ""
+            require(text, name, "a string that is not empty", value, TypeError)
+        check_integer("training_seed", self.training_seed, "an integer from 0 to 2**63 - 1", 0, 2**63 - 1)
+        check_number("clip", self.clip, f"a number in (0, {LARGEST_CLIP:g}]", 0.0, LARGEST_CLIP, open_low=True)
+        check_number("epsilon", self.epsilon, "a finite number >= 0", 0.0)
+        accepted = f"a dict with keys out of {ENV_ARGUMENTS}"
+        require(isinstance(self.env_kwargs, dict), "env_kwargs", accepted, self.env_kwargs, TypeError)
+        require(set(self.env_kwargs) <= set(ENV_ARGUMENTS), "env_kwargs", accepted, list(self.env_kwargs))
+        options = EnvConfig(**self.env_kwargs)
+        # JSON contains dicts and lists instead of objects and tuples.
+        kept = {
+            key: getattr(options, key) if type(value) in (dict, list) else value
+            for key, value in self.env_kwargs.items()
+        }
+        object.__setattr__(self, "env_kwargs", kept)
+        law, task = options.controller, options.task
+        named = law is None or isinstance(law, str)
+        require(named, "env_kwargs['controller']", "None or an import string", law, TypeError)
+        require(isinstance(task, str), "env_kwargs['task']", "the name of a task", task, TypeError)
+        entries = len(observation_entries(options))
+        for name, array in (("mean", self.mean), ("variance", self.variance)):
+            accepted = "one for each entry of the observation by env_kwargs"
+            _check_array(f"inputs.{name}", array, np.float64, (entries,), accepted)
+        width, last = entries, len(self.layers) - 1
+        require(0 <= last < MOST_LAYERS, "layers", f"1 to {MOST_LAYERS} layers", last + 1)
+        for n, (weights, bias) in enumerate(self.layers):
+            units = 1 if n == last else min(max(1, bias.size), MOST_UNITS)
+            accepted = f"with 1 to {MOST_UNITS} units in a layer, and one in the last"
+            _check_array(f"layers.{n}.bias", bias, np.float32, (units,), accepted)
+            _check_array(f"layers.{n}.weight", weights, np.float32, (units, width), accepted)
+            width = units
+        fits = (self.variance >= 0.0).all() and (self.variance + self.epsilon >= 1e-300).all()
+        require(bool(fits), "inputs.variance", ">= 0, and with epsilon > 0", self.variance)
+        scale = 1.0 / np.sqrt(self.variance + self.epsilon)
+        kinds = {"relu": self.activation == "relu", "tanh_squashing": self.squashing == "tanh"}
+        object.__setattr__(self, "entries", entries)
+        object.__setattr__(self, "_network", pack(self.layers, self.mean, scale, clip=self.clip, **kinds))
+
+    @property
+    def description(self) -> str:
+        """A description in one line."""
+        options, action = EnvConfig(**self.env_kwargs), "the whole torque"
+        if options.controller is not None:
+            limit = options.residual_limit or options.torque_limit
+            action = f"a residual torque of up to {limit:g} N m on `{options.controller}`"
+            action += ", as total torque" if options.total_torque else ""
+        algorithm = "DAgger" if self.algorithm == IMITATION else self.algorithm.upper()
+        return f"{algorithm}, {action}, trained with randomization {options.randomization}"
+
+    def __call__(self, observation: np.ndarray) -> np.ndarray:
+        """The action, in [-1, 1], float32, for an observation of shape (entries,), or (n, 1) actions for (n, entries).
+
+        Raises:
+            ValueError: if the observation has another shape or is not finite.
+        """
+        try:
+            array = np.require(observation, np.float32, ["C", "A"])
+        except (TypeError, ValueError, OverflowError) as error:
+            raise ValueError(
+                f"observation must be an array of finite numbers, got {short_repr(observation)}: {error}"
+            ) from None
+        if array.ndim not in (1, 2) or array.shape[-1] != self.entries or not np.isfinite(array).all():
+            accepted = f"finite and of shape ({self.entries},) or (n, {self.entries})"
+            raise ValueError(f"observation must be {accepted}, got {short_repr(observation)}")
+        rows = array.reshape(-1, self.entries)
+        actions = np.empty((len(rows), 1), np.float32)
+        # Threads may share the network.
+        call("act", self._network, rows, len(rows), actions)
+        return actions if array.ndim == 2 else actions[0]
+
+    def start(self, seeds: Sequence[int]) -> Callable[[np.ndarray], np.ndarray]:
+        """Begins a batch of episodes, one per seed, as for scripted policies; a trained policy draws no random numbers.
+
+        Returns:
+            The function from observations (episodes, entries) to actions (episodes, 1), or from (entries,) of a single
+            episode to (1,). Call it once per step. It raises the same ValueError as the policy.
+        """
+
+        def act(observations: np.ndarray) -> np.ndarray:
+            actions = self(observations)
+            if (rows := actions.size) != len(seeds):
+                raise ValueError(f"observations must have one row for each of {len(seeds)} episodes, got {rows} rows")
+            return actions
+
+        return act
+
+    def save(self, path: str | Path) -> None:
+        """Writes the policy file atomically. The same policy gives the same bytes."""
+        tensors = {"inputs.mean": self.mean, "inputs.variance": self.variance}
+        for n, (weights, bias) in enumerate(self.layers):
+            tensors |= {f"layers.{n}.weight": weights, f"layers.{n}.bias": bias}
+        values = {**vars(self), "clip": float(self.clip), "epsilon": float(self.epsilon)}
+        metadata = {"format": FORMAT, "format_version": FORMAT_VERSION, **{name: getattr(self, name) for name in TEXTS}}
+        for key in VALUES:
+            metadata[key] = json.dumps(values[key], default=_plain, sort_keys=True, allow_nan=False)
+        content = save(tensors)
+        # The library writes metadata in a random order, which would change the file's hash.
+        end = 8 + int.from_bytes(content[:8], "little")
+        header = {"__metadata__": dict(sorted(metadata.items())), **json.loads(content[8:end])}
+        text = json.dumps(header, separators=(",", ":")).encode()
+        text += b" " * (-len(text) % 8)
+        write_atomically(Path(path), len(text).to_bytes(8, "little") + text + content[end:])
+
+
+def _plain(value: Any) -> Any:
+    """A number of numpy or an object of an option, as JSON contains it."""
+    return value.item() if isinstance(value, np.generic) else asdict(value)
+
+
+def _law_named(name: str) -> str:
+    """The end of the message for the name of a control law, which is no trained policy."""
+    law = name.replace("-", "_")
+    return f", which is a control law: gym.make(.., controller='baselines:{law}')" if law in LAWS else ""
+
+
+def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool = False) -> Policy:
+    """Loads a trained policy. A policy file contains no pickled objects and no code.
+
+    Args:
+        name_or_path: a name of `policy_names()`, which is the training run with the lowest seed; one run, such as
+            "residual-ppo/seed-2"; the path of a policy file; or the folder of a training run, whose best policy is
+            loaded.
+        trust_controller: accept a policy with a control law outside this package. The environment imports the law,
+            which runs its code.
+
+    Raises:
+        TypeError: if `name_or_path` is neither a string nor a path.
+        ValueError: if there is no such policy, the file is corrupt, or it names a law that is not trusted.
+    """
+    named = isinstance(name_or_path, (str, os.PathLike))
+    require(named, "name_or_path", "a policy's name or a path", name_or_path, TypeError)
+    name = str(name_or_path)
+    path = pretrained().get(name) if isinstance(name_or_path, str) else None
+    if path is None:
+        path = Path(name_or_path)
+        # Unlike the methods of Path, these functions accept names that no file can have.
+        if os.path.isdir(path):
+            path = next((file for file in (path / "best" / POLICY, path / POLICY) if file.is_file()), path)
+        if not os.path.isfile(path):
+            raise ValueError(
+                f"name_or_path must be one of {', '.join(policy_names())}, one run of it as NAME/seed-0, or the path "
+                f"of a policy file or of a run's folder, which holds best/{POLICY} or {POLICY}, got "
+                f"{short_repr(name)}{_law_named(name) or nearest(name, pretrained())}"
+            )
+        folder = path.absolute().parent
+        folder = folder.parent if folder.name == "best" else folder
+        # As `policy_names` names a row's run.
+        name = "/".join(folder.parts[-2:]) if folder.name.startswith("seed-") else folder.name
+    if (size := path.stat().st_size) > LARGEST_FILE:
+        raise ValueError(f"{path} is not a policy file: it must have at most {LARGEST_FILE} bytes, got {size}")
+    try:
+        policy = _read(name, path)
+    except (SafetensorError, ValueError, TypeError, RecursionError, OverflowError) as error:
+        raise ValueError(f"{path} is not a policy file: {shortened(str(error))}") from error
+    controller = policy.env_kwargs.get("controller")
+    if not (trust_controller or is_own(controller)):
+        raise ValueError(
+            f"{path} names the control law {short_repr(controller)}, which does not come with this package; an "
+            "environment made with it runs that code: load_policy(.., trust_controller=True) if you trust it"
+        )
+    return policy
+
+
+def _check_array(name: str, array: np.ndarray, dtype: type, shape: tuple[int, ...], accepted: str) -> None:
+    """Raises an error for arrays of another dtype or shape, and for numbers that are not finite."""
+    if array.dtype != dtype or array.shape != shape:
+        got = f"{array.dtype.name} of shape {array.shape}"
+        raise ValueError(f"{name} must be {np.dtype(dtype).name} of shape {shape}, {accepted}, got {got}")
+    require(bool(np.isfinite(array).all()), name, "finite", array)
+
+
+def _read(name: str, path: Path) -> Policy:
+    """The policy in a file that is not too large."""
+    with safe_open(path, framework="numpy") as file:
+        metadata: dict[str, str] = file.metadata() or {}
+        known, found = (FORMAT, FORMAT_VERSION), (metadata.get("format"), metadata.get("format_version"))
+        require(found == known, "its format and format_version", str(known), found)
+        # Inputs and outputs that no policy has any more.
+        for key, only in (("output", "action"), ("told_energy_weight", "false"), ("identifies", "false")):
+            given = metadata.get(key, only)
+            require(given == only, key, f"{only!r} in its metadata", given)
+        names = set(file.keys())
+        count = sum(tensor.endswith(".weight") for tensor in names)
+        layers = [(f"layers.{n}.weight", f"layers.{n}.bias") for n in range(min(count, MOST_LAYERS + 1))]
+        expected = {"inputs.mean", "inputs.variance"}.union(*layers)
+        if names != expected:
+            raise ValueError(f"it must contain the tensors {sorted(expected)}, got {short_repr(sorted(names))}")
+        arrays = {tensor: file.get_tensor(tensor) for tensor in names}
+    values: dict[str, Any] = {}
+    for key in (*TEXTS, *VALUES):
+        try:
+            values[key] = metadata[key] if key in TEXTS else json.loads(metadata[key])
+        except (KeyError, ValueError):
+            accepted = "text" if key in TEXTS else "JSON"
+            raise ValueError(f"{key} must be {accepted} in its metadata, got {metadata.get(key)!r:.50}") from None
+    return Policy(
+        name=name,
+        layers=tuple((arrays[weights], arrays[bias]) for weights, bias in layers),
+        mean=arrays["inputs.mean"],
+        variance=arrays["inputs.variance"],
+        **values,
+    )

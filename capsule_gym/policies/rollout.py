@@ -1,0 +1,38 @@
+"""Whole episodes of a trained policy inside the core, without Python between the steps."""
+
+import numpy as np
+
+from capsule_gym.checks import check_count
+from capsule_gym.core import native
+from capsule_gym.envs.simulation import Simulation
+from capsule_gym.policies.policy import Policy
+
+
+def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.ndarray]:
+    """Runs a policy in every environment of a simulation after `reset`, each to the end of its episode.
+
+    The results are those of a batch that is stepped with the policy, bit for bit.
+
+    Args:
+        simulation: the simulation, which is changed.
+        policy: the policy.
+        steps: number of agent steps, at least 1, and length of a whole episode in the metrics.
+
+    Returns:
+        `simulation.metrics` of every environment.
+
+    Raises:
+        ValueError: if the policy does not fit the observation; errors of a law are those of `Simulation.step`.
+    """
+    check_count("steps", steps)
+    entries = simulation.observations.shape[1]
+    if policy.entries != entries:
+        raise ValueError(
+            f"policy must take the observations of the simulation, {entries} entries, got {policy.name!r}, which takes "
+            f"{policy.entries}"
+        )
+    simulation._everyone = False
+    simulation.run(
+        lambda first, last: native.call("run_episodes", simulation._fields, first, last, steps, policy._network)
+    )
+    return simulation.metrics(np.arange(simulation.num_envs), steps)

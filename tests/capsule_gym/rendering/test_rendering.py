@@ -1,0 +1,139 @@
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from capsule_gym import Capsule, CapsuleEnv
+from capsule_gym.rendering import Renderer, write_gif
+from capsule_gym.rendering.renderer import FLOOR, HEADER, HEIGHT, WIDTH
+
+pygame = pytest.importorskip("pygame")
+Image = pytest.importorskip("PIL.Image")
+
+NAMES = ("theta", "x", "x_dot", "torque", "time", "M", "mu")
+STATE = dict(zip(NAMES, (0.3, 0.2, 0.0, 0.0, 1.0, 0.5, 0.01), strict=True))
+STAGE = slice(HEADER + 1, FLOOR)
+
+
+def frame(capsule=None, **changes):
+    """One frame from a new renderer, so that nothing carries over."""
+    renderer = Renderer(capsule or Capsule(), "rgb_array", 50, 1.5)
+    pixels = renderer.draw(**{**STATE, **changes})
+    renderer.close()
+    return pixels
+
+
+# Frames in blocks of pixels: `python -m tests.capsule_gym.rendering.test_rendering` draws the picture anew.
+EXPECTED = Path(__file__).with_name("frames.png")
+BLOCK = 6
+SCENES = (
+    {},
+    {"theta": -0.7, "torque": 1.1, "x_dot": 0.35, "ghost": ("rival", 0.9, 0.45)},
+    {"capsule": Capsule(l=0.39), "theta": 1.2, "torque": -0.2, "x_dot": -0.05, "x": -0.31, "mu": 0.3, "M": 0.75},
+)
+
+
+def draw_scenes():
+    """The scenes, as means over blocks of pixels."""
+    drawn = []
+    for scene in SCENES:
+        pixels = frame(**scene)
+        assert pixels.shape == (HEIGHT, WIDTH, 3) and pixels.dtype == np.uint8
+        assert pixels.flags.c_contiguous and pixels.flags.writeable
+        drawn.append(pixels.reshape(HEIGHT // BLOCK, BLOCK, WIDTH // BLOCK, BLOCK, 3).mean(axis=(1, 3)))
+    return np.concatenate(drawn)
+
+
+def test_the_frames_are_those_that_were_looked_at_and_hold_nothing_of_those_before():
+    with Image.open(EXPECTED) as picture:
+        expected = np.asarray(picture.convert("RGB"), float)
+    drawn = draw_scenes()
+    # Another version of the font moves its edges by a fraction of a pixel.
+    np.testing.assert_allclose(drawn, expected, atol=8.0)
+    # Robot, grid and ruler of the scenes without a rival have no text.
+    scenes = (each.reshape(len(SCENES), -1, *expected.shape[1:])[::2, 22:65] for each in (drawn, expected))
+    np.testing.assert_allclose(*scenes, atol=1.0)
+    renderer, rng = Renderer(Capsule(), "rgb_array", 50, 1.5), np.random.default_rng(0)
+    for n in range(24):
+        state = dict(zip(NAMES, rng.normal(0.0, (0.5, 0.4, 0.2, 0.6, 9.0, 0.2, 0.1)), strict=True))
+        state |= {"x_dot": 0.0} if n % 3 == 0 else {}
+        state |= {"ghost": ("rival", 0.4, state["x"] + 0.3)} if n % 4 == 1 else {}
+        np.testing.assert_array_equal(renderer.draw(**state), frame(**state))
+
+
+def test_frames_need_no_display_and_importing_needs_no_pygame():
+    code = """
+import os, sys
+for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
+    os.environ.pop(name, None)
+before = dict(os.environ)
+from capsule_gym import Capsule, CapsuleEnv
+from capsule_gym.rendering import Renderer
+assert "pygame" not in sys.modules
+renderer = Renderer(Capsule(), "rgb_array", 50, 1.5)
+renderer.draw(theta=0.1, x=0.0, x_dot=0.0, torque=0.0, time=0.0, M=0.5, mu=0.01)
+import pygame
+assert not pygame.display.get_init()
+changed = {name for name in os.environ if os.environ[name] != before.get(name)}
+assert changed <= {"PYGAME_HIDE_SUPPORT_PROMPT"}, changed
+renderer.close()
+"""
+    done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "" and done.stderr == ""
+
+
+def test_a_window_shows_the_frames(no_screen):
+    renderer = Renderer(Capsule(), "human", 200, 1.5, title="a title")
+    for k in range(3):
+        assert renderer.draw(**{**STATE, "time": 0.02 * k}) is None
+    window = pygame.display.get_surface()
+    assert window.get_size() == (WIDTH, HEIGHT) and pygame.display.get_caption()[0] == "a title"
+    shown = pygame.surfarray.array3d(window).swapaxes(0, 1)
+    np.testing.assert_array_equal(shown[STAGE, 250:700], frame(time=0.04)[STAGE, 250:700])
+
+
+def test_an_environment_draws_every_step_in_its_window(no_screen):
+    env = CapsuleEnv(render_mode="human")
+    env.reset(seed=0)
+    shown = []
+    for _ in range(3):
+        env.step(np.ones(1, np.float32))
+        shown.append(pygame.surfarray.array3d(pygame.display.get_surface()))
+    assert (shown[0] != shown[1]).any() and (shown[1] != shown[2]).any()
+    env.close()
+    assert not pygame.display.get_init()
+    with pytest.warns(UserWarning, match=r"draws nothing without a render_mode"):
+        assert CapsuleEnv().render() is None
+
+
+@pytest.mark.parametrize("by_user", [False, True])
+def test_a_closed_window_stays_closed(no_screen, by_user):
+    renderer = Renderer(Capsule(), "human", 200, 1.5)
+    renderer.draw(**STATE)
+    pygame.event.post(pygame.event.Event(pygame.QUIT)) if by_user else renderer.close()
+    for _ in range(2):
+        assert renderer.draw(**STATE) is None and renderer.closed
+        assert not pygame.display.get_init()
+    renderer.close()
+
+
+def test_every_frame_is_there_for_its_time_with_its_colours(tmp_path):
+    # Many greys, with a few red pixels that move.
+    grey = np.add.outer(np.arange(100), np.arange(200))[..., None] * 255 // 298
+    frames = np.tile(grey, (6, 1, 1, 3)).astype(np.uint8)
+    for n, frame in enumerate(frames):
+        frame[10:14, 20 * n : 20 * n + 4] = (255, 0, 0)
+    write_gif(iter(frames), tmp_path / "moving.gif", frame_seconds=0.1, width=200)
+    with Image.open(tmp_path / "moving.gif") as moving:
+        assert (moving.n_frames, moving.info["loop"]) == (6, 0)
+        for n, frame in enumerate(frames):
+            moving.seek(n)
+            assert moving.info["duration"] == 100
+            assert np.abs(np.asarray(moving.convert("RGB"), int) - frame).max() < 16
+
+
+if __name__ == "__main__":
+    Image.fromarray(draw_scenes().round().astype(np.uint8)).save(EXPECTED, optimize=True)
