@@ -22,6 +22,6 @@ for task in TASKS:
     env.reset()
     env.step(env.action_space.sample())
 capsule_gym.load_policy("direct-ppo")
-for policy in ("direct-ppo/seed-1", "adaptive", find_law("gait")(), lambda observations: observations[:, :1]):
+for policy in ("direct-ppo/seed-1", "adaptive", "lqr", find_law("gait")(), lambda observations: observations[:, :1]):
     (*_, last) = capsule_gym.evaluate(policy, "paper", horizon=0.1)
     assert last["duration"] > 0.0, policy

@@ -217,7 +217,7 @@ def main(
         backend: joblib's processes of this machine, or the Ray cluster that RAY_ADDRESS names (extra `cluster`).
         runs: Folder of the runs, each in NAME/seed-N with its output in NAME/seed-N.log; a cluster must share it.
         resume: Continue unfinished runs of your own: checkpoints contain pickles, which can run any code.
-        publish: Copy the policies of finished runs to agents/checkpoints, for the leaderboard.
+        publish: Copy the policies of finished runs to capsule_gym/data/policies, for the leaderboard.
     """
     if not rows:
         raise ValueError(f"NAME must be one or several of {', '.join(ROWS)}")

@@ -100,7 +100,7 @@ export type Info = {
   termination: "none" | "pendulum" | "contact" | "diverged";
 };
 
-/** The numbers of `capsule_gym.task.METRICS`. */
+/** The numbers of `capsule_gym.tasks.task.METRICS`. */
 export interface Metrics {
   /** cm/s. */
   mean_speed: number;

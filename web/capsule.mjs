@@ -640,7 +640,7 @@ export async function drive(name, { disturbances, ...options } = {}) {
   return episode;
 }
 
-/** Returns the length of a network by its header and widths, in the order of `capsule_gym.network.pack`, or NaN. */
+/** Returns the length of a network by its header and widths, in the order of `capsule_gym.policies.network.pack`, or NaN. */
 function networkSize([layers, , , , ...rest], entries) {
   const padded = (width) => Math.ceil(width / CORE.padding) * CORE.padding;
   const first = padded(4) - 4;

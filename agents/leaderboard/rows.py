@@ -64,7 +64,7 @@ class Row:
         return found
 
     def episodes(self, evaluation_set: EvaluationSet) -> list[Episode]:
-        """The episodes as `baselines.evaluation.episodes.evaluate` returns them, without the omitted metrics.
+        """The episodes as `capsule_gym.evaluate` returns them, without the omitted metrics.
 
         Raises:
             ValueError: if the row was evaluated on another set of this name, or on none.

@@ -33,7 +33,7 @@ CLASSES: dict[Algorithm, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "td3": 
 
 
 class EpisodeMetrics(gym.Wrapper[Any, Any, Any, Any]):
-    """Adds the episode's "metrics" (`capsule_gym.task.METRICS`) to the info of the last step."""
+    """Adds the episode's "metrics" (`capsule_gym.tasks.task.METRICS`) to the info of the last step."""
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Steps the environment."""

@@ -80,7 +80,7 @@ ON_PREDICTION = _vary(
     # Without latencies from 0 on, one of five seeds failed where the sensors have none.
     {"latency_range": (0.0, 0.015), "privileged": True, "evaluate_every": 250_000, "evaluation_episodes": 512},
 )
-# Keys are the names of the folders in agents/checkpoints; each run sets its own seed.
+# Keys are the names of the folders in capsule_gym/data/policies; each run sets its own seed.
 ROWS: dict[str, Config] = {
     "residual-ppo": PRESETS["residual", "ppo"],
     "direct-ppo": PRESETS["direct", "ppo"],

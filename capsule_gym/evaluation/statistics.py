@@ -9,7 +9,7 @@ the degrees of freedom of Satterthwaite's approximation, four or more for five s
 plant adds no variance: the interval of a single run says nothing about another run.
 
 The percentile bootstrap over seeds, or over seeds and plants, covers less: with five seeds whose spread is 0.3 of the
-plants', 80 and 90 % instead of 95 % (`tests/baselines/evaluation/test_statistics.py` measures the coverage of ours).
+plants', 80 and 90 % instead of 95 % (`tests/capsule_gym/evaluation/test_statistics.py` measures the coverage of ours).
 """
 
 from dataclasses import dataclass

@@ -37,7 +37,7 @@ PROGRAMS = {
     "minari": ("minari", f"{EXAMPLES}/offline_data.py --steps 2000", r"mixed: \d+ episodes, \d+ steps, mean return"),
 }
 # Episodes of 10 steps reach the time limit, of which SAC and TD3 read more; they begin with unseeded random torques.
-SHORT = "import gymnasium as gym\ngym.register('Short-v0', 'capsule_gym.env:CapsuleEnv', max_episode_steps=10)"
+SHORT = "import gymnasium as gym\ngym.register('Short-v0', 'capsule_gym:CapsuleEnv', max_episode_steps=10)"
 # Two environments, of which the first one ends.
 OLD = """
 import sys, gymnasium as gym, utils

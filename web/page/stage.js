@@ -1,4 +1,4 @@
-// The robot as `capsule_gym.rendering` draws it, with trail and speed arrow. Lengths are that drawing's pixels;
+// The robot as `capsule_gym.rendering.renderer` draws it, with trail and speed arrow. Lengths are that drawing's pixels;
 // `lane` scales them.
 
 import { constants } from "capsule.mjs";

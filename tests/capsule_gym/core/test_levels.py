@@ -53,7 +53,7 @@ def test_bits_do_not_depend_on_level_batch_and_threads(kwargs, select_level):
 
 
 def test_an_unknown_level_is_named():
-    command = [sys.executable, "-c", "import capsule_gym.native"]
+    command = [sys.executable, "-c", "import capsule_gym.core.native"]
     for level in ("v9", ""):
         environment = {**os.environ, "CAPSULE_GYM_LEVEL": level}
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
