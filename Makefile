@@ -4,7 +4,7 @@ PYTEST_ARGS ?=
 TRAIN_ARGS ?=
 
 BIN := .venv/bin
-CORE := $(wildcard capsule_gym/core/*.* capsule_gym/core/*/*.hpp)
+CORE := $(wildcard capsule_gym/core/*.* capsule_gym/core/*/*.?pp)
 STAMP := .venv/.installed
 
 # Without its bytecode on disk every process that imports torch compiles it anew, for five seconds.

@@ -2,7 +2,7 @@
 // hashes of the episode's key and a counter, so that a reading is the same alone and in a batch.
 #pragma once
 #include "layout.hpp"
-#include "random.hpp"
+#include "numbers/random.hpp"
 
 namespace LEVEL {
 // Added to a whole number: the lowest 52 bits of the sum are those of the number.

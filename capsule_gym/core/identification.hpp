@@ -10,7 +10,7 @@
 // change during an episode. For a capsule with another friction coefficient backwards, or with the paper's normal
 // force, the balance is approximate. The filter is part of a law, or of an environment that shows the estimates.
 #pragma once
-#include "elementary.hpp"
+#include "numbers/elementary.hpp"
 
 namespace LEVEL {
 // The memory, 0.0 at the start of an episode: 1.0 once begun; M in kg, log(mu) and their covariance; cos(theta) theta',

@@ -3,7 +3,7 @@
 // Each unit adds its inputs in their order, bias first, by fused multiply-adds, so that an action depends only on its
 // own observation, not on the batch or the instruction set. A register holds several units of one environment.
 #pragma once
-#include "elementary.hpp"
+#include "numbers/elementary.hpp"
 
 namespace LEVEL {
 // Number of layers; whether max(0, .) follows the hidden layers, else tanh; whether tanh brings the last output to

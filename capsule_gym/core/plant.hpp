@@ -24,7 +24,7 @@
 // A step inside one phase is free of branches: a register takes several environments through it at once. Steps through
 // changes of phase are in contact.hpp. `fma(a, b, c)` is a b + c, rounded once.
 #pragma once
-#include "elementary.hpp"
+#include "numbers/elementary.hpp"
 
 namespace LEVEL {
 // The constants of a plant that an `extended` one adds are zero in the others, which do not read them.

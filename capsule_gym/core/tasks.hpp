@@ -3,7 +3,7 @@
 // episode draws. The start takes x, true and as the memory observes it; the reward takes x, x_dot, the displacement in
 // the step, the step, and the largest |x_dot| at rest.
 #pragma once
-#include "elementary.hpp"
+#include "numbers/elementary.hpp"
 
 namespace LEVEL {
 constexpr double TIME_TOLERANCE = 1e-9;  // tolerance of times, s, which are sums of the agent's steps

@@ -15,7 +15,7 @@ from web import build
 
 SOURCE = """
 #define LEVEL web
-#include "number.hpp"
+#include "numbers/number.hpp"
 extern "C" __attribute__((export_name("fma"))) double fused(double a, double b, double c) { return web::fma(a, b, c); }
 """
 SCRIPT = """
