@@ -2,7 +2,7 @@
 // written here once; Python sees the same names.
 #pragma once
 #include "identification.hpp"
-#include "plant.hpp"
+#include "physics/plant.hpp"
 
 // The quantities of an environment; SI units. `info` shows the first ones under these names.
 #define CAPSULE_ROWS                                                                                                   \

@@ -9,8 +9,8 @@
 #include <cpuid.h>
 #endif
 
+#include "physics/trajectory.hpp"
 #include "trace.hpp"
-#include "trajectory.hpp"
 
 namespace portable { Call call; }
 namespace v3 { Call call; }

@@ -22,9 +22,9 @@
 // to [-1, 1].
 //
 // A step inside one phase is free of branches: a register takes several environments through it at once. Steps through
-// changes of phase are in contact.hpp. `fma(a, b, c)` is a b + c, rounded once.
+// changes of phase are in events.hpp. `fma(a, b, c)` is a b + c, rounded once.
 #pragma once
-#include "numbers/elementary.hpp"
+#include "../numbers/elementary.hpp"
 
 namespace LEVEL {
 // The constants of a plant that an `extended` one adds are zero in the others, which do not read them.
