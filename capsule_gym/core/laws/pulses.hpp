@@ -1,7 +1,8 @@
 // Laws for the tasks `goal` and `velocity`: a gait towards the goal, then pulses whose size adapts to the floor, or
 // strokes on smooth floors. They read the positions of the goal and of the platform.
 #pragma once
-#include "../tasks.hpp"
+#include "../tasks/goal.hpp"
+#include "../tasks/velocity.hpp"
 #include "gait.hpp"
 
 namespace LEVEL {
