@@ -4,7 +4,7 @@
 // happens (a change of the contact phase, the end of the episode) is left out of its substep and stepped by itself.
 #pragma once
 #include "disturbances.hpp"
-#include "laws.hpp"
+#include "laws/laws.hpp"
 #include "observation.hpp"
 #include "physics/events.hpp"
 
