@@ -1,4 +1,4 @@
-"""The rows of `Simulation.world`, whose names the core defines (`capsule_gym/core/layout.hpp`).
+"""The rows of `Simulation.world`, whose names the core defines (`capsule_gym/core/step/layout.hpp`).
 
 The environments lie in one float64 array `world` of shape (blocks, rows, lanes): one row per quantity of `Row`, then
 the memory of the control law, its row of the reference, the task's memory, and the history of states that late sensors

@@ -1,4 +1,4 @@
-"""The observation: its entries and their bounds. The core writes it (`capsule_gym/core/observation.hpp`)."""
+"""The observation: its entries and their bounds. The core writes it (`capsule_gym/core/step/observation.hpp`)."""
 
 from capsule_gym._core import ESTIMATES, THETA_DOT_BOUND, X_DOT_BOUND
 from capsule_gym.config import EnvConfig, find_task

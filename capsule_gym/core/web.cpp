@@ -3,8 +3,8 @@
 #define LEVEL web
 #define CAPSULE_ONE_ENVIRONMENT
 #include "network.hpp"
-#include "resets.hpp"
-#include "step.hpp"
+#include "step/resets.hpp"
+#include "step/step.hpp"
 
 #define EXPORT(name) extern "C" __attribute__((export_name(#name)))
 

@@ -1,7 +1,7 @@
 // Trajectories of one plant under torques that are constant over equal intervals, and their derivatives.
 #pragma once
-#include "events.hpp"
 #include "../numbers/dual.hpp"
+#include "events.hpp"
 
 namespace LEVEL {
 // The inputs of a trajectory before its torques: constants as in `Capsule`, 1.0 for the paper's normal force, state.

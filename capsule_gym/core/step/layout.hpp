@@ -1,8 +1,8 @@
 // How the numbers of environments lie in memory: blocks of N environments, one row per quantity. The lists of names are
 // written here once; Python sees the same names.
 #pragma once
-#include "identification.hpp"
-#include "physics/plant.hpp"
+#include "../identification.hpp"
+#include "../physics/plant.hpp"
 
 // The quantities of an environment; SI units. `info` shows the first ones under these names.
 #define CAPSULE_ROWS                                                                                                   \

@@ -1,7 +1,7 @@
 // The observation: its entries in order, the estimates of M and mu in it, and the stack of observations.
 #pragma once
+#include "../tasks/tasks.hpp"
 #include "layout.hpp"
-#include "tasks/tasks.hpp"
 
 namespace LEVEL {
 // What an observation shows of the environment: `phase` is the share of the reference's cycle.

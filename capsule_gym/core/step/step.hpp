@@ -3,10 +3,10 @@
 // The environments of a block are stepped together, as many at once as the number type holds. One in which an event
 // happens (a change of the contact phase, the end of the episode) is left out of its substep and stepped by itself.
 #pragma once
+#include "../laws/laws.hpp"
+#include "../physics/events.hpp"
 #include "disturbances.hpp"
-#include "laws/laws.hpp"
 #include "observation.hpp"
-#include "physics/events.hpp"
 
 namespace LEVEL {
 // |theta_dot| + |x_dot| (rad/s, m/s) after a substep with an event beyond which the motion counts as lost.
