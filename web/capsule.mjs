@@ -1,7 +1,7 @@
 /**
- * The capsule robot in a browser or in node. The core (`capsule_gym/core/web.cpp`) with the environment's step, its laws
- * and its trained policies runs as WebAssembly, with the same bits as in Python. `capsule.d.mts` declares the types;
- * docs/live.md shows the usage.
+ * The capsule robot in a browser or in node. The core (`capsule_gym/core/bindings/web.cpp`) with the environment's step,
+ * its laws and its trained policies runs as WebAssembly, with the same bits as in Python. `capsule.d.mts` declares the
+ * types; docs/live.md shows the usage.
  *
  * @module
  */

@@ -72,4 +72,5 @@ def test_another_folder_and_cache_give_the_same_bytes(tmp_path, monkeypatch):
     for name in ("ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR"):
         monkeypatch.setenv(name, str(tmp_path / name))
     monkeypatch.chdir(tmp_path)
-    assert build.compile_wasm(tmp_path / "core" / "web.cpp") == first and first.startswith(b"\0asm\1\0\0\0")
+    source = tmp_path / "core" / "bindings" / "web.cpp"
+    assert build.compile_wasm(source) == first and first.startswith(b"\0asm\1\0\0\0")

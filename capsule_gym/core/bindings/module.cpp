@@ -9,8 +9,8 @@
 #include <cpuid.h>
 #endif
 
-#include "physics/trajectory.hpp"
-#include "trace.hpp"
+#include "../physics/trajectory.hpp"
+#include "recorded_functions.hpp"
 
 namespace portable { Call call; }
 namespace v3 { Call call; }

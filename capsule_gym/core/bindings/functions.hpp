@@ -1,8 +1,8 @@
 // Functions over arrays and over whole episodes: for Python.
 #pragma once
-#include "network.hpp"
-#include "step/resets.hpp"
-#include "step/step.hpp"
+#include "../network.hpp"
+#include "../step/resets.hpp"
+#include "../step/step.hpp"
 
 namespace LEVEL {
 // The most general plant: one compiled function serves all.
