@@ -5,45 +5,13 @@
 #define Py_LIMITED_API 0x030A0000
 #endif
 #include <Python.h>
-#if defined(__x86_64__)
-#include <cpuid.h>
-#endif
 
 #include "../physics/trajectory.hpp"
+#include "levels.hpp"
 #include "recorded_functions.hpp"
 
-namespace portable { Call call; }
-namespace v3 { Call call; }
-namespace v4 { Call call; }
-
 namespace {
-// --- the levels of instructions, the best first ---
-
-struct Level {
-  const char* name;
-  Call* call;
-};
-#if defined(__x86_64__)
-constexpr Level LEVELS[] = {{"v4", v4::call}, {"v3", v3::call}, {"portable", portable::call}};
-
-// The place of the best level that the processor runs. The processor itself answers: zig's runtime lacks what
-// `__builtin_cpu_supports` reads, and says no to everything.
-int best_level() {
-  unsigned a, b, c, d, enabled, high;
-  if (__get_cpuid_max(0, nullptr) < 7) return 2;
-  __cpuid(1, a, b, c, d);
-  bool fma = c >> 12 & 1, xgetbv = c >> 27 & 1;
-  if (!fma || !xgetbv) return 2;
-  __asm__("xgetbv" : "=a"(enabled), "=d"(high) : "c"(0));
-  __cpuid_count(7, 0, a, b, c, d);
-  const unsigned V3 = 1u << 3 | 1u << 5 | 1u << 8, V4 = 1u << 16 | 1u << 17 | 1u << 28 | 1u << 30 | 1u << 31;
-  if ((enabled & 6) != 6 || (b & V3) != V3) return 2;
-  return (enabled & 0xe6) == 0xe6 && (b & V4) == V4 ? 0 : 1;
-}
-#else
-constexpr Level LEVELS[] = {{"portable", portable::call}};
-int best_level() { return 0; }
-#endif
+// --- the level of instructions ---
 
 // Asked once: in a virtual machine the question takes microseconds.
 const int BEST = best_level(), NUM_LEVELS = sizeof LEVELS / sizeof *LEVELS;

@@ -133,15 +133,3 @@ struct Batch {
 template <int N> INLINE Block<N>& block_of(const Batch& batch, long long i) {
   return *(Block<N>*)(batch.world + i / N * batch.block_rows * N);
 }
-
-// An argument of a function of level.cpp: a whole or real number, or an address.
-struct Argument {
-  long long bits;
-  operator long long() const { return bits; }
-  operator double() const { return __builtin_bit_cast(double, bits); }
-  template <class T> operator T*() const { return (T*)bits; }
-};
-constexpr int MOST_ARGUMENTS = 7;
-// Calls a function by its name. Returns the index of an environment whose law has failed, -1, or UNKNOWN.
-typedef long long Call(const char* function, const Argument* arguments);
-constexpr long long UNKNOWN = -2;  // there is no function of this name
