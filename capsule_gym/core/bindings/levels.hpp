@@ -1,7 +1,7 @@
 // The levels of instructions: those that the module contains, and the best one that the processor runs.
 //
-// level.cpp is compiled once for each, into a namespace with the level's name. module.cpp calls the functions of a level
-// by their names.
+// level.cpp is compiled once for each, into a namespace with the level's name. module.cpp calls the functions of a
+// level by their names.
 #pragma once
 #if defined(__x86_64__)
 #include <cpuid.h>
@@ -32,8 +32,8 @@ struct Level {
 constexpr Level LEVELS[] = {{"v4", v4::call}, {"v3", v3::call}, {"portable", portable::call}};
 
 // The place of the best level that the processor runs. The processor itself answers: zig's runtime lacks what
-// `__builtin_cpu_supports` reads, and says no to everything. `static`: level.cpp, which is compiled with instructions that
-// the processor may lack, must not give the linker another copy.
+// `__builtin_cpu_supports` reads, and says no to everything. `static`, so that the linker cannot take a copy from
+// level.cpp, which is compiled for instructions that the processor may lack.
 static inline int best_level() {
   unsigned a, b, c, d, enabled, high;
   if (__get_cpuid_max(0, nullptr) < 7) return 2;

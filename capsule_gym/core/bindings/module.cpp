@@ -7,6 +7,7 @@
 #include <Python.h>
 
 #include "../physics/trajectory.hpp"
+#include "functions.hpp"
 #include "levels.hpp"
 #include "recorded_functions.hpp"
 

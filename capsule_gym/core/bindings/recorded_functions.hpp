@@ -1,79 +1,33 @@
-// A number type that records what is computed with it, from which Python writes the core's functions in other languages
+// Records functions of the core as lists of operations, from which Python writes them in other languages
 // (capsule_gym/trace.py).
-//
-// A recording is a list of rows for Python: the name of an operation, and the places of its operands in the list, or a
-// constant's value. A branch, `when`, is always taken; assignments in it select between the new value and the old one.
 #pragma once
 #include <Python.h>
 
-#include "functions.hpp"
+#include "../numbers/trace.hpp"
+#include "../step/step.hpp"
 
 namespace LEVEL {
-struct Condition { long long place; };
-inline struct {
-  PyObject* rows;
-  Condition taken;  // of the present branch; the place is -1 outside of branches
-} recording;
+inline PyObject* recording;  // rows for Python: the name of an operation, and its operands
 
 inline Condition append(PyObject* row) {
-  PyList_Append(recording.rows, row);
+  PyList_Append(recording, row);
   Py_XDECREF(row);
-  return {PyList_Size(recording.rows) - 1};
+  return {PyList_Size(recording) - 1};
 }
-template <class... Operands> Condition record(const char* operation, const Operands&... operands) {
+inline Condition append_constant(double value) { return append(Py_BuildValue("(sd)", "constant", value)); }
+inline Condition append_row(const char* operation, int count, const long long* operands) {
   constexpr const char* FORMATS[] = {"(s)", "(sL)", "(sLL)", "(sLLL)"};
-  return append(Py_BuildValue(FORMATS[sizeof...(operands)], operation, operands.place...));
+  return append(Py_BuildValue(FORMATS[count], operation, operands[0], operands[1], operands[2]));
 }
-
-struct Trace {
-  long long place;
-  Trace() = default;
-  Trace(const Trace&) = default;
-  Trace(double value) : Trace(append(Py_BuildValue("(sd)", "constant", value))) {}
-  explicit Trace(Condition recorded) : place(recorded.place) {}
-  Trace& operator=(const Trace& value) {
-    Condition taken = recording.taken;
-    place = taken.place < 0 ? value.place : record("select", taken, value, *this).place;
-    return *this;
-  }
-};
-
-#define UNARY(R, T, function, name) inline R function(T a) { return R(record(#name, a)); }
-#define BINARY(R, T, function, name) inline R function(T a, T b) { return R(record(#name, a, b)); }
-BINARY(Trace, Trace, operator+, add) BINARY(Trace, Trace, operator-, subtract) BINARY(Trace, Trace, operator*, multiply)
-BINARY(Trace, Trace, operator/, divide) UNARY(Trace, Trace, operator-, negate)
-BINARY(Condition, Trace, operator<, less) BINARY(Condition, Trace, operator<=, less_equal)
-BINARY(Condition, Trace, operator==, equal) BINARY(Condition, Condition, operator&, both)
-BINARY(Condition, Condition, operator|, either) UNARY(Condition, Condition, operator!, inverse)
-UNARY(Trace, Trace, abs, absolute) UNARY(Trace, Trace, sqrt, square_root) BINARY(Trace, Trace, copysign, copysign)
-UNARY(Trace, Trace, power_of_two, power_of_two) UNARY(Trace, Trace, exp, exp) UNARY(Trace, Trace, tanh, tanh)
-inline Condition operator>(Trace a, Trace b) { return b < a; }
-inline Condition operator>=(Trace a, Trace b) { return b <= a; }
-inline Condition operator!=(Trace a, Trace b) { return !(a == b); }
-inline Trace fma(Trace a, Trace b, Trace c) { return Trace(record("fma", a, b, c)); }
-inline Trace select(Condition condition, Trace a, Trace b) { return Trace(record("select", condition, a, b)); }
-inline SinCos<Trace> sincos(Trace angle) {
-  auto both = record("sincos", angle);
-  return {Trace(record("sine", both)), Trace(record("cosine", both))};
-}
-
-struct Taken {
-  Condition before = recording.taken;
-  explicit Taken(Condition c) { recording.taken = before.place < 0 ? c : record("both", before, c); }
-  Taken(const Taken&) = delete;
-  ~Taken() { recording.taken = before; }
-  operator bool() const { return true; }
-};
-inline Taken when(Condition condition) { return Taken(condition); }
 
 // A struct of inputs, and the output of a struct.
 template <class S> S given() {
   S inputs = {};
-  for (int i = 0; i < WIDTH<S>; i++) ((Trace*)&inputs)[i] = Trace(record("input"));
+  for (int i = 0; i < WIDTH<S>; i++) ((Trace*)&inputs)[i] = Trace(append_operation("input"));
   return inputs;
 }
 template <class S> void give(const S& outputs) {
-  for (int i = 0; i < WIDTH<S>; i++) record("output", ((const Trace*)&outputs)[i]);
+  for (int i = 0; i < WIDTH<S>; i++) append_operation("output", ((const Trace*)&outputs)[i]);
 }
 
 // trace(function, number, constants) -> list of rows: records a function, of a law or task with its number, and of the
@@ -83,7 +37,7 @@ inline PyObject* trace(PyObject*, PyObject* arguments) {
   long long number, address;
   if (!PyArg_ParseTuple(arguments, "sLL", &function, &number, &address)) return nullptr;
   const auto* constants = (const double*)address;
-  recording = {PyList_New(0), {-1}};
+  recording = PyList_New(0), branch = {-1};
   auto is = [&](const char* name) { return !__builtin_strcmp(function, name); };
   const auto& settings = *(const Settings*)constants;
   if (is("sincos")) give(sincos<Trace>(given<Trace>()));
@@ -122,7 +76,7 @@ inline PyObject* trace(PyObject*, PyObject* arguments) {
   };
   if (is("law")) with_type(Laws(), number, trace_law);
   if (is("begin") || is("observe")) with_type(Tasks(), number, trace_task);
-  if (PyErr_Occurred()) Py_CLEAR(recording.rows);
-  return recording.rows;
+  if (PyErr_Occurred()) Py_CLEAR(recording);
+  return recording;
 }
 }  // namespace LEVEL
