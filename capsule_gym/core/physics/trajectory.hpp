@@ -45,8 +45,8 @@ long long trajectory(const double* values, const double* partials, long long n, 
       // Most steps stay in one phase, and need less than `plant_step` computes.
       T slip = p.contact_phase(s, u);
       Stepped<T> r;
-      bool lasts = slip == 0.0 ? p.template smooth_step<true>(s, slip, u, h, r)
-                               : p.template smooth_step<false>(s, slip, u, h, r);
+      bool lasts = slip == 0.0 ? smooth_step<true>(s, slip, u, p, h, r)
+                               : smooth_step<false>(s, slip, u, p, h, r);
       double normal_force = value(r.first.normal);
       if (lasts) {
         s = r.end;
