@@ -113,10 +113,10 @@ int fill(PyObject* module) {
   WHOLE(LANES) WHOLE(HISTORY_ROWS) WHOLE(MOST_CELLS) WHOLE(PADDING) WHOLE(COMMANDS) WHOLE(CELLS) WHOLE(DIRECTIONS)
   WHOLE(MOST_RESULTS) WHOLE(CENTRED) WHOLE(LOGARITHMIC)
   put(own, "PLAIN_LAW", PyLong_FromVoidPtr((void*)&call_plain));
-  using I = Identification;
-  put(own, "ESTIMATES", Py_BuildValue("{s(dd)s(dd)s(dd)s(dd)}", "M_estimate", I::LOW_M, I::HIGH_M, "log_mu_estimate",
-                                      I::LOW_LOG_MU, I::HIGH_LOG_MU, "M_deviation", 0.0, I::DEVIATION_M,
-                                      "log_mu_deviation", 0.0, I::DEVIATION_LOG_MU));
+  using E = Estimator<double>;
+  put(own, "ESTIMATES", Py_BuildValue("{s(dd)s(dd)s(dd)s(dd)}", "M_estimate", E::LOW_M, E::HIGH_M, "log_mu_estimate",
+                                      E::LOW_LOG_MU, E::HIGH_LOG_MU, "M_deviation", 0.0, E::DEVIATION_M,
+                                      "log_mu_deviation", 0.0, E::DEVIATION_LOG_MU));
   return failed;
 }
 

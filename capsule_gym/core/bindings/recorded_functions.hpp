@@ -48,10 +48,10 @@ inline PyObject* trace(PyObject*, PyObject* arguments) {
     give(total_torque(settings, law_torque, action));
   }
   if (is("identify")) {
-    auto filter = given<Filter<Trace>>();
+    auto estimator = given<Estimator<Trace>>();
     Trace theta = given<Trace>(), theta_dot = given<Trace>(), x_dot = given<Trace>();
-    identify(filter, theta, theta_dot, x_dot, assumed_pendulum(settings));
-    give(filter);
+    update_estimator(estimator, theta, theta_dot, x_dot, assumed_pendulum(settings));
+    give(estimator);
   }
   auto trace_law = [&]<class Law>() {
     auto memory = given<typename Law::template Cells<Trace>>();
@@ -59,7 +59,7 @@ inline PyObject* trace(PyObject*, PyObject* arguments) {
     auto row = given<typename Law::template Line<Trace>>();
     give(Law(constants).torque(state, memory, row)), give(memory);
   };
-  // A task: its memory, x, and for an observation the x of the previous one, what is observed, and the filter.
+  // A task: its memory, x, and for an observation the x of the previous one, what is observed, and the estimator.
   auto trace_task = [&]<class Task>() {
     auto memory = given<typename Task::template Memory<Trace>>();
     Trace x = given<Trace>();
@@ -70,7 +70,7 @@ inline PyObject* trace(PyObject*, PyObject* arguments) {
       auto seen = given<Observed<Trace>>();
       double rest = settings.agent_reads != 0.0 ? settings.stick_threshold : 0.0;
       if (auto taken = when(begun)) Task::reward(x, seen.x_dot, x - before, settings.control_dt(), rest, memory);
-      put_entries<Task>(settings, seen, memory, give<Trace>, given<Filter<Trace>>);
+      put_entries<Task>(settings, seen, memory, give<Trace>, given<Estimator<Trace>>);
     }
     give(memory);
   };
