@@ -47,7 +47,7 @@ inline PyObject* trace(PyObject*, PyObject* arguments) {
     Trace law_torque = given<Trace>(), action = given<Trace>();
     give(total_torque(settings, law_torque, action));
   }
-  if (is("identify")) {
+  if (is("update_estimator")) {
     auto estimator = given<Estimator<Trace>>();
     Trace theta = given<Trace>(), theta_dot = given<Trace>(), x_dot = given<Trace>();
     update_estimator(estimator, theta, theta_dot, x_dot, assumed_pendulum(settings));

@@ -69,7 +69,7 @@ template <int N> struct Block {
 // Values of the row `halt`: under way; stopped in the present substep, with one call of the law left; and halted.
 constexpr double UNDER_WAY = 0.0, ENDING = 1.0, HALTED = 2.0;
 constexpr int HISTORY_ROWS = LEVEL::WIDTH<LEVEL::State<double>>;  // of each state in the history
-constexpr int CELLS = LEVEL::WIDTH<LEVEL::Estimator<double>>;  // rows of the estimator, only with observed estimates
+constexpr int ESTIMATOR_CELLS = LEVEL::WIDTH<LEVEL::Estimator<double>>;  // only with observed estimates
 
 // The settings of a step, SI units; conditions are 0.0 or 1.0.
 #define CAPSULE_SETTINGS(FIELD)                                                                                        \
