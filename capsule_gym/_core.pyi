@@ -2,7 +2,7 @@
 from typing import Any
 
 LEVELS: list[str]
-ROWS: list[str]
+ROW_NAMES: list[str]
 SETTINGS: list[str]
 PLANT: list[str]
 TRAJECTORY: list[str]
@@ -32,7 +32,7 @@ SPEED_BOUND: float
 MEASURED: float
 
 PADDING: int
-CELLS: int
+ESTIMATOR_CELLS: int
 PLAIN_LAW: int
 BATCH: list[str]
 

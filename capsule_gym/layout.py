@@ -12,7 +12,7 @@ from capsule_gym import _core
 
 LANES = _core.LANES
 HISTORY_ROWS = _core.HISTORY_ROWS
-ROWS = len(_core.ROWS)
+ROWS = len(_core.ROW_NAMES)
 """Number of rows before the law's memory."""
-Row = SimpleNamespace(**{name: row for row, name in enumerate(_core.ROWS)})
+Row = SimpleNamespace(**{name: row for row, name in enumerate(_core.ROW_NAMES)})
 """The row of each quantity."""
