@@ -1,9 +1,10 @@
 """The physics of the plant, over arrays: the functions of the core that the environment's step calls.
 
-`capsule_gym/core/plant.hpp` and `contact.hpp` contain and derive the equations. Arguments are numbers or arrays, which
-are broadcast, also M and mu of the plant; results are float64 arrays of the common shape. Everything is in SI units:
-`theta` is the angle from the upright (rad), `theta_dot` and `theta_ddot` are its derivatives, `x_dot` is the velocity
-of the platform, `u` the motor torque. `slip` names the phase of contact: +1.0 forwards, -1.0 backwards, 0.0 stick.
+`capsule_gym/core/physics/plant.hpp` and `events.hpp` contain and derive the equations. Arguments are numbers or arrays,
+which are broadcast, also M and mu of the plant; results are float64 arrays of the common shape. Everything is in SI
+units: `theta` is the angle from the upright (rad), `theta_dot` and `theta_ddot` are its derivatives, `x_dot` is the
+velocity of the platform, `u` the motor torque. `slip` names the phase of contact: +1.0 forwards, -1.0 backwards, 0.0
+stick.
 
 Examples:
     >>> from capsule_gym import Capsule, dynamics

@@ -33,7 +33,7 @@ COMPILER = (
 )
 
 
-def compile_wasm(source: Path = CORE / "web.cpp") -> bytes:
+def compile_wasm(source: Path = CORE / "bindings" / "web.cpp") -> bytes:
     """The WebAssembly module of a C++ file, the same bytes with the same version of `ziglang`, or a RuntimeError."""
     with tempfile.TemporaryDirectory() as folder:
         module = Path(folder, "core.wasm")

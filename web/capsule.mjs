@@ -1,7 +1,7 @@
 /**
- * The capsule robot in a browser or in node. The core (`capsule_gym/core/web.cpp`) with the environment's step, its laws
- * and its trained policies runs as WebAssembly, with the same bits as in Python. `capsule.d.mts` declares the types;
- * docs/live.md shows the usage.
+ * The capsule robot in a browser or in node. The core (`capsule_gym/core/bindings/web.cpp`) with the environment's step,
+ * its laws and its trained policies runs as WebAssembly, with the same bits as in Python. `capsule.d.mts` declares the
+ * types; docs/live.md shows the usage.
  *
  * @module
  */
@@ -24,12 +24,12 @@ const { core: CORE, tasks: TASKS, controllers: CONTROLLERS, drivers: DRIVERS, va
 const { constants: CONSTANTS, disturbances: DISTURBANCES } = VARIATION;
 const MODULE = await WebAssembly.compile(CONTENT.slice(HEADER.module.at, HEADER.module.at + HEADER.module.size));
 const SENSORS = ["theta", "theta_dot", "x_dot"];
-const ROW = numbered(CORE.rows);
+const ROW = numbered(CORE.row_names);
 const SETTING = numbered(CORE.settings);
 const STATE = Object.keys(HEADER.constants.start);
 const GIVEN = [...STATE, "M", "mu"].map((name) => [ROW[name], 0, 0, 0, 0, 0]);
 /** The quantities that are meaningful between two steps. */
-const SHOWN = CORE.rows.slice(0, ROW.clock + 1);
+const SHOWN = CORE.row_names.slice(0, ROW.clock + 1);
 
 /** Returns the place of each name. */
 function numbered(names) {
@@ -55,7 +55,7 @@ export const tasks = Object.keys(TASKS);
  * Names of the rows of `world`, in their order. The law's memory, its row of the reference table, the task's memory,
  * the history of a disturbed plant, and the filter of observed estimates follow.
  */
-export const quantities = CORE.rows;
+export const quantities = CORE.row_names;
 
 /** Reads a float64 array from the archive, which stores its bytes by column and significance. */
 function readArray({ at, rows, columns }) {
@@ -402,10 +402,10 @@ export class Capsule {
   /** Copies of what `check` compares: the rows of `info`, the memories of law and task, the last reading. */
   get compared() {
     const { view } = this.#place;
-    const { rows } = CORE;
+    const rows = CORE.row_names.length;
     const end = this.#kind.memoryRow + TASKS[this.task].memory.length;
     const reading = this.#kind.disturbed ? [view.world.slice(ROW.read_theta, ROW.read_x_dot + 1)] : [];
-    return [view.world.slice(0, SHOWN.length), view.world.slice(rows.length, end), ...reading, this.observation];
+    return [view.world.slice(0, SHOWN.length), view.world.slice(rows, end), ...reading, this.observation];
   }
 
   /** The whole state, for `restore`. */
@@ -564,7 +564,7 @@ async function prepare(controller, task, settings, given, driver) {
   const { law, constants: numbers, table, memory } = CONTROLLERS[controller];
   const disturbed = checkDisturbances(given.disturbances ?? settings.disturbances);
   const packed = packSettings(settings, given.capsule ?? settings.capsule, disturbed);
-  const lawEnd = CORE.rows.length + memory.length + table.columns;
+  const lawEnd = CORE.row_names.length + memory.length + table.columns;
   const length = TASKS[task].memory.length;
   // A law that observes the sensors observes the memory with measured values, which then comes first.
   const memoryRow = lawEnd + packed[SETTING.law_reads] * length;
@@ -573,7 +573,7 @@ async function prepare(controller, task, settings, given, driver) {
     columns: table.columns, table: drawTable(task, memoryRow, given.capsule ?? settings.capsule, disturbed),
   };
   const network = networkOf(driver);
-  const filter = packed[SETTING.with_estimates] ? CORE.cells : 0;
+  const filter = packed[SETTING.with_estimates] ? CORE.estimator_cells : 0;
   const rows = lawEnd + (disturbed ? 2 : 1) * length + CORE.history_rows * packed[SETTING.history] + filter;
   const placed = await place({
     world: [Float64Array, rows],

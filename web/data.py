@@ -71,7 +71,7 @@ def pack_data(module: bytes) -> str:
     """The archive with all data for the JavaScript, compressed, in base64; `module` is the compiled core."""
     archive = Archive()
     # The names and sizes of what the core takes.
-    names = "ROWS", "SETTINGS", "BATCH", "CELLS", "HISTORY_ROWS", "PADDING"
+    names = "ROW_NAMES", "SETTINGS", "BATCH", "ESTIMATOR_CELLS", "HISTORY_ROWS", "PADDING"
     core = {name.lower(): getattr(_core, name) for name in names}
     # The fields of a task's memory, those shown in `info`, and the draws at a reset, whose rows follow the rest.
     tasks = {}
@@ -105,7 +105,7 @@ def pack_data(module: bytes) -> str:
             "limits": {name: getattr(RANGES, name) for name in ("M", "mu", *CONSTANTS)},
             "real": asdict(parameters.REAL),
             "start": {"theta": task.START_THETA, "theta_dot": 0.0, "x": 0.0, "x_dot": 0.0},
-            "largest_state": dict(zip(_core.ROWS, task.LARGEST_STATE, strict=False)),
+            "largest_state": dict(zip(_core.ROW_NAMES, task.LARGEST_STATE, strict=False)),
         },
         "episodes": json.loads(FILE.read_text("utf-8")),
     }

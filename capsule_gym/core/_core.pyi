@@ -1,8 +1,8 @@
-# The module that capsule_gym/core/module.cpp defines. Arrays are passed by their addresses.
+# The module that capsule_gym/core/bindings/module.cpp defines. Arrays are passed by their addresses.
 from typing import Any
 
 LEVELS: list[str]
-ROWS: list[str]
+ROW_NAMES: list[str]
 SETTINGS: list[str]
 PLANT: list[str]
 TRAJECTORY: list[str]
@@ -32,16 +32,16 @@ SPEED_BOUND: float
 MEASURED: float
 
 PADDING: int
-CELLS: int
+ESTIMATOR_CELLS: int
 PLAIN_LAW: int
 BATCH: list[str]
 
 def select_level(place: int) -> None: ...  # in LEVELS
 
-# Both call a function of capsule_gym/core/level.cpp: the result is the index of an environment whose law has failed, or
+# Both call a function of core/bindings/level.cpp: the result is the index of an environment whose law has failed, or
 # -1; of functions over arrays it is the number of their results. `call` releases the lock.
 def call(name: str, /, *arguments: float) -> int: ...
 def call_locked(name: str, /, *arguments: float) -> int: ...
 
-# A function of capsule_gym/core/trace.hpp, with the address of the constants; returns the rows.
+# A function of core/bindings/recorded_functions.hpp, with the address of the constants; returns the rows.
 def trace(function: str, number: int, constants: int, /) -> list[tuple[Any, ...]]: ...

@@ -1,7 +1,7 @@
 """Sine, cosine, logarithm and inverse cosine with the same bits on every machine.
 
-They are the functions of the core (`capsule_gym/core/elementary.hpp`), over arrays. Those of the standard libraries
-differ in the last digit between versions and instruction sets.
+They are the functions of the core (`capsule_gym/core/numbers/elementary.hpp`), over arrays. Those of the standard
+libraries differ in the last digit between versions and instruction sets.
 """
 
 import math

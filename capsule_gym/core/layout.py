@@ -1,4 +1,4 @@
-"""The rows of `Simulation.world`, whose names the core defines (`capsule_gym/core/layout.hpp`).
+"""The rows of `Simulation.world`, whose names the core defines (`capsule_gym/core/step/layout.hpp`).
 
 The environments lie in one float64 array `world` of shape (blocks, rows, lanes). Its rows are, in order:
 
@@ -18,7 +18,7 @@ from capsule_gym.core import _core
 
 LANES = _core.LANES
 HISTORY_ROWS = _core.HISTORY_ROWS
-NUM_ROWS = len(_core.ROWS)
+NUM_ROWS = len(_core.ROW_NAMES)
 """Number of rows before the law's memory."""
-Row = SimpleNamespace(**{name: row for row, name in enumerate(_core.ROWS)})
+Row = SimpleNamespace(**{name: row for row, name in enumerate(_core.ROW_NAMES)})
 """The row of each quantity."""

@@ -48,7 +48,7 @@ def addressed(values: Iterable[Any]) -> list[float]:
 
 
 def call(name: str, *values: np.ndarray | float) -> int:
-    """Calls a function of `core/level.cpp` with numbers and arrays, and returns what it returns."""
+    """Calls a function of `core/bindings/level.cpp` with numbers and arrays, and returns what it returns."""
     return _core.call(name, *addressed(values))
 
 
@@ -61,7 +61,7 @@ def evaluate(name: str, *arguments: np.ndarray | float, plant: np.ndarray | None
     """Evaluates a function of the core at every entry of its arguments, which are broadcast.
 
     Args:
-        name: a function of `core/functions.hpp`; those of the plant need `plant`.
+        name: a function of `core/bindings/functions.hpp`; those of the plant need `plant`.
         *arguments: for a function of the plant M and mu come first.
         plant: the plant's constants, in the order of `_core.PLANT`; the arguments replace M and mu.
 

@@ -3,7 +3,7 @@
 // Each unit adds its inputs in their order, bias first, by fused multiply-adds, so that an action depends only on its
 // own observation, not on the batch or the instruction set. A register holds several units of one environment.
 #pragma once
-#include "elementary.hpp"
+#include "numbers/elementary.hpp"
 
 namespace LEVEL {
 // Number of layers; whether max(0, .) follows the hidden layers, else tanh; whether tanh brings the last output to
@@ -19,21 +19,21 @@ struct Layer {
   const double *bias, *weights;
 };
 
-// The sums of PACKS registers of units, from unit k on, for ROWS environments. The numbers of the next environment lie
-// `width` further.
-template <class T, int ROWS, int PACKS>
+// The sums of PACKS registers of units, from unit k on, for several environments. The numbers of the next environment
+// lie `width` further.
+template <class T, int ENVIRONMENTS, int PACKS>
 INLINE void add_inputs(const Layer& layer, int k, const double* values, double* sums, int width) {
-  T s[ROWS][PACKS];
-  for (int r = 0; r < ROWS; r++)
+  T s[ENVIRONMENTS][PACKS];
+  for (int r = 0; r < ENVIRONMENTS; r++)
     for (int p = 0; p < PACKS; p++) s[r][p] = load<T>(layer.bias + k + p * WIDTH<T>);
   const double* weights = layer.weights + k;
   for (int i = 0; i < layer.inputs; i++, weights += layer.units) {
     T w[PACKS];
     for (int p = 0; p < PACKS; p++) w[p] = load<T>(weights + p * WIDTH<T>);
-    for (int r = 0; r < ROWS; r++)
+    for (int r = 0; r < ENVIRONMENTS; r++)
       for (int p = 0; p < PACKS; p++) s[r][p] = fma(T(values[r * width + i]), w[p], s[r][p]);
   }
-  for (int r = 0; r < ROWS; r++)
+  for (int r = 0; r < ENVIRONMENTS; r++)
     for (int p = 0; p < PACKS; p++) store(sums + r * width + k + p * WIDTH<T>, s[r][p]);
 }
 
@@ -45,12 +45,12 @@ template <class T> INLINE void activate(double* sums, int count, bool relu) {
   }
 }
 
-// The actions in [-1, 1] of ROWS environments for their observations, shape (ROWS, inputs).
+// The actions in [-1, 1] for observations of shape (ENVIRONMENTS, inputs).
 //
 // `network` is aligned to 64 bytes. Its parts follow each other, each padded with zeros to a multiple of PADDING:
 // header, widths (inputs and the units of each layer), mean and scale of the inputs, and for each layer the biases and
 // the weights, one row of padded units for each input.
-template <class T, int ROWS>
+template <class T, int ENVIRONMENTS>
 NOINLINE void act_together(const double* network, const float* observations, float* actions) {
   const Header& header = *(const Header*)network;
   const double* widths = network + padded(WIDTH<Header>);
@@ -60,27 +60,27 @@ NOINLINE void act_together(const double* network, const float* observations, flo
   int width = 0;  // largest number of inputs or units, padded
   for (int i = 0; i <= layers; i++) width = padded((int)widths[i]) > width ? padded((int)widths[i]) : width;
   // A wide load that crosses a cache line takes twice as long.
-  double *values = (double*)__builtin_alloca_with_align(2 * ROWS * width * sizeof(double), 512),
-         *sums = values + ROWS * width;
-  for (int r = 0; r < ROWS; r++)
+  double *values = (double*)__builtin_alloca_with_align(2 * ENVIRONMENTS * width * sizeof(double), 512),
+         *sums = values + ENVIRONMENTS * width;
+  for (int r = 0; r < ENVIRONMENTS; r++)
     for (int i = 0; i < inputs; i++)
       values[r * width + i] = clip((observations[r * inputs + i] - mean[i]) * scale[i], header.clip);
   // Registers of PADDING units, and as many as can be added to at once.
-  constexpr int NARROW = PADDING / WIDTH<T>, WIDE = ROWS == 1 ? 8 : NARROW == 1 ? 4 : NARROW;
+  constexpr int NARROW = PADDING / WIDTH<T>, WIDE = ENVIRONMENTS == 1 ? 8 : NARROW == 1 ? 4 : NARROW;
   for (int n = 0; n < layers; n++) {
     Layer layer = {(int)widths[n], padded((int)widths[n + 1]), next, next};
     layer.weights += layer.units;
     next = layer.weights + layer.inputs * layer.units;
     int k = 0;
     for (; k + WIDE * WIDTH<T> <= layer.units; k += WIDE * WIDTH<T>)
-      add_inputs<T, ROWS, WIDE>(layer, k, values, sums, width);
-    for (; k < layer.units; k += PADDING) add_inputs<T, ROWS, NARROW>(layer, k, values, sums, width);
+      add_inputs<T, ENVIRONMENTS, WIDE>(layer, k, values, sums, width);
+    for (; k < layer.units; k += PADDING) add_inputs<T, ENVIRONMENTS, NARROW>(layer, k, values, sums, width);
     if (n < layers - 1)
-      for (int r = 0; r < ROWS; r++) activate<T>(sums + r * width, layer.units, header.relu != 0.0);
+      for (int r = 0; r < ENVIRONMENTS; r++) activate<T>(sums + r * width, layer.units, header.relu != 0.0);
     double* other = values;
     values = sums, sums = other;
   }
-  for (int r = 0; r < ROWS; r++) {
+  for (int r = 0; r < ENVIRONMENTS; r++) {
     double found = values[r * width];
     actions[r] = (float)clip(header.tanh_squashing != 0.0 ? tanh(found) : found, 1.0);
   }

@@ -271,7 +271,7 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
         return self._observe(), self._info(self._rows.tolist())
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, SupportsFloat, bool, bool, dict[str, Any]]:
-        """One agent step: `Step::run` in `capsule_gym/core/step.hpp`.
+        """One agent step: `Step::run` in `capsule_gym/core/step/step.hpp`.
 
         Args:
             action: shape (1,), torque in units of `residual_limit`, or with `total_torque` of `torque_limit`; clipped to

@@ -1,4 +1,4 @@
-"""The observation: its entries and their bounds. The core writes it (`capsule_gym/core/observation.hpp`)."""
+"""The observation: its entries and their bounds. The core writes it (`capsule_gym/core/step/observation.hpp`)."""
 
 from capsule_gym.core import _core
 from capsule_gym.envs.config import EnvConfig
@@ -32,7 +32,7 @@ def observation_entries(options: EnvConfig) -> dict[str, tuple[float, float]]:
         bounds = parameter_bounds(options.capsule or NOMINAL, Randomization.named(options.randomization))
         entries |= {"M": (0.0, bounds[0]), "mu": (0.0, bounds[1])}
     if options.observe_estimates:
-        # From the online filter (`capsule_gym/core/identification.hpp`).
+        # From the online estimator (`capsule_gym/core/estimator.hpp`).
         entries |= _core.ESTIMATES
     if not options.goal_env:
         entries |= find_task(options.task).entries

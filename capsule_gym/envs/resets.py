@@ -1,4 +1,4 @@
-"""The start of an episode: random draws, which the core makes (`capsule_gym/core/resets.hpp`), and given values."""
+"""The start of an episode: random draws, which the core makes (`core/step/resets.hpp`), and given values."""
 
 from collections.abc import Sequence
 from enum import IntEnum

@@ -1,6 +1,6 @@
 """The settings of the core's step that follow from the options of an environment.
 
-They are namespaces with the names of `CAPSULE_SETTINGS` in `core/layout.hpp`, but for the constants of the plant.
+They are namespaces with the names of `CAPSULE_SETTINGS` in `core/step/layout.hpp`, but for the constants of the plant.
 """
 
 import math

@@ -99,7 +99,8 @@ class Simulation:
         # A law that observes the sensors observes the memory with measured values, which then comes first.
         self.task_row = self._law_end + self.settings.law_reads * self.task.rows
         self.task_end = self.task_row + self.task.rows
-        memories, filter_rows = 2 if self.settings.history else 1, _core.CELLS if options.observe_estimates else 0
+        memories = 2 if self.settings.history else 1
+        filter_rows = _core.ESTIMATOR_CELLS if options.observe_estimates else 0
         rows = self._law_end + memories * self.task.rows + layout.HISTORY_ROWS * self.settings.history + filter_rows
         tables = [start, resets.plant_table(self.randomization, self.capsule)]
         tables.append(resets.draw_table(self.task_end - len(self.task.draws), resets.Stream.task, self.task.draws))

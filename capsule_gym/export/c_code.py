@@ -1,4 +1,4 @@
-"""Functions of the core in C, from the lists of operations that `capsule_gym/core/trace.hpp` records."""
+"""Functions of the core in C, from the lists of operations that `core/bindings/recorded_functions.hpp` records."""
 
 import math
 from collections import Counter
@@ -50,7 +50,7 @@ def to_c(
     """Statements of C99 that compute a function; in double precision every operation is rounded as in the core.
 
     Args:
-        function: its name in `core/trace.hpp`.
+        function: its name in `core/bindings/recorded_functions.hpp`.
         inputs: an expression for each input, in order.
         outputs: what each output is assigned to, in order; None for an output that is not needed. All are assigned at
             the end.

@@ -76,10 +76,10 @@ class Exported:
         task_inputs = [given.get(name, f"before.task[{n}]") for n, name in enumerate(task.fields)]
         observed = [*task_inputs, "reading->x", "before.x", "before.begun"]
         observed += [f"reading->{name}" if name in self.reading else "0" for name in _core.OBSERVED]
-        filtered = [f"estimates[{n}]" for n in range(_core.CELLS)]
+        filtered = [f"estimates[{n}]" for n in range(_core.ESTIMATOR_CELLS)]
         estimates = [f"memory->{cell}" for cell in filtered]
         law_cells = [f"law[{n}]" for n in range(len(law.memory) if law else 0)]
-        memory = {"task": kept, "estimates": _core.CELLS * self.settings.with_estimates, "law": len(law_cells)}
+        memory = {"task": kept, "estimates": len(filtered) * self.settings.with_estimates, "law": len(law_cells)}
         law_inputs = [f"before.{cell}" for cell in law_cells]
         law_inputs += [f"reading->{name}" for name in ("theta", "theta_dot", "x", "x_dot")]
         law_inputs += [f"row[{n}]" for n in range(law.reference.shape[1] if law else 0)]

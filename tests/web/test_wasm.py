@@ -15,7 +15,7 @@ from web import build
 
 SOURCE = """
 #define LEVEL web
-#include "number.hpp"
+#include "numbers/number.hpp"
 extern "C" __attribute__((export_name("fma"))) double fused(double a, double b, double c) { return web::fma(a, b, c); }
 """
 SCRIPT = """
@@ -72,4 +72,5 @@ def test_another_folder_and_cache_give_the_same_bytes(tmp_path, monkeypatch):
     for name in ("ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR"):
         monkeypatch.setenv(name, str(tmp_path / name))
     monkeypatch.chdir(tmp_path)
-    assert build.compile_wasm(tmp_path / "core" / "web.cpp") == first and first.startswith(b"\0asm\1\0\0\0")
+    source = tmp_path / "core" / "bindings" / "web.cpp"
+    assert build.compile_wasm(source) == first and first.startswith(b"\0asm\1\0\0\0")

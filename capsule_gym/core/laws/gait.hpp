@@ -1,6 +1,6 @@
 // A gait without a clock: the torque is a polynomial of the state, and a guard keeps the contact.
 #pragma once
-#include "../identification.hpp"
+#include "../estimator.hpp"
 #include "law.hpp"
 
 namespace LEVEL {
@@ -37,17 +37,17 @@ INLINE T guarded_torque(T theta, T theta_dot, T x_dot, const P& p, F guard_from,
 }
 
 // The gait. Its guard estimates M while the platform slips and acts earlier on platforms lighter than `lightest` kg. Its
-// memory is the filter's.
+// memory is the estimator's.
 struct Gait {
 #define GUARDED_CONSTANTS(ONE, MANY) GAIT_CONSTANTS(ONE, MANY) ONE(m) ONE(l) ONE(g) ONE(lightest) ONE(dt)
-  CAPSULE_LAW(Gait, "gait", double, Filter, NoReference, GUARDED_CONSTANTS)
+  CAPSULE_LAW(Gait, "gait", double, Estimator, NoReference, GUARDED_CONSTANTS)
   // Factor by which the guard's threshold falls faster than the weight of a lighter platform: of 1.0, 1.2, 1.3 and 1.5
   // the first without a failure in 1000 episodes from the distribution of `extrapolation`.
   static constexpr double CAUTION = 1.3;
 
-  template <class T> INLINE T torque(const State<T>& s, Filter<T>& filter, const NoReference<T>&) const {
-    identify(filter, s.theta, s.theta_dot, s.x_dot, q);
-    T share = 1.0 - CAUTION * (q.lightest - min(T(q.lightest), filter.M)) / (q.lightest + q.m);
+  template <class T> INLINE T torque(const State<T>& s, Estimator<T>& estimator, const NoReference<T>&) const {
+    update_estimator(estimator, s.theta, s.theta_dot, s.x_dot, q);
+    T share = 1.0 - CAUTION * (q.lightest - min(T(q.lightest), estimator.M)) / (q.lightest + q.m);
     return guarded_torque(s.theta, s.theta_dot, s.x_dot, q, share * q.guard_from, q.torque_limit);
   }
 };

@@ -1,6 +1,6 @@
 // What the control laws share.
 #pragma once
-#include "../plant.hpp"
+#include "../physics/plant.hpp"
 
 namespace LEVEL {
 // The members of a law besides its function `torque`. The number type is T, or `double` for a law with branches. Memory

@@ -62,7 +62,7 @@ template <class T> INLINE void correct(Estimate<T>& e, T theta, T theta_dot, T x
   e.theta_dot = e.theta_dot + GAIN_THETA_DOT * (theta_dot - e.theta_dot);
   e.x_dot = e.x_dot + GAIN_X_DOT * error;
   T M = e.M * (1.0 - RATE_M * swinging * error), mu = e.mu * (1.0 - RATE_MU * sliding * error);
-  e.M = min(T(Identification::HIGH_M), max(T(Identification::LOW_M), M));
+  e.M = min(T(Estimator<double>::HIGH_M), max(T(Estimator<double>::LOW_M), M));
   e.mu = min(T(HIGH_MU), max(T(LOW_MU), mu));
   e.bias = clip(e.bias + RATE_BIAS * error, T(LARGEST_BIAS));
 }

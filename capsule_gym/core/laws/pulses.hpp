@@ -1,7 +1,8 @@
 // Laws for the tasks `goal` and `velocity`: a gait towards the goal, then pulses whose size adapts to the floor, or
 // strokes on smooth floors. They read the positions of the goal and of the platform.
 #pragma once
-#include "../tasks.hpp"
+#include "../tasks/goal.hpp"
+#include "../tasks/velocity.hpp"
 #include "gait.hpp"
 
 namespace LEVEL {
@@ -83,7 +84,7 @@ template <class T, class Q> T torque(T theta, T theta_dot, T x_dot, T way, T M, 
 // repeats three phases: it returns the pendulum to the start of a pulse, slowly enough for the platform to stick; it
 // accelerates the pendulum with full torque to the rate w that should move the platform by the error; and it brakes the
 // pendulum slowly. A pulse moves the platform by about gain w^2 / mu; every pulse corrects the gain. M and mu, which
-// limit the acceleration in stick, are identified online. The numbers were chosen by hand on 300 plants of the tasks'
+// limit the acceleration in stick, are estimated online. The numbers were chosen by hand on 300 plants of the tasks'
 // own distribution.
 namespace pulses {
 constexpr double RUN = 0.0, RETURN = 1.0, PULSE = 2.0, BRAKE = 3.0;
@@ -109,7 +110,7 @@ constexpr double BRAKED = 0.9;
 // The phase, and of the pulse the direction, the rate in rad/s, the start in m, the gain in m s^2 and the time since
 // its end in s.
 template <class T> struct Memory {
-  Filter<T> filter;
+  Estimator<T> estimator;
   T phase, side, rate, start_x, gain, timer;
 };
 
@@ -123,12 +124,12 @@ template <class T> inline T approach(T theta, T theta_dot, T aim, T grip) {
 // The torque for a goal that lies `error` metres ahead; an error up to `near` is not corrected, at `stop` a run ends.
 template <class T, class Q>
 T torque(const State<T>& s, Memory<T>& memory, T error, double near, double stop, const Q& q) {
-  auto& [filter, phase, side, rate, start_x, gain, timer] = memory;
+  auto& [estimator, phase, side, rate, start_x, gain, timer] = memory;
   const auto& [theta, theta_dot, x, x_dot] = s;
-  identify(filter, theta, theta_dot, x_dot, q);
-  T mu = min(T(LARGEST_MU), max(T(LEAST_MU), exp(filter.log_mu)));
-  mu = select(deviation(filter.P_ff) > DOUBT, T(UNKNOWN_MU), mu);
-  T grip = min(T(LARGEST_GRIP), max(T(LEAST_GRIP), GRIP * mu * (filter.M + q.m) * q.g / (q.m * q.l)));
+  update_estimator(estimator, theta, theta_dot, x_dot, q);
+  T mu = min(T(LARGEST_MU), max(T(LEAST_MU), exp(estimator.log_mu)));
+  mu = select(deviation(estimator.P_ff) > DOUBT, T(UNKNOWN_MU), mu);
+  T grip = min(T(LARGEST_GRIP), max(T(LEAST_GRIP), GRIP * mu * (estimator.M + q.m) * q.g / (q.m * q.l)));
   T size = abs(error), home = 0.0;
   auto rests = x_dot == 0.0, far = size > FAR;
   timer = timer + q.dt;
@@ -187,16 +188,16 @@ struct GoalPulses {
   static constexpr double SMOOTH = 0.035, LEAVE = 0.06;
 
   template <class T> T torque(const State<T>& s, pulses::Memory<T>& memory, const Row<T>& row) const {
-    auto& [filter, phase, side, rate, start_x, gain, timer] = memory;
-    T M = filter.M, mu = exp(filter.log_mu), error = row.task.goal - s.x, found = 0.0;
+    auto& [estimator, phase, side, rate, start_x, gain, timer] = memory;
+    T M = estimator.M, mu = exp(estimator.log_mu), error = row.task.goal - s.x, found = 0.0;
     auto creeps = phase >= strokes::CREEP;
-    auto rough = (mu > select(creeps, T(LEAVE), T(SMOOTH))) | (filter.begun == 0.0);
+    auto rough = (mu > select(creeps, T(LEAVE), T(SMOOTH))) | (estimator.begun == 0.0);
     if (auto taken = when(rough)) {
       if (auto also = when(creeps)) phase = pulses::BRAKE, rate = 0.0;
       found = pulses::torque(s, memory, error, strokes::NEAR, 0.025, q);
     }
     if (auto taken = when(!rough)) {
-      identify(filter, s.theta, s.theta_dot, s.x_dot, q);
+      update_estimator(estimator, s.theta, s.theta_dot, s.x_dot, q);
       phase = select(creeps, phase, select(s.x_dot * side > 0.0, T(strokes::STROKE), T(strokes::CREEP)));
       auto turns = (phase == strokes::CREEP) & (s.x_dot == 0.0) & (abs(error) > strokes::NEAR);
       side = select(turns, select(error > 0.0, T(1.0), T(-1.0)), side);

@@ -1,7 +1,7 @@
 // The start of an episode: random draws and initial values.
 #pragma once
+#include "../numbers/random.hpp"
 #include "layout.hpp"
-#include "random.hpp"
 
 namespace LEVEL {
 // The number at a share, in [0, 1), of the range of a draw.

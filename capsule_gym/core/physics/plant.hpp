@@ -21,10 +21,9 @@
 // with f = d mu (1 + (static_ratio - 1) / (1 + (x' / v_s)^2)) N in slip in the direction d, and s = theta' / w, clipped
 // to [-1, 1].
 //
-// A step inside one phase is free of branches: a register takes several environments through it at once. Steps through
-// changes of phase are in contact.hpp. `fma(a, b, c)` is a b + c, rounded once.
+// `fma(a, b, c)` is a b + c, rounded once.
 #pragma once
-#include "elementary.hpp"
+#include "../numbers/elementary.hpp"
 
 namespace LEVEL {
 // The constants of a plant that an `extended` one adds are zero in the others, which do not read them.
@@ -63,23 +62,10 @@ constexpr double THETA_DOT_BOUND = 20.0, X_DOT_BOUND = 2.0;
 
 template <class T> struct Accelerations { T theta_ddot, x_ddot, normal; };
 template <class T> struct Margin { T value, force; };
-template <class T> struct Boundary { T value, rate; };
-template <class T> struct Stepped {
-  State<T> end;
-  Accelerations<T> first;  // at the start
-  // The smallest N of the stages: if it is negative, the platform did not press on the floor during the whole step.
-  T smallest;
-};
 
 // Rate in rad/s below which the motor's Coulomb friction is smooth, so that the integrator resolves a change of sign,
 // and its slope at rest, 35 / 16, in units of the friction over that rate.
 constexpr double MOTOR_WIDTH = 1.0, MOTOR_SLOPE = 2.1875;
-
-// Whether the boundary may have been crossed within h seconds. The tangent bounds a convex function from below: no dip
-// inside the step can escape the second test.
-template <class T> INLINE auto crosses(T before, T rate, T after, T h) {
-  return (after < 0.0) | ((before > 0.0) & (before + h * rate < 0.0));
-}
 
 template <class T, Kind kind_> struct Plant {
   using Number = T;
@@ -232,61 +218,9 @@ template <class T, Kind kind_> struct Plant {
     T limit_rate = static_ratio * kinetic_friction(force) * normal_rate;
     return select(force > 0.0, limit_rate - force_rate, limit_rate + force_rate);
   }
-
-  // One classical Runge-Kutta step of h seconds inside one phase, with the friction coefficient mu; `first` is
-  // `pressed_accelerations` at the start.
-  INLINE Stepped<T> runge_kutta(const State<T>& s, T slip, T mu, T u, T h, const Accelerations<T>& first) const {
-    // The accelerations do not depend on x, and not on x_dot on a level floor with Coulomb friction: sums suffice.
-    T half = 0.5 * h;
-    T theta_2 = s.theta + half * s.theta_dot;
-    auto [a1, b1, normal_1] = first;
-    auto [a2, b2, normal_2] = pressed_accelerations(theta_2, s.theta_dot + half * a1, s.x_dot + half * b1, slip, mu, u);
-    T theta_3 = theta_2 + half * half * a1, theta_dot_3 = s.theta_dot + half * a2;
-    auto [a3, b3, normal_3] = pressed_accelerations(theta_3, theta_dot_3, s.x_dot + half * b2, slip, mu, u);
-    T theta_4 = s.theta + h * s.theta_dot + half * h * a2;
-    auto [a4, b4, normal_4] = pressed_accelerations(theta_4, s.theta_dot + h * a3, s.x_dot + h * b3, slip, mu, u);
-    T sixth = h / 6.0;
-    return {{s.theta + h * s.theta_dot + h * sixth * (a1 + a2 + a3),
-             s.theta_dot + sixth * (a1 + 2.0 * (a2 + a3) + a4),
-             s.x + h * s.x_dot + h * sixth * (b1 + b2 + b3),
-             s.x_dot + sixth * (b1 + 2.0 * (b2 + b3) + b4)},
-            first,
-            min(min(normal_1, normal_2), min(normal_3, normal_4))};
-  }
-
-  // The quantity that stays positive while the phase lasts, and its time derivative: m/s in slip, N in stick. For one
-  // environment.
-  INLINE Boundary<T> boundary(const State<T>& s, T x_ddot, T slip, T u) const {
-    if (slip == 0.0) return {stick_margin(s.theta, s.theta_dot, u).value, stick_margin_rate(s.theta, s.theta_dot, u)};
-    return {slip * s.x_dot, slip * x_ddot};
-  }
-
-  // Takes a step of h seconds inside one phase, and returns whether the phase lasts; if not, `event_step` takes the step.
-  // may_stick = false asserts that slip is nowhere 0.0, which saves a third of the work.
-  template <bool may_stick>
-  INLINE auto smooth_step(const State<T>& s, T slip, T u, T h, Stepped<T>& r) const {
-    T mu = kinetic_friction(slip);
-    r = runge_kutta(s, slip, mu, u, h, pressed_accelerations(s.theta, s.theta_dot, s.x_dot, slip, mu, u));
-    const auto& [end, first, smallest] = r;
-    T before = slip * s.x_dot, rate = slip * first.x_ddot, after = slip * end.x_dot;
-    auto stopped = end.x_dot == 0.0;
-    if constexpr (may_stick) {
-      auto sticks = slip == 0.0;
-      before = select(sticks, stick_margin(s.theta, s.theta_dot, u).value, before);
-      rate = select(sticks, stick_margin_rate(s.theta, s.theta_dot, u), rate);
-      after = select(sticks, stick_margin(end.theta, end.theta_dot, u).value, after);
-      stopped = stopped & !sticks;
-    }
-    return !(crosses(before, rate, after, h) | stopped | (smallest < 0.0));
-  }
 };
 
 template <class P> using Number = typename P::Number;
-
-// Integral of |theta_dot| over h seconds that turned the pendulum by `turned`; theta_dot went from start to end.
-template <class T> INLINE T swept(T start, T end, T turned, T h) {
-  return select(start * end >= 0.0, abs(turned), 0.5 * h * (start * start + end * end) / (abs(start) + abs(end)));
-}
 
 // The plant with these constants, which nothing pushes; M and mu are left to the caller.
 template <class T> INLINE Plant<T, Kind::varied> derive(const Constants<T>& given) {

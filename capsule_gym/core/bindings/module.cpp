@@ -1,49 +1,18 @@
-// The Python module `capsule_gym._core`, by the C API that is stable since Python 3.10. Python allocates the arrays,
-// passes their addresses, and keeps them alive; `capsule_gym.native` checks what it passes.
+// The Python module `capsule_gym.core._core`, by the C API that is stable since Python 3.10. Python allocates the arrays,
+// passes their addresses, and keeps them alive; `capsule_gym.core.native` checks what it passes.
 #define PY_SSIZE_T_CLEAN
 #ifndef Py_LIMITED_API
 #define Py_LIMITED_API 0x030A0000
 #endif
 #include <Python.h>
-#if defined(__x86_64__)
-#include <cpuid.h>
-#endif
 
-#include "trace.hpp"
-#include "trajectory.hpp"
-
-namespace portable { Call call; }
-namespace v3 { Call call; }
-namespace v4 { Call call; }
+#include "../physics/trajectory.hpp"
+#include "functions.hpp"
+#include "levels.hpp"
+#include "recorded_functions.hpp"
 
 namespace {
-// --- the levels of instructions, the best first ---
-
-struct Level {
-  const char* name;
-  Call* call;
-};
-#if defined(__x86_64__)
-constexpr Level LEVELS[] = {{"v4", v4::call}, {"v3", v3::call}, {"portable", portable::call}};
-
-// The place of the best level that the processor runs. The processor itself answers: zig's runtime lacks what
-// `__builtin_cpu_supports` reads, and says no to everything.
-int best_level() {
-  unsigned a, b, c, d, enabled, high;
-  if (__get_cpuid_max(0, nullptr) < 7) return 2;
-  __cpuid(1, a, b, c, d);
-  bool fma = c >> 12 & 1, xgetbv = c >> 27 & 1;
-  if (!fma || !xgetbv) return 2;
-  __asm__("xgetbv" : "=a"(enabled), "=d"(high) : "c"(0));
-  __cpuid_count(7, 0, a, b, c, d);
-  const unsigned V3 = 1u << 3 | 1u << 5 | 1u << 8, V4 = 1u << 16 | 1u << 17 | 1u << 28 | 1u << 30 | 1u << 31;
-  if ((enabled & 6) != 6 || (b & V3) != V3) return 2;
-  return (enabled & 0xe6) == 0xe6 && (b & V4) == V4 ? 0 : 1;
-}
-#else
-constexpr Level LEVELS[] = {{"portable", portable::call}};
-int best_level() { return 0; }
-#endif
+// --- the level of instructions ---
 
 // Asked once: in a virtual machine the question takes microseconds.
 const int BEST = best_level(), NUM_LEVELS = sizeof LEVELS / sizeof *LEVELS;
@@ -133,7 +102,7 @@ int fill(PyObject* module) {
 #define FIELD(type, name) CAPSULE_NAME(name)
 #define ROW(name) CAPSULE_NAME(name)
 #define NAMES(name, text) put(own, #name, names_in(text));
-  NAMES(LEVELS, levels) NAMES(ROWS, CAPSULE_ROWS) NAMES(BATCH, CAPSULE_BATCH(FIELD))
+  NAMES(LEVELS, levels) NAMES(ROW_NAMES, CAPSULE_ROWS) NAMES(BATCH, CAPSULE_BATCH(FIELD))
   NAMES(SETTINGS, CAPSULE_SETTINGS(CAPSULE_NAME))
   NAMES(PLANT, NOMINAL_CONSTANTS(CAPSULE_NAME)) NAMES(TRAJECTORY, CAPSULE_TRAJECTORY(CAPSULE_NAME))
   NAMES(CONSTANTS, CAPSULE_CONSTANTS(CAPSULE_NAME)) NAMES(OBSERVED, OBSERVED(CAPSULE_NAME))
@@ -141,13 +110,13 @@ int fill(PyObject* module) {
   REAL(THETA_LIMIT) REAL(THETA_DOT_BOUND) REAL(X_DOT_BOUND) REAL(MOTOR_WIDTH) REAL(MOTOR_SLOPE)
   REAL(ERROR_BOUND) REAL(HOLD) REAL(TIME_TOLERANCE) REAL(SPEED_BOUND) REAL(MEASURED) REAL(ROUNDING)
 #define WHOLE(name) put(own, #name, PyLong_FromLongLong(name));
-  WHOLE(LANES) WHOLE(HISTORY_ROWS) WHOLE(MOST_CELLS) WHOLE(PADDING) WHOLE(COMMANDS) WHOLE(CELLS) WHOLE(DIRECTIONS)
-  WHOLE(MOST_RESULTS) WHOLE(CENTRED) WHOLE(LOGARITHMIC)
+  WHOLE(LANES) WHOLE(HISTORY_ROWS) WHOLE(MOST_CELLS) WHOLE(PADDING) WHOLE(COMMANDS) WHOLE(ESTIMATOR_CELLS)
+  WHOLE(DIRECTIONS) WHOLE(MOST_RESULTS) WHOLE(CENTRED) WHOLE(LOGARITHMIC)
   put(own, "PLAIN_LAW", PyLong_FromVoidPtr((void*)&call_plain));
-  using I = Identification;
-  put(own, "ESTIMATES", Py_BuildValue("{s(dd)s(dd)s(dd)s(dd)}", "M_estimate", I::LOW_M, I::HIGH_M, "log_mu_estimate",
-                                      I::LOW_LOG_MU, I::HIGH_LOG_MU, "M_deviation", 0.0, I::DEVIATION_M,
-                                      "log_mu_deviation", 0.0, I::DEVIATION_LOG_MU));
+  using E = Estimator<double>;
+  put(own, "ESTIMATES", Py_BuildValue("{s(dd)s(dd)s(dd)s(dd)}", "M_estimate", E::LOW_M, E::HIGH_M, "log_mu_estimate",
+                                      E::LOW_LOG_MU, E::HIGH_LOG_MU, "M_deviation", 0.0, E::DEVIATION_M,
+                                      "log_mu_deviation", 0.0, E::DEVIATION_LOG_MU));
   return failed;
 }
 

@@ -3,7 +3,7 @@
 // `event_step` takes one environment through every change. `pass_rest` computes the most common change, the end of a
 // slip, without branches, for several environments at once.
 #pragma once
-#include "plant.hpp"
+#include "integrator.hpp"
 
 namespace LEVEL {
 // Far more events than in any step. The limit only prevents an endless loop after a rounding error.
@@ -61,7 +61,7 @@ template <class P> struct Phase {
   // The piece of this step of tau seconds.
   NOINLINE Piece<T> finish(T tau, const Stepped<T>& r) const {
     auto a = p.accelerations(r.end.theta, r.end.theta_dot, r.end.x_dot, slip, u);
-    return {tau, r.end, p.boundary(r.end, a.x_ddot, slip, u), a.theta_ddot, a.x_ddot, r.first.x_ddot,
+    return {tau, r.end, boundary(r.end, a.x_ddot, slip, u, p), a.theta_ddot, a.x_ddot, r.first.x_ddot,
             max(T(0.0), r.first.normal)};
   }
 
@@ -69,9 +69,9 @@ template <class P> struct Phase {
   // the phase's start, so that an event is as accurate as the integrator itself. A step in which the contact is lost is
   // taken without friction.
   NOINLINE Piece<T> piece(T tau) const {
-    auto r = p.runge_kutta(s, slip, p.kinetic_friction(slip), u, tau, first);
+    auto r = runge_kutta(s, slip, p.kinetic_friction(slip), u, p, tau, first);
     if (!(r.smallest >= 0.0))
-      r = p.runge_kutta(s, slip, 0.0, u, tau, p.pressed_accelerations(s.theta, s.theta_dot, s.x_dot, slip, 0.0, u));
+      r = runge_kutta(s, slip, 0.0, u, p, tau, p.pressed_accelerations(s.theta, s.theta_dot, s.x_dot, slip, 0.0, u));
     return finish(tau, r);
   }
 
@@ -142,7 +142,7 @@ NOINLINE inline Motion<T> event_step(const Phase<P>& start, const Piece<T>& whol
       phase = begin_phase(s, slip, start.u, p);
       done = phase.piece(remaining);
     }
-    auto [before, rate] = p.boundary(s, done.first_x_ddot, slip, start.u);
+    auto [before, rate] = boundary(s, done.first_x_ddot, slip, start.u, p);
     // The last piece takes the rest of the step, so that no time is lost.
     bool crossed = crosses(before, rate, done.boundary.value, remaining) && count < EVENT_LIMIT - 1;
     bool beyond = crossed && done.boundary.value < 0.0;
@@ -194,7 +194,7 @@ INLINE auto pass_rest(const Phase<P>& start, const State<T>& lasting, T h) {
   auto at_end = p.pressed_accelerations(lasting.theta, lasting.theta_dot, lasting.x_dot, slip, mu, u);
   auto holds = (slip != 0.0) & (before > EVENT_TOLERANCE) & (after < 0.0) & (at_end.normal >= 0.0);
   T tau = first_guess(before, slip * first.x_ddot, after, slip * at_end.x_ddot, h);
-  auto [m, unused, smallest] = p.runge_kutta(s, slip, mu, u, tau, first);
+  auto [m, unused, smallest] = runge_kutta(s, slip, mu, u, p, tau, first);
   auto a = p.pressed_accelerations(m.theta, m.theta_dot, m.x_dot, slip, mu, u);
   T correction = -(slip * m.x_dot) / (slip * a.x_ddot);
   holds = holds & (smallest >= 0.0) & (a.normal >= 0.0) & (slip * a.x_ddot < 0.0) &
@@ -205,7 +205,7 @@ INLINE auto pass_rest(const Phase<P>& start, const State<T>& lasting, T h) {
   T next_slip = p.contact_phase(rest, u);
   T remaining = h - tau;
   Stepped<T> last;
-  auto lasts = p.template smooth_step<true>(rest, next_slip, u, remaining, last);
+  auto lasts = smooth_step<true>(rest, next_slip, u, p, remaining, last);
   const State<T>& e = last.end;
   T turned = swept(s.theta_dot, rest.theta_dot, rest.theta - s.theta, tau) +
              swept(rest.theta_dot, e.theta_dot, e.theta - rest.theta, remaining);

@@ -1,8 +1,8 @@
 // Disturbances of sensors, motor and platform; `Disturbances` in parameters.py documents them. Random numbers are
 // hashes of the episode's key and a counter, so that a reading is the same alone and in a batch.
 #pragma once
+#include "../numbers/random.hpp"
 #include "layout.hpp"
-#include "random.hpp"
 
 namespace LEVEL {
 // Added to a whole number: the lowest 52 bits of the sum are those of the number.

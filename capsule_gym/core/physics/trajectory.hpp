@@ -1,7 +1,7 @@
 // Trajectories of one plant under torques that are constant over equal intervals, and their derivatives.
 #pragma once
-#include "contact.hpp"
-#include "dual.hpp"
+#include "../numbers/dual.hpp"
+#include "events.hpp"
 
 namespace LEVEL {
 // The inputs of a trajectory before its torques: constants as in `Capsule`, 1.0 for the paper's normal force, state.
@@ -45,8 +45,8 @@ long long trajectory(const double* values, const double* partials, long long n, 
       // Most steps stay in one phase, and need less than `plant_step` computes.
       T slip = p.contact_phase(s, u);
       Stepped<T> r;
-      bool lasts = slip == 0.0 ? p.template smooth_step<true>(s, slip, u, h, r)
-                               : p.template smooth_step<false>(s, slip, u, h, r);
+      bool lasts = slip == 0.0 ? smooth_step<true>(s, slip, u, p, h, r)
+                               : smooth_step<false>(s, slip, u, p, h, r);
       double normal_force = value(r.first.normal);
       if (lasts) {
         s = r.end;

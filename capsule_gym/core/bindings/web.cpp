@@ -2,9 +2,9 @@
 // environment has an instance of the module with a memory of its own.
 #define LEVEL web
 #define CAPSULE_ONE_ENVIRONMENT
-#include "network.hpp"
-#include "resets.hpp"
-#include "step.hpp"
+#include "../network.hpp"
+#include "../step/resets.hpp"
+#include "../step/step.hpp"
 
 #define EXPORT(name) extern "C" __attribute__((export_name(#name)))
 

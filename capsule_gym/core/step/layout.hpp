@@ -1,8 +1,8 @@
 // How the numbers of environments lie in memory: blocks of N environments, one row per quantity. The lists of names are
 // written here once; Python sees the same names.
 #pragma once
-#include "identification.hpp"
-#include "plant.hpp"
+#include "../estimator.hpp"
+#include "../physics/plant.hpp"
 
 // The quantities of an environment; SI units. `info` shows the first ones under these names.
 #define CAPSULE_ROWS                                                                                                   \
@@ -69,7 +69,7 @@ template <int N> struct Block {
 // Values of the row `halt`: under way; stopped in the present substep, with one call of the law left; and halted.
 constexpr double UNDER_WAY = 0.0, ENDING = 1.0, HALTED = 2.0;
 constexpr int HISTORY_ROWS = LEVEL::WIDTH<LEVEL::State<double>>;  // of each state in the history
-constexpr int CELLS = LEVEL::WIDTH<LEVEL::Identification>;  // rows of the filter, only with observed estimates
+constexpr int ESTIMATOR_CELLS = LEVEL::WIDTH<LEVEL::Estimator<double>>;  // only with observed estimates
 
 // The settings of a step, SI units; conditions are 0.0 or 1.0.
 #define CAPSULE_SETTINGS(FIELD)                                                                                        \
@@ -104,9 +104,9 @@ constexpr double UNIFORM = 0.0, SIGNED = 1.0, CENTRED = 2.0, LOGARITHMIC = 3.0;
 // Everything that belongs to the environments of a simulation: arrays, by their addresses, and their sizes. Python
 // passes the address of an array of these numbers.
 #define CAPSULE_BATCH(FIELD)                                                                                           \
-  /* The blocks, each with the law's memory, its line of the reference, the task's memory, the history and the filter  \
-     of the estimates behind it. A varied plant has two memories of the task, with true and with measured values; the  \
-     law observes the first. `block_rows` includes them; `lanes` is LANES or 1. */                                     \
+  /* The blocks, each with the law's memory, its line of the reference, the task's memory, the history and the         \
+     estimator behind it. A varied plant has two memories of the task, with true and with measured values; the law     \
+     observes the first. `block_rows` includes them; `lanes` is LANES or 1. */                                         \
   FIELD(double*, world) FIELD(long long, block_rows) FIELD(long long, num_envs) FIELD(long long, lanes)                \
   /* Shape (num_envs, entries). */                                                                                     \
   FIELD(float*, observations) FIELD(long long, entries)                                                                \
@@ -133,15 +133,3 @@ struct Batch {
 template <int N> INLINE Block<N>& block_of(const Batch& batch, long long i) {
   return *(Block<N>*)(batch.world + i / N * batch.block_rows * N);
 }
-
-// An argument of a function of level.cpp: a whole or real number, or an address.
-struct Argument {
-  long long bits;
-  operator long long() const { return bits; }
-  operator double() const { return __builtin_bit_cast(double, bits); }
-  template <class T> operator T*() const { return (T*)bits; }
-};
-constexpr int MOST_ARGUMENTS = 7;
-// Calls a function by its name. Returns the index of an environment whose law has failed, -1, or UNKNOWN.
-typedef long long Call(const char* function, const Argument* arguments);
-constexpr long long UNKNOWN = -2;  // there is no function of this name

@@ -1,74 +1,8 @@
-// The tasks. A task is a struct with the names of its memory, and functions for the start of an episode, the reward at
-// the end of an agent step, and its entries of the observation. The memory's last fields are the numbers that an
-// episode draws. The start takes x, true and as the memory observes it; the reward takes x, x_dot, the displacement in
-// the step, the step, and the largest |x_dot| at rest.
+// The task `velocity`: to follow a commanded mean velocity, which changes during the episode.
 #pragma once
-#include "elementary.hpp"
+#include "task.hpp"
 
 namespace LEVEL {
-constexpr double TIME_TOLERANCE = 1e-9;  // tolerance of times, s, which are sums of the agent's steps
-
-// Forwards as fast as possible.
-struct Speed {
-  static constexpr const char* NAME = "speed";
-  // It has no memory and adds no entries to the observation.
-  static constexpr const char* FIELDS = "";
-  template <class T> struct Memory {};
-
-  template <class T> static INLINE void begin(T, T, Memory<T>&) {}
-
-  // Centimetres of forward progress.
-  template <class T> static INLINE T reward(T, T, T moved, double, double, Memory<T>&) { return 100.0 * moved; }
-
-  template <class T, class Put> static INLINE void observe(const Memory<T>&, Put) {}
-};
-
-// Bound of the observed error, m; largest distance from the goal at which the platform must rest, m; and duration of
-// the rest, s.
-constexpr double ERROR_BOUND = 1.0, TOLERANCE = 0.002, HOLD = 1.0;
-
-// To move to a goal and to rest there, as soon as possible.
-struct Goal {
-  static constexpr const char* NAME = "goal";
-  // Position of the goal, and that minus the platform's, m; times since the start, at rest within the tolerance, and at
-  // which the goal was reached (0 before), s; the drawn displacement of the goal, m.
-#define GOAL_MEMORY(FIELD) FIELD(goal) FIELD(error) FIELD(time) FIELD(held) FIELD(reached) FIELD(displacement)
-  static constexpr const char* FIELDS = GOAL_MEMORY(CAPSULE_NAME);
-  template <class T> struct Memory { GOAL_MEMORY(CAPSULE_NUMBER) };
-
-  // Places the goal at the drawn displacement from the platform.
-  template <class T> static INLINE void begin(T x, T observed_x, Memory<T>& memory) {
-    T displacement = memory.displacement;
-    memory = {x + displacement, displacement + (x - observed_x), 0.0, 0.0, 0.0, displacement};
-  }
-
-  // The reward per second for an error and, 1.0 or 0.0, rest.
-  template <class T> static INLINE T rate(T error, T still) {
-    T size = abs(error), inside = select(size <= TOLERANCE, T(1.0), T(0.0));
-    T rate = 0.5 * decay(size / 0.1) + 0.5 * decay(size / 0.02);
-    return rate + (decay(size / 0.004) * (1.0 + still) + 2.0 * inside * still - size / 0.5);
-  }
-
-  // The reward for the distance to the goal and for rest there.
-  template <class T> static INLINE T reward(T x, T x_dot, T moved, double dt, double rest, Memory<T>& memory) {
-    auto& [goal, error, time, held, reached, displacement] = memory;
-    time = time + dt;
-    error = goal - x;
-    auto still = abs(x_dot) <= rest;
-    // In stick for the whole step. The noise of a measured position would hide it.
-    auto holds = still & (abs(error) <= TOLERANCE) & ((moved == 0.0) | (T(rest) > 0.0));
-    held = select(holds, held + dt, T(0.0));
-    reached = select((reached == 0.0) & (held >= HOLD - TIME_TOLERANCE), time, reached);
-    return dt * rate(error, select(still, T(1.0), T(0.0)));
-  }
-
-  template <class T, class Put> static INLINE void observe(const Memory<T>& memory, Put put) {
-    put(clip(memory.error, T(ERROR_BOUND)));
-    put(tanh(memory.error / 0.02));
-    put(min(memory.held, T(HOLD)));
-  }
-};
-
 // Largest distance of the target, m; time constant of the observed velocity, s, and its bound, m/s.
 constexpr double LEAD = 0.3, FILTER = 0.25, SPEED_BOUND = 2.0;
 // Time that the metrics leave out after a change, and the shortest measured time of a command that counts, s; distance
@@ -76,7 +10,6 @@ constexpr double LEAD = 0.3, FILTER = 0.25, SPEED_BOUND = 2.0;
 constexpr double SETTLING = 1.5, MEASURED = 1.0, SETTLED = 0.02;
 constexpr int COMMANDS = 8;
 
-// To follow a commanded mean velocity, which changes during the episode.
 struct Velocity {
   static constexpr const char* NAME = "velocity";
   // The command, m/s; position of the target, and that minus the platform's, m; filtered velocity, m/s; time since the
@@ -142,6 +75,4 @@ struct Velocity {
     put(clip(memory.speed, T(SPEED_BOUND)));
   }
 };
-
-using Tasks = List<Speed, Goal, Velocity>;
 }  // namespace LEVEL

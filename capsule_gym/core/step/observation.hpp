@@ -1,7 +1,7 @@
 // The observation: its entries in order, the estimates of M and mu in it, and the stack of observations.
 #pragma once
+#include "../tasks/tasks.hpp"
 #include "layout.hpp"
-#include "tasks.hpp"
 
 namespace LEVEL {
 // What an observation shows of the environment: `phase` is the share of the reference's cycle.
@@ -10,11 +10,11 @@ namespace LEVEL {
   FIELD(law_torque) FIELD(M) FIELD(mu)
 template <class T> struct Observed { OBSERVED(CAPSULE_NUMBER) };
 
-// What the filter of M and mu assumes.
+// What the estimator of M and mu assumes.
 struct Pendulum { double m, l, g, dt; };
 INLINE Pendulum assumed_pendulum(const Settings& q) { return {q.m, q.l, q.g, q.control_dt()}; }
 
-// Puts the entries in the order of `observation_entries`; `estimate` returns the filter of M and mu after this
+// Puts the entries in the order of `observation_entries`; `estimate` returns the estimator of M and mu after this
 // observation.
 template <class Task, class T, class Put, class Estimate>
 INLINE void put_entries(const Settings& q, const Observed<T>& o, const typename Task::template Memory<T>& memory,
@@ -29,17 +29,17 @@ INLINE void put_entries(const Settings& q, const Observed<T>& o, const typename 
   }
   if (q.with_parameters != 0.0) put(o.M), put(o.mu);
   if (q.with_estimates != 0.0) {
-    Filter<T> f = estimate();
-    put(f.M), put(f.log_mu), put(deviation(f.P_MM)), put(deviation(f.P_ff));
+    Estimator<T> e = estimate();
+    put(e.M), put(e.log_mu), put(deviation(e.P_MM)), put(deviation(e.P_ff));
   }
   if (q.with_task != 0.0) Task::observe(memory, put);
 }
 
 // Writes the observations of the first n environments of a block. `line`: that of the reference; `task`: the task's
-// memory with the values that the agent observes; `filters`: the rows of the filter of M and mu.
+// memory with the values that the agent observes; `estimators`: the rows of the estimators of M and mu.
 template <class Task, int N>
 NOINLINE void observe(const Batch& batch, const Block<N>& b, int n, const double* line, const double* task,
-                      double* filters, float* observations, bool begin) {
+                      double* estimators, float* observations, bool begin) {
   const Settings& q = *batch.settings;
   int entries = (int)batch.entries / (int)q.stack_size, all = (int)batch.entries;
   bool reads = q.agent_reads != 0.0;
@@ -56,10 +56,10 @@ NOINLINE void observe(const Batch& batch, const Block<N>& b, int n, const double
         q, seen, load_record<typename Task::template Memory<double>, double, N>(task, j),
         [&](double entry) { *next++ = (float)entry; },
         [&]() __attribute__((noinline)) {
-          auto f = load_record<Identification, double, N>(filters, j);
-          identify<double>(f, out[0], out[1], out[2], assumed_pendulum(q));
-          store_record<double, N>(filters, j, f);
-          return f;
+          auto e = load_record<Estimator<double>, double, N>(estimators, j);
+          update_estimator<double>(e, out[0], out[1], out[2], assumed_pendulum(q));
+          store_record<double, N>(estimators, j, e);
+          return e;
         });
     if (begin)
       for (int entry = entries; entry < all; entry++) out[entry] = out[entry - entries];

@@ -3,9 +3,9 @@
 // The environments of a block are stepped together, as many at once as the number type holds. One in which an event
 // happens (a change of the contact phase, the end of the episode) is left out of its substep and stepped by itself.
 #pragma once
-#include "contact.hpp"
+#include "../laws/laws.hpp"
+#include "../physics/events.hpp"
 #include "disturbances.hpp"
-#include "laws.hpp"
 #include "observation.hpp"
 
 namespace LEVEL {
@@ -148,7 +148,7 @@ template <class T, int N> struct Step {
     T torque = GET(torque), slip = select(s.x_dot > 0.0, T(1.0), T(-1.0));
     if constexpr (may_stick) slip = p.contact_phase(s, torque);
     Stepped<T> r;
-    auto lasts = p.template smooth_step<may_stick>(s, slip, torque, h, r);
+    auto lasts = smooth_step<may_stick>(s, slip, torque, p, h, r);
     auto going = GET(halt) == UNDER_WAY;
     auto smooth = lasts & continues(r.end.theta, r.first.normal);
     auto commit = going & smooth;

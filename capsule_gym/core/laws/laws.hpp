@@ -4,12 +4,12 @@
 // the task follows. It returns the torque in N m, not yet clipped to the limit, and replaces its memory by that of the
 // next call.
 #pragma once
-#include "laws/adaptive.hpp"
-#include "laws/feedback_linearisation.hpp"
-#include "laws/gait.hpp"
-#include "laws/periodic.hpp"
-#include "laws/predictive.hpp"
-#include "laws/pulses.hpp"
+#include "adaptive.hpp"
+#include "feedback_linearisation.hpp"
+#include "gait.hpp"
+#include "periodic.hpp"
+#include "predictive.hpp"
+#include "pulses.hpp"
 
 namespace LEVEL {
 // The direct-torque task: none, so that the residual torque is the whole torque.

@@ -1,8 +1,9 @@
 // Functions over arrays and over whole episodes: for Python.
 #pragma once
-#include "network.hpp"
-#include "resets.hpp"
-#include "step.hpp"
+#include "../network.hpp"
+#include "../step/resets.hpp"
+#include "../step/step.hpp"
+#include "levels.hpp"
 
 namespace LEVEL {
 // The most general plant: one compiled function serves all.

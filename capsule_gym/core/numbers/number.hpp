@@ -44,7 +44,7 @@ typedef unsigned long long Word;
 
 #if defined(__wasm__)
 // WebAssembly has no fused instruction. Exported policies in C contain the same file, in which NAME is their own.
-#include "../fused.h"
+#include "fused.h"
 INLINE double fma(double a, double b, double c) { return NAME_fused(a, b, c); }
 #else
 INLINE double fma(double a, double b, double c) { return __builtin_fma(a, b, c); }

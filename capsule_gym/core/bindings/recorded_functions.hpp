@@ -1,0 +1,82 @@
+// Records functions of the core as lists of operations, from which Python writes them in other languages
+// (capsule_gym/export/c_code.py).
+#pragma once
+#include <Python.h>
+
+#include "../numbers/trace.hpp"
+#include "../step/step.hpp"
+
+namespace LEVEL {
+inline PyObject* recording;  // rows for Python: the name of an operation, and its operands
+
+inline Condition append(PyObject* row) {
+  PyList_Append(recording, row);
+  Py_XDECREF(row);
+  return {PyList_Size(recording) - 1};
+}
+inline Condition append_constant(double value) { return append(Py_BuildValue("(sd)", "constant", value)); }
+inline Condition append_row(const char* operation, int count, const long long* operands) {
+  constexpr const char* FORMATS[] = {"(s)", "(sL)", "(sLL)", "(sLLL)"};
+  return append(Py_BuildValue(FORMATS[count], operation, operands[0], operands[1], operands[2]));
+}
+
+// A struct of inputs, and the output of a struct.
+template <class S> S given() {
+  S inputs = {};
+  for (int i = 0; i < WIDTH<S>; i++) ((Trace*)&inputs)[i] = Trace(append_operation("input"));
+  return inputs;
+}
+template <class S> void give(const S& outputs) {
+  for (int i = 0; i < WIDTH<S>; i++) append_operation("output", ((const Trace*)&outputs)[i]);
+}
+
+// trace(function, number, constants) -> list of rows: records a function, of a law or task with its number, and of the
+// constants or settings, by the address of an array.
+inline PyObject* trace(PyObject*, PyObject* arguments) {
+  const char* function;
+  long long number, address;
+  if (!PyArg_ParseTuple(arguments, "sLL", &function, &number, &address)) return nullptr;
+  const auto* constants = (const double*)address;
+  recording = PyList_New(0), branch = {-1};
+  auto is = [&](const char* name) { return !__builtin_strcmp(function, name); };
+  const auto& settings = *(const Settings*)constants;
+  if (is("sincos")) give(sincos<Trace>(given<Trace>()));
+  if (is("exp")) give(exp<Trace>(given<Trace>()));
+  if (is("tanh")) give(tanh<Trace>(given<Trace>()));
+  if (is("torque")) {
+    Trace law_torque = given<Trace>(), action = given<Trace>();
+    give(total_torque(settings, law_torque, action));
+  }
+  if (is("update_estimator")) {
+    auto estimator = given<Estimator<Trace>>();
+    Trace theta = given<Trace>(), theta_dot = given<Trace>(), x_dot = given<Trace>();
+    update_estimator(estimator, theta, theta_dot, x_dot, assumed_pendulum(settings));
+    give(estimator);
+  }
+  auto trace_law = [&]<class Law>() {
+    auto memory = given<typename Law::template Cells<Trace>>();
+    auto state = given<State<Trace>>();
+    auto row = given<typename Law::template Line<Trace>>();
+    give(Law(constants).torque(state, memory, row)), give(memory);
+  };
+  // A task: its memory, x, and for an observation the x of the previous one, what is observed, and the estimator.
+  auto trace_task = [&]<class Task>() {
+    auto memory = given<typename Task::template Memory<Trace>>();
+    Trace x = given<Trace>();
+    if (is("begin")) Task::begin(x, x, memory);
+    else {
+      Trace before = given<Trace>();
+      auto begun = given<Trace>() != 0.0;
+      auto seen = given<Observed<Trace>>();
+      double rest = settings.agent_reads != 0.0 ? settings.stick_threshold : 0.0;
+      if (auto taken = when(begun)) Task::reward(x, seen.x_dot, x - before, settings.control_dt(), rest, memory);
+      put_entries<Task>(settings, seen, memory, give<Trace>, given<Estimator<Trace>>);
+    }
+    give(memory);
+  };
+  if (is("law")) with_type(Laws(), number, trace_law);
+  if (is("begin") || is("observe")) with_type(Tasks(), number, trace_task);
+  if (PyErr_Occurred()) Py_CLEAR(recording);
+  return recording;
+}
+}  // namespace LEVEL
