@@ -107,7 +107,7 @@ def tune(name: str, generations: int, seed: int, step: float) -> None:
 
 @command("python -m baselines.tuning", ValueError)
 def main(law: Positional[Name], generations: Count = 200, seed: Count = 0, step: float = 0.5) -> None:
-    """Tunes a law on random plants; capsule_gym/data/laws/tuned.json keeps the best parameters so far, also after Ctrl-C.
+    """Tunes a law on random plants; capsule_gym/data/laws/tuned.json keeps the best parameters, also after Ctrl-C.
 
     Examples:
       python -m baselines.tuning pd --generations 200

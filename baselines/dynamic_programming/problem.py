@@ -107,7 +107,7 @@ class Transitions:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """The trajectories of a batch of episodes, and their metrics (`capsule_gym.tasks.task.METRICS`), of shape (episodes,).
+    """The trajectories of a batch of episodes, and their metrics by name, of shape (episodes,).
 
     `states` are theta (rad), theta_dot (rad/s), x (m) and x_dot (m/s) at the beginning of every step, shape (steps, 4,
     episodes), and `choices` the torques as indices of `ACTIONS`, uint8, shape (steps, episodes).
