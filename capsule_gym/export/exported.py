@@ -25,8 +25,8 @@ from capsule_gym.parameters import Disturbances
 from capsule_gym.policies.policy import load_policy
 from capsule_gym.tasks.registry import find_task
 
-# The templates, and the operations in C that they share with the core.
-FOLDERS = (Path(__file__).parent, Path(__file__).parents[1] / "core" / "numbers")
+# The templates, and the folder in which they find the operations in C that they share with the core.
+FOLDERS = (Path(__file__).parent, Path(__file__).parents[1])
 INTERVALS = 100  # control intervals of the test vectors; a law alone has a quarter
 
 
