@@ -24,8 +24,16 @@ ROOT = Path(__file__).resolve().parents[1]
 SHOWN = 6.6
 # Settings that a run shares with the row of the leaderboard to which it is compared.
 KIND = (
-    *("env", "task", "algo", "controller", "randomization", "disturbances", "static_ratio", "energy_weight"),
-    *("observe_parameters", "observe_estimates"),
+    "env",
+    "action_mode",
+    "algo",
+    "controller",
+    "randomization",
+    "disturbances",
+    "static_ratio",
+    "energy_weight",
+    "observe_parameters",
+    "observe_estimates",
 )
 
 
@@ -94,12 +102,12 @@ def _likely_reason(config: Config, row: Config, run: Path, theta: np.ndarray, *,
         return f"other settings than the row, {', '.join(f'{each} {given.get(each)!r}' for each in changed)}"
     theta = theta[len(theta) // 2 :]
     middle = 0.5 * (theta.max() + theta.min())
-    if config.env_task == "speed" and abs(middle) > 0.25 * np.ptp(theta):
+    if config.task == "speed" and abs(middle) > 0.25 * np.ptp(theta):
         return f"a one-sided gait about {np.degrees(middle):.0f} degrees, a local optimum that another --seed may avoid"
     if more_failures:
         return "more failures than in any run of the row, so that the policy is close to a limit of the plant"
-    steps, values = read_evaluations(run / EVALUATIONS, config.env_task)
-    best = np.argmin(values) if CRITERIA[config.env_task].ascending else np.argmax(values)
+    steps, values = read_evaluations(run / EVALUATIONS, config.task)
+    best = np.argmin(values) if CRITERIA[config.task].ascending else np.argmax(values)
     if best == len(steps) - 1:
         return "the last evaluation was the best, so that more --total-steps may help"
     return "the spread of seeds; rounding errors of another processor or version of torch act as another seed"

@@ -44,7 +44,7 @@ def test_a_rows_settings_are_those_that_its_policies_were_trained_with(name):
         rollout = settings.num_envs * (settings.n_steps if settings.algo == "ppo" else 1)
         ends = [math.ceil(each / rollout) * rollout for each in (settings.evaluate_every, settings.total_steps)]
         for path in (CHECKPOINTS / name).glob(f"*/{EVALUATIONS}"):
-            assert read_evaluations(path, settings.env_task)[0][[0, -1]].tolist() == ends
+            assert read_evaluations(path, settings.task)[0][[0, -1]].tolist() == ends
     for policy in policies:
         assert (policy.env_kwargs, policy.algorithm) == expected[:2] and policy.revision == record["revision"]
         assert [bias.size for _, bias in policy.layers] == [expected[2], expected[2], 1]
@@ -64,4 +64,6 @@ def test_the_table_of_commands_names_every_row_and_its_seeds():
         assert program == "train.py"
         options = train.read_args([*words, "--gamma", "0.9"])
         expected = dataclasses.replace(ROWS[name], seed=7, gamma=0.9)
-        assert (options.hyperparameters, options.task, options.algo) == (expected, expected.task, expected.algo)
+        assert options.hyperparameters == expected
+        assert options.action_mode == expected.action_mode
+        assert options.algo == expected.algo
