@@ -11,7 +11,7 @@ import numpy as np
 
 from agents.evaluation.criteria import CRITERIA
 from agents.leaderboard.candidates import all_candidates
-from agents.leaderboard.rows import RESULTS, Row, load_rows
+from agents.leaderboard.rows import RESULTS, LeaderboardRow, load_rows
 from agents.training.config import EVALUATIONS
 from baselines.drawing import BLUE, GREEN, INK, MUTED, add_note, new_figure
 from baselines.dynamic_programming.archive import optimal_front
@@ -121,7 +121,7 @@ def draw_learning(learning: Mapping[str, Learning], label: str = SPEED.label) ->
     return figure
 
 
-def draw_transport(rows: Sequence[Row]) -> Any:
+def draw_transport(rows: Sequence[LeaderboardRow]) -> Any:
     """Draws speed against cost of transport on the nominal plant, with the front of dynamic programming."""
     from matplotlib.ticker import LogLocator
 
