@@ -32,7 +32,7 @@ from agents.training.config import (  # noqa: E402
     RunError,
     read_config,
 )
-from agents.training.presets import ROWS, preset, row_settings  # noqa: E402
+from agents.training.presets import TRAINED_ROWS, preset, row_settings  # noqa: E402
 from baselines.drawing import new_figure, style  # noqa: E402
 from capsule_gym.checks import first_cause  # noqa: E402
 from capsule_gym.command_line import NO_NEGATIONS, parse, refuse  # noqa: E402
@@ -43,6 +43,10 @@ from capsule_gym.tasks.task import ENV_ID  # noqa: E402
 PROG = "train.py"
 RUNS = Path("runs")
 Folder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
+RowName = Annotated[
+    str | None,
+    tyro.conf.arg(metavar="NAME", help=f"Row of the leaderboard: {', '.join(TRAINED_ROWS)}."),
+]
 
 
 @dataclass(frozen=True)
@@ -55,7 +59,7 @@ class Choice:
     """Residual torque on a control law, or direct torque; residual by default, and direct in the other environments."""
     algo: Algorithm = "ppo"
     """Algorithm of Stable-Baselines3."""
-    row: Annotated[str | None, tyro.conf.arg(metavar="NAME", help=f"Row of the leaderboard: {', '.join(ROWS)}.")] = None
+    row: RowName = None
     resume: Folder = None
     """Resume the run in this folder from its last checkpoint; only --total-steps may change."""
 

@@ -11,7 +11,7 @@ from agents.evaluate import comparison_table
 from agents.evaluation.criteria import CRITERIA
 from agents.leaderboard.rows import RESULTS, load_row
 from agents.training.config import EVALUATIONS, Config, read_config
-from agents.training.presets import ROWS
+from agents.training.presets import TRAINED_ROWS
 from baselines.drawing import BLUE, DPI, MUTED, new_figure, style
 from capsule_gym import CapsuleEnv, load_policy
 from capsule_gym.evaluation.candidates import AnyPolicy, find_candidate
@@ -72,8 +72,7 @@ def compare_to_row(run: Path, own: Sequence[Episode], evaluation_set: Evaluation
         The comparison; empty if there is no such row, or the row was not evaluated on the set.
     """
     config, criteria = read_config(run), CRITERIA[evaluation_set.task]
-    kind = [getattr(config, name) for name in KIND]
-    name = next((row for row, each in ROWS.items() if [getattr(each, field) for field in KIND] == kind), None)
+    name = next((row for row, settings in TRAINED_ROWS.items() if _kind(settings) == _kind(config)), None)
     try:
         row = load_row(ROOT / RESULTS / f"{name}.npz")
         row.check_set(evaluation_set)
@@ -90,8 +89,13 @@ def compare_to_row(run: Path, own: Sequence[Episode], evaluation_set: Evaluation
     if sign * found[metric] >= sign * worst[metric]:
         return text
     more_failures = found["failed"] > published["failed"].max()
-    reason = _likely_reason(config, ROWS[str(name)], run, theta, more_failures=more_failures)
+    reason = _likely_reason(config, TRAINED_ROWS[str(name)], run, theta, more_failures=more_failures)
     return f"{text}\nThis run is worse than the row's worst seed. A likely reason: {reason}."
+
+
+def _kind(config: Config) -> list[Any]:
+    """The settings that a run shares with the row to which it is compared."""
+    return [getattr(config, name) for name in KIND]
 
 
 def _likely_reason(config: Config, row: Config, run: Path, theta: np.ndarray, *, more_failures: bool) -> str:

@@ -21,7 +21,7 @@ from tqdm import tqdm
 
 from agents.evaluation.criteria import CRITERIA
 from agents.training.config import BEST, CONFIG, EVALUATIONS, Config, RunError, read_config
-from agents.training.presets import ROWS, row_settings
+from agents.training.presets import TRAINED_ROWS, row_settings
 from agents.training.signals import INTERRUPTED, Stop
 from baselines.tables import text_table
 from capsule_gym.checks import check_count
@@ -192,7 +192,7 @@ def copy_policy(job: Job, checkpoints: Path = CHECKPOINTS) -> Path:
 
 @command("python -m agents.study", OSError, ValueError)
 def main(
-    rows: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME", help=f"Rows: {', '.join(ROWS)}.")],
+    rows: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME", help=f"Rows: {', '.join(TRAINED_ROWS)}.")],
     seeds: Annotated[tuple[int, ...], arg(metavar="N")] = tuple(range(10)),
     jobs: int | None = None,
     backend: Literal["loky", "ray"] = "loky",
@@ -220,7 +220,7 @@ def main(
         publish: Copy the policies of finished runs to capsule_gym/data/policies, for the leaderboard.
     """
     if not rows:
-        raise ValueError(f"NAME must be one or several of {', '.join(ROWS)}")
+        raise ValueError(f"NAME must be one or several of {', '.join(TRAINED_ROWS)}")
     if jobs is not None:
         check_count("--jobs", jobs)
         if backend == "ray":

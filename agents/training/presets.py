@@ -1,4 +1,4 @@
-"""Tuned hyperparameters: for every algorithm and action mode, and for the trained rows of the leaderboard (`ROWS`)."""
+"""Tuned hyperparameters: for every algorithm and action mode, and for the trained rows of the leaderboard."""
 
 import dataclasses
 from typing import Any
@@ -89,7 +89,7 @@ ON_PREDICTION = _vary(
     {"latency_range": (0.0, 0.015), "privileged": True, "evaluate_every": 250_000, "evaluation_episodes": 512},
 )
 # Keys are the names of the folders in capsule_gym/data/policies; each run sets its own seed.
-ROWS: dict[str, Config] = {
+TRAINED_ROWS: dict[str, Config] = {
     "residual-ppo": PRESETS["residual", "ppo"],
     "direct-ppo": PRESETS["direct", "ppo"],
     "direct-ppo-wide": _vary(PRESETS["direct", "ppo"], {"randomization": "wide", "observe_estimates": True}),
@@ -140,6 +140,6 @@ def row_settings(name: str) -> Config:
     Raises:
         ValueError: if the name is unknown.
     """
-    if name not in ROWS:
-        raise ValueError(f"a row must be one of {', '.join(ROWS)}, got {name!r}{nearest(name, ROWS)}")
-    return ROWS[name]
+    if name not in TRAINED_ROWS:
+        raise ValueError(f"a row must be one of {', '.join(TRAINED_ROWS)}, got {name!r}{nearest(name, TRAINED_ROWS)}")
+    return TRAINED_ROWS[name]
