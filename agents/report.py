@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.analysis.statistics import read_evaluations
+from agents.analysis.curves import read_evaluations
 from agents.evaluate import comparison_table
 from agents.evaluation.criteria import CRITERIA
 from agents.leaderboard.rows import RESULTS, load_row

@@ -9,7 +9,7 @@ from contextlib import nullcontext
 import pytest
 
 import train
-from agents.analysis.statistics import read_evaluations
+from agents.analysis.curves import read_evaluations
 from agents.distillation.config import STUDENTS
 from agents.distillation.dagger import CLIP, EPSILON, HIDDEN, MIN_VARIANCE
 from agents.training.config import CONFIG, EVALUATIONS, RANGES, read_config

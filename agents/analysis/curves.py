@@ -1,4 +1,4 @@
-"""Tables and figures of the leaderboard's results: learning curves, cost of transport."""
+"""Learning curves, and speed against cost of transport: a table and figures of the leaderboard's results."""
 
 import csv
 import math
@@ -34,13 +34,13 @@ def document() -> tuple[dict[str, str], dict[str, Callable[[], Any]]]:
     rows.sort(key=lambda row: (-row.score(ranking_set, SPEED.name).mean(), row.name))
     learning = read_learning([row.name for row in rows if row.trained], "speed")
     figures: dict[str, Callable[[], Any]] = {
-        "statistics_transport": lambda: draw_transport(rows),
-        "statistics_learning": lambda: draw_learning({name: runs for name, runs in learning.items() if runs}),
+        "curves_transport": lambda: draw_transport(rows),
+        "curves_learning": lambda: draw_learning({name: runs for name, runs in learning.items() if runs}),
     }
     for task in ("goal", "velocity"):
         names = [candidate.name for candidate in all_candidates(task) if candidate.trained]
         label = CRITERIA[task].metric.label
-        figures[f"statistics_{task}"] = partial(draw_learning, read_learning(names, task), label)
+        figures[f"curves_{task}"] = partial(draw_learning, read_learning(names, task), label)
     return {"learning": table(learning)}, figures
 
 
