@@ -52,7 +52,7 @@ def compare(run: Path, set_name: str | None = None) -> None:
     print(comparison_table("agent", own, criteria.baseline, theirs) + "\n", flush=True)
     plant = NOMINAL_PLANT if evaluation_set.task == "speed" else evaluation_set.plants[0]
     names = {criteria.baseline: baseline, "agent": policy}
-    recordings = {name: record(each, plant, evaluation_set) for name, each in names.items()}
+    recordings = {name: run_episode(each, plant, evaluation_set) for name, each in names.items()}
     if text := compare_to_row(run, own, evaluation_set, recordings["agent"]["theta"]):
         print(text + "\n", flush=True)
     draw_comparison(recordings, run / "comparison.png", plant)
@@ -117,7 +117,7 @@ def _likely_reason(config: Config, row: Config, run: Path, theta: np.ndarray, *,
     return "the spread of seeds; rounding errors of another processor or version of torch act as another seed"
 
 
-def record(policy: AnyPolicy, plant: PlantSpec, evaluation_set: EvaluationSet) -> dict[str, np.ndarray]:
+def run_episode(policy: AnyPolicy, plant: PlantSpec, evaluation_set: EvaluationSet) -> dict[str, np.ndarray]:
     """Runs a policy's episode on one plant of a set.
 
     Returns:

@@ -67,7 +67,7 @@ def test_a_run_worse_than_its_row_names_a_likely_reason(tmp_path, changes, theta
 @pytest.mark.parametrize("amplitude", [0.5, 1.5])
 def test_a_recording_is_the_episode(amplitude):
     policy, one = Sine(amplitude, env_kwargs={"control_dt": 0.01}), EvaluationSet("one", (PLANT,))
-    found = report.record(policy, PLANT, one)
+    found = report.run_episode(policy, PLANT, one)
     (episode,) = evaluate(policy, one)
     # The stronger torque ends the episode early.
     assert found["t"][-1] == pytest.approx(episode["duration"], abs=0.011)
