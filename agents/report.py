@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from agents.analysis.curves import read_evaluations
+from agents.criteria import CRITERIA
 from agents.evaluate import comparison_table
-from agents.evaluation.criteria import CRITERIA
 from agents.leaderboard.rows import RESULTS, load_row
 from agents.training.config import EVALUATIONS, Config, read_config
 from agents.training.presets import TRAINED_ROWS

@@ -19,7 +19,7 @@ from typing import Annotated, Literal
 
 from tqdm import tqdm
 
-from agents.evaluation.criteria import CRITERIA
+from agents.criteria import CRITERIA
 from agents.training.config import BEST, CONFIG, EVALUATIONS, Config, RunError, read_config
 from agents.training.presets import TRAINED_ROWS, row_settings
 from agents.training.signals import INTERRUPTED, Stop

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.evaluation.criteria import CRITERIA
+from agents.criteria import CRITERIA
 from agents.leaderboard.candidates import all_candidates
 from agents.leaderboard.rows import RESULTS, LeaderboardRow, load_rows
 from agents.training.config import EVALUATIONS

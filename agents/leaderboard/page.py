@@ -9,7 +9,7 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
-from agents.evaluation.criteria import CRITERIA, Criteria
+from agents.criteria import CRITERIA, Criteria
 from agents.leaderboard.rows import LeaderboardRow
 from baselines.tables import markdown_table
 from capsule_gym.evaluation.candidates import find_candidate

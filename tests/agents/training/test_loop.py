@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from agents.evaluation.criteria import CRITERIA
+from agents.criteria import CRITERIA
 from agents.training.algorithms import make_env, make_model
 from agents.training.callbacks import validation_plants
 from agents.training.config import read_config
