@@ -77,11 +77,11 @@ web: $(STAMP)  ## Build the environment for browsers and node into site/live/ al
 
 leaderboard: $(STAMP)  ## Evaluate all policies and write the leaderboard and its analysis
 	$(BIN)/python -m agents.leaderboard
-	$(BIN)/python -m agents.analysis limit_cycle statistics
+	$(BIN)/python -m agents.analysis limit_cycle curves
 
 leaderboard-check: $(STAMP)  ## Fail if the leaderboard or its analysis is stale (PLANTS=25 evaluates 25 plants per set)
 	$(BIN)/python -m agents.leaderboard --check $(if $(PLANTS),--plants $(PLANTS))
-	$(BIN)/python -m agents.analysis limit_cycle statistics --check
+	$(BIN)/python -m agents.analysis limit_cycle curves --check
 
 reproduce: ROWS ?= direct-ppo direct-ppo-wide residual-ppo efficient
 reproduce: SEED ?= 100

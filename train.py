@@ -24,15 +24,15 @@ from agents.training.config import (  # noqa: E402
     BEST,
     CONFIG,
     MODEL,
+    ActionMode,
     Algorithm,
     Config,
     Environment,
     PPOConfig,
     RunError,
-    Task,
     read_config,
 )
-from agents.training.presets import ROWS, preset, row_settings  # noqa: E402
+from agents.training.presets import TRAINED_ROWS, preset, row_settings  # noqa: E402
 from baselines.drawing import new_figure, style  # noqa: E402
 from capsule_gym.checks import first_cause  # noqa: E402
 from capsule_gym.command_line import NO_NEGATIONS, parse, refuse  # noqa: E402
@@ -43,6 +43,10 @@ from capsule_gym.tasks.task import ENV_ID  # noqa: E402
 PROG = "train.py"
 RUNS = Path("runs")
 Folder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
+RowName = Annotated[
+    str | None,
+    tyro.conf.arg(metavar="NAME", help=f"Row of the leaderboard: {', '.join(TRAINED_ROWS)}."),
+]
 
 
 @dataclass(frozen=True)
@@ -51,11 +55,11 @@ class Choice:
 
     env: Environment = "CapsuleStickSlip-v0"
     """The environment: maximum speed, a goal, or a commanded velocity."""
-    task: Annotated[Task | None, tyro.conf.arg(metavar="{residual,direct}")] = None
+    action_mode: Annotated[ActionMode | None, tyro.conf.arg(name="task", metavar="{residual,direct}")] = None
     """Residual torque on a control law, or direct torque; residual by default, and direct in the other environments."""
     algo: Algorithm = "ppo"
     """Algorithm of Stable-Baselines3."""
-    row: Annotated[str | None, tyro.conf.arg(metavar="NAME", help=f"Row of the leaderboard: {', '.join(ROWS)}.")] = None
+    row: RowName = None
     resume: Folder = None
     """Resume the run in this folder from its last checkpoint; only --total-steps may change."""
 
@@ -101,14 +105,15 @@ def read_args(arguments: Sequence[str] | None = None) -> Args:
     if choice.resume is not None:
         return _read_resumed(choice.resume, arguments)
     if choice.row is None:
-        task = choice.task or ("residual" if choice.env == ENV_ID else "direct")
-        settings = preset(choice.env, task, choice.algo)
-        return parse(Args, PROG, arguments, default=Args(choice.env, task, choice.algo, hyperparameters=settings))
+        action_mode = choice.action_mode or ("residual" if choice.env == ENV_ID else "direct")
+        settings = preset(choice.env, action_mode, choice.algo)
+        default = Args(choice.env, action_mode, choice.algo, hyperparameters=settings)
+        return parse(Args, PROG, arguments, default=default)
     try:
         settings = row_settings(choice.row)
     except ValueError as error:
         refuse(PROG, f"--row: {error}")
-    default = Args(settings.env, settings.task, settings.algo, choice.row, hyperparameters=settings)
+    default = Args(settings.env, settings.action_mode, settings.algo, choice.row, hyperparameters=settings)
     args = parse(Args, PROG, arguments, default=default)
     _check_same_kind(default, args, f"--row {choice.row}")
     return args
@@ -120,7 +125,7 @@ def _read_resumed(run: Path, arguments: Sequence[str] | None) -> Args:
         before = read_config(run)
     except RunError as error:
         refuse(PROG, str(error))
-    default = Args(before.env, before.task, before.algo, None, run, hyperparameters=before)
+    default = Args(before.env, before.action_mode, before.algo, None, run, hyperparameters=before)
     args = parse(Args, PROG, arguments, default=default)
     for option, given in (("--run", args.run), ("--row", args.row)):
         if given is not None:
@@ -142,11 +147,11 @@ def _foreign_code(config: Config) -> tuple[str, ...] | str | None:
 
 
 def _check_same_kind(before: Args, args: Args, chosen_by: str) -> None:
-    """Ends the command if its environment, task or algorithm differs from that of the resumed run or the row."""
-    for name in ("env", "task", "algo"):
+    """Ends the command if its environment, action mode or algorithm differs from that of the resumed run or the row."""
+    for option, name in (("--env", "env"), ("--task", "action_mode"), ("--algo", "algo")):
         was, given = getattr(before, name), getattr(args, name)
         if was != given:
-            refuse(PROG, f"--{name} must stay {was} with {chosen_by}, got {given}")
+            refuse(PROG, f"{option} must stay {was} with {chosen_by}, got {given}")
 
 
 def _report(failure: threading.ExceptHookArgs) -> None:
@@ -190,7 +195,9 @@ def _train(args: Args) -> int:
         if run is not None:
             print(f"Resuming {run} (seed {config.seed}) until {config.total_steps:,} steps.")
         else:
-            names = (config.task, config.algo) if config.env == ENV_ID else (config.env_task, config.task, config.algo)
+            names: list[str] = [config.action_mode, config.algo]
+            if config.env != ENV_ID:
+                names.insert(0, config.task)
             kind = args.row or "-".join(names)
             run = args.run or RUNS / f"{kind}-seed{config.seed}-{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(2)}"
             try:
@@ -200,7 +207,7 @@ def _train(args: Args) -> int:
                 raise RunError(f"--run must name a new folder, got {str(run)!r}; {resume}") from None
             except (TypeError, ValueError) as error:
                 raise RunError(str(error)) from error
-            what = f"{config.algo.upper()} on {config.env}, {config.task} torque"
+            what = f"{config.algo.upper()} on {config.env}, {config.action_mode} torque"
             print(f"Training {what}, seed {config.seed}, in {run}.")
         trust = " --trust-controller" * bool(_foreign_code(config))
         hint = f"To resume: python train.py --resume {quote(str(run))}{trust}"

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from tqdm import tqdm
 
-from agents.evaluation.criteria import CRITERIA
+from agents.criteria import CRITERIA
 from baselines.tables import text_table
 from capsule_gym.command_line import Positional, arg, check_output, command
 from capsule_gym.evaluation.candidates import find_candidate

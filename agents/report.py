@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from agents.analysis.statistics import read_evaluations
+from agents.analysis.curves import read_evaluations
+from agents.criteria import CRITERIA
 from agents.evaluate import comparison_table
-from agents.evaluation.criteria import CRITERIA
 from agents.leaderboard.rows import RESULTS, load_row
 from agents.training.config import EVALUATIONS, Config, read_config
-from agents.training.presets import ROWS
+from agents.training.presets import TRAINED_ROWS
 from baselines.drawing import BLUE, DPI, MUTED, new_figure, style
 from capsule_gym import CapsuleEnv, load_policy
 from capsule_gym.evaluation.candidates import AnyPolicy, find_candidate
@@ -24,8 +24,16 @@ ROOT = Path(__file__).resolve().parents[1]
 SHOWN = 6.6
 # Settings that a run shares with the row of the leaderboard to which it is compared.
 KIND = (
-    *("env", "task", "algo", "controller", "randomization", "disturbances", "static_ratio", "energy_weight"),
-    *("observe_parameters", "observe_estimates"),
+    "env",
+    "action_mode",
+    "algo",
+    "controller",
+    "randomization",
+    "disturbances",
+    "static_ratio",
+    "energy_weight",
+    "observe_parameters",
+    "observe_estimates",
 )
 
 
@@ -44,7 +52,7 @@ def compare(run: Path, set_name: str | None = None) -> None:
     print(comparison_table("agent", own, criteria.baseline, theirs) + "\n", flush=True)
     plant = NOMINAL_PLANT if evaluation_set.task == "speed" else evaluation_set.plants[0]
     names = {criteria.baseline: baseline, "agent": policy}
-    recordings = {name: record(each, plant, evaluation_set) for name, each in names.items()}
+    recordings = {name: run_episode(each, plant, evaluation_set) for name, each in names.items()}
     if text := compare_to_row(run, own, evaluation_set, recordings["agent"]["theta"]):
         print(text + "\n", flush=True)
     draw_comparison(recordings, run / "comparison.png", plant)
@@ -64,8 +72,7 @@ def compare_to_row(run: Path, own: Sequence[Episode], evaluation_set: Evaluation
         The comparison; empty if there is no such row, or the row was not evaluated on the set.
     """
     config, criteria = read_config(run), CRITERIA[evaluation_set.task]
-    kind = [getattr(config, name) for name in KIND]
-    name = next((row for row, each in ROWS.items() if [getattr(each, field) for field in KIND] == kind), None)
+    name = next((row for row, settings in TRAINED_ROWS.items() if _kind(settings) == _kind(config)), None)
     try:
         row = load_row(ROOT / RESULTS / f"{name}.npz")
         row.check_set(evaluation_set)
@@ -82,8 +89,13 @@ def compare_to_row(run: Path, own: Sequence[Episode], evaluation_set: Evaluation
     if sign * found[metric] >= sign * worst[metric]:
         return text
     more_failures = found["failed"] > published["failed"].max()
-    reason = _likely_reason(config, ROWS[str(name)], run, theta, more_failures=more_failures)
+    reason = _likely_reason(config, TRAINED_ROWS[str(name)], run, theta, more_failures=more_failures)
     return f"{text}\nThis run is worse than the row's worst seed. A likely reason: {reason}."
+
+
+def _kind(config: Config) -> list[Any]:
+    """The settings that a run shares with the row to which it is compared."""
+    return [getattr(config, name) for name in KIND]
 
 
 def _likely_reason(config: Config, row: Config, run: Path, theta: np.ndarray, *, more_failures: bool) -> str:
@@ -94,18 +106,18 @@ def _likely_reason(config: Config, row: Config, run: Path, theta: np.ndarray, *,
         return f"other settings than the row, {', '.join(f'{each} {given.get(each)!r}' for each in changed)}"
     theta = theta[len(theta) // 2 :]
     middle = 0.5 * (theta.max() + theta.min())
-    if config.env_task == "speed" and abs(middle) > 0.25 * np.ptp(theta):
+    if config.task == "speed" and abs(middle) > 0.25 * np.ptp(theta):
         return f"a one-sided gait about {np.degrees(middle):.0f} degrees, a local optimum that another --seed may avoid"
     if more_failures:
         return "more failures than in any run of the row, so that the policy is close to a limit of the plant"
-    steps, values = read_evaluations(run / EVALUATIONS, config.env_task)
-    best = np.argmin(values) if CRITERIA[config.env_task].ascending else np.argmax(values)
+    steps, values = read_evaluations(run / EVALUATIONS, config.task)
+    best = np.argmin(values) if CRITERIA[config.task].ascending else np.argmax(values)
     if best == len(steps) - 1:
         return "the last evaluation was the best, so that more --total-steps may help"
     return "the spread of seeds; rounding errors of another processor or version of torch act as another seed"
 
 
-def record(policy: AnyPolicy, plant: PlantSpec, evaluation_set: EvaluationSet) -> dict[str, np.ndarray]:
+def run_episode(policy: AnyPolicy, plant: PlantSpec, evaluation_set: EvaluationSet) -> dict[str, np.ndarray]:
     """Runs a policy's episode on one plant of a set.
 
     Returns:

@@ -19,9 +19,9 @@ from typing import Annotated, Literal
 
 from tqdm import tqdm
 
-from agents.evaluation.criteria import CRITERIA
+from agents.criteria import CRITERIA
 from agents.training.config import BEST, CONFIG, EVALUATIONS, Config, RunError, read_config
-from agents.training.presets import ROWS, row_settings
+from agents.training.presets import TRAINED_ROWS, row_settings
 from agents.training.signals import INTERRUPTED, Stop
 from baselines.tables import text_table
 from capsule_gym.checks import check_count
@@ -107,7 +107,7 @@ def train_all(jobs: Sequence[Job], parallel: int | None = None, backend: str = "
         if backend == "ray" and waiting:
             found = _train_on_ray([dataclasses.replace(job, run=job.run.resolve()) for job in waiting])
         else:
-            # One run per task, since joblib would otherwise batch several short runs.
+            # One run per batch, since joblib would otherwise put several short runs into one.
             # Workers get the terminal's Ctrl-C themselves; those without a run must not die of it.
             idle = {"initializer": signal.signal, "initargs": (signal.SIGINT, signal.SIG_IGN)}
             work = Parallel(parallel or -1, verbose=10, batch_size=1, pre_dispatch="n_jobs", **idle)
@@ -134,8 +134,8 @@ def _train_on_ray(jobs: Sequence[Job]) -> list[str]:
     ray.init(runtime_env={"env_vars": {"PYTHONPATH": root}}, log_to_driver=False, logging_level="error")
     try:
         # Ray starts as many as it has processors.
-        task = ray.remote(num_cpus=1, max_retries=-1)(train_job)
-        references = running = [task.remote(job) for job in jobs]
+        train_remotely = ray.remote(num_cpus=1, max_retries=-1)(train_job)
+        references = running = [train_remotely.remote(job) for job in jobs]
         for _ in tqdm(jobs, unit=" runs", disable=None):
             _, running = ray.wait(running)
         found: list[str] = ray.get(references)
@@ -152,7 +152,7 @@ def results_table(jobs: Sequence[Job]) -> str:
             continue
         with path.open(newline="", encoding="utf-8") as file:
             lines = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
-        criteria = CRITERIA[job.config.env_task]
+        criteria = CRITERIA[job.config.task]
         chosen = max(lines, key=lambda line: line[f"score_{criteria.suffix}"])
         best = criteria.describe(chosen | {criteria.metric.name: chosen[criteria.column]})
         rows.append([job.name, *(f"{line['steps']:,.0f}" for line in (lines[-1], chosen)), best])
@@ -192,7 +192,7 @@ def copy_policy(job: Job, checkpoints: Path = CHECKPOINTS) -> Path:
 
 @command("python -m agents.study", OSError, ValueError)
 def main(
-    rows: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME", help=f"Rows: {', '.join(ROWS)}.")],
+    rows: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME", help=f"Rows: {', '.join(TRAINED_ROWS)}.")],
     seeds: Annotated[tuple[int, ...], arg(metavar="N")] = tuple(range(10)),
     jobs: int | None = None,
     backend: Literal["loky", "ray"] = "loky",
@@ -220,7 +220,7 @@ def main(
         publish: Copy the policies of finished runs to capsule_gym/data/policies, for the leaderboard.
     """
     if not rows:
-        raise ValueError(f"NAME must be one or several of {', '.join(ROWS)}")
+        raise ValueError(f"NAME must be one or several of {', '.join(TRAINED_ROWS)}")
     if jobs is not None:
         check_count("--jobs", jobs)
         if backend == "ray":

@@ -2,8 +2,8 @@
 
 Contenders are the preset of `train.py`, Stable-Baselines3 and SBX (Stable-Baselines3 in JAX) on `make_vec_env` with
 their default hyperparameters and `VecNormalize`, as their documentation advises, and a loop on one environment with the
-wrappers, network and hyperparameters of CleanRL's `ppo_continuous_action.py`. All learn the direct task by PPO in the
-environment of the preset; evaluations, on its validation plants, do not count. What is not installed is skipped.
+wrappers, network and hyperparameters of CleanRL's `ppo_continuous_action.py`. All learn by PPO, with direct torque, in
+the environment of the preset; evaluations, on its validation plants, do not count. What is not installed is skipped.
 """
 
 import sys

@@ -60,8 +60,8 @@ def episodes(act: Act, first_seed: int) -> Iterator[EpisodeBuffer]:
         first_seed += BATCH
 
 
-def record(quality: str, steps: float) -> None:
-    """Records one dataset of at least `steps` steps in Minari's folder."""
+def write_dataset(quality: str, steps: float) -> None:
+    """Writes one dataset of at least `steps` steps in Minari's folder."""
     parts = ("random", "medium", "expert") if quality == "mixed" else (quality,)
     buffers = []
     for part in parts:
@@ -90,4 +90,4 @@ if __name__ == "__main__":
     parser.add_argument("--steps", type=float, default=1e6, help="of each dataset")
     args = parser.parse_args()
     for quality in DESCRIPTIONS:
-        record(quality, args.steps)
+        write_dataset(quality, args.steps)

@@ -20,12 +20,12 @@ REFUSED["--n-epochs 3"] = "Unrecognized options: --n-epochs, 3"
 def test_another_environment_has_settings_of_its_own():
     for env, tuned in ENV_PRESETS.items():
         options = train.read_args(["--env", env])
-        assert options.hyperparameters == tuned and (options.env, options.task) == (env, "direct")
-        for algo, task in (("sac", "direct"), ("ppo", "residual")):
-            config = train.read_args(["--env", env, "--algo", algo, "--task", task]).hyperparameters
+        assert options.hyperparameters == tuned and (options.env, options.action_mode) == (env, "direct")
+        for algo, action_mode in (("sac", "direct"), ("ppo", "residual")):
+            config = train.read_args(["--env", env, "--algo", algo, "--task", action_mode]).hyperparameters
             assert config.env_kwargs()["task"] == tuned.env_kwargs()["task"]
-            assert (config.task, config.algo, config.energy_weight) == (task, algo, 0.0)
-            assert ("_pulses" in str(config.controller)) is (task == "residual")
+            assert (config.action_mode, config.algo, config.energy_weight) == (action_mode, algo, 0.0)
+            assert ("_pulses" in str(config.controller)) is (action_mode == "residual")
 
 
 @pytest.mark.parametrize(("text", "value"), [("7", 7), ("8e6", 8_000_000), ("8_000", 8000), ("0", 0)])
@@ -33,10 +33,10 @@ def test_counts_are_written_in_several_ways(text, value):
     assert train.read_args(["--seed", text]).hyperparameters.seed == value
 
 
-def started(folder, task, algo, **changes):
-    config = dataclasses.replace(PRESETS[task, algo], **changes).to_dict()
+def started(folder, action_mode, algo, **changes):
+    config = dataclasses.replace(PRESETS[action_mode, algo], **changes).to_dict()
     folder.mkdir()
-    (folder / "config.json").write_text(json.dumps({"task": task, "algo": algo, "hyperparameters": config}))
+    (folder / "config.json").write_text(json.dumps({"task": action_mode, "algo": algo, "hyperparameters": config}))
     return folder
 
 
@@ -48,7 +48,7 @@ def run(tmp_path):
 
 def test_resume_takes_everything_from_the_run_but_its_length(run):
     before = train.read_args(["--resume", str(run)])
-    assert (before.task, before.algo) == ("direct", "sac")
+    assert (before.action_mode, before.algo) == ("direct", "sac")
     assert (before.hyperparameters.seed, before.hyperparameters.total_steps) == (5, 1000)
     longer = train.read_args(["--resume", str(run), "--total-steps", "2e3"])
     assert longer.hyperparameters == dataclasses.replace(before.hyperparameters, total_steps=2000)

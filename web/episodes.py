@@ -74,7 +74,7 @@ def compute(episode: dict[str, Any]) -> dict[str, Any]:
     return {**episode, "steps": step, "sha256": digest.hexdigest()}
 
 
-def record(name: str, plants: Sequence[PlantSpec]) -> np.ndarray:
+def record_actions(name: str, plants: Sequence[PlantSpec]) -> np.ndarray:
     """Records the actions of one of `RECORDED` on plants, as indices in `TORQUES`.
 
     Returns:
@@ -111,7 +111,7 @@ def main(write: bool = False) -> int:
             committed.append({"name": name, "driver": name, "set": found_set, "plant": n})
     found = [compute(episode) for episode in committed]
     pairs = [(name, load_set(each)) for name in RECORDED for each in SET_NAMES]
-    recorded = {f"{name} {each.name}": record(name, each.plants[:SEEDS]) for name, each in pairs}
+    recorded = {f"{name} {each.name}": record_actions(name, each.plants[:SEEDS]) for name, each in pairs}
     if write:
         write_atomically(FILE, "[\n" + ",\n".join(json.dumps(episode) for episode in found) + "\n]\n")
         with replacing(RECORDINGS) as temporary:

@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from agents.analysis import limit_cycle, sensitivity, statistics
+from agents.analysis import curves, limit_cycle, sensitivity
 from baselines.drawing import save, style
 from capsule_gym.command_line import Positional, arg, command
 from capsule_gym.files import write_atomically
@@ -13,12 +13,12 @@ COMMAND = "python -m agents.analysis"
 ROOT = Path(__file__).resolve().parents[2]
 # The function `document` of each returns Markdown by the name under which a page includes it, and functions that draw
 # figures of matplotlib by the names of their files.
-DOCUMENTS: dict[str, Any] = {"limit_cycle": limit_cycle, "statistics": statistics, "sensitivity": sensitivity}
+DOCUMENTS: dict[str, Any] = {"limit_cycle": limit_cycle, "curves": curves, "sensitivity": sensitivity}
 
 
 @command(COMMAND, OSError)
 def main(
-    names: Positional[tuple[Literal["limit_cycle", "statistics", "sensitivity"], ...]] = (),
+    names: Positional[tuple[Literal["limit_cycle", "curves", "sensitivity"], ...]] = (),
     check: bool = False,
     output: Annotated[Path, arg(metavar="DIR", aliases=["-o"])] = ROOT / "docs",
 ) -> int:
@@ -26,7 +26,7 @@ def main(
 
     Examples:
       python -m agents.analysis
-      python -m agents.analysis statistics --check
+      python -m agents.analysis curves --check
       python -m agents.analysis sensitivity --output elsewhere
 
     Args:

@@ -23,8 +23,8 @@ PHASES = {1: ("slips forward", "#fde3cc"), 0: ("sticks", "#c8d9f0"), -1: ("slips
 LABELS = ("θ (deg)", "x' (cm/s)", "N / ((M + m) g)", "u (N m)", "θ' (rad/s)")
 
 
-def record(policy: Any) -> np.ndarray:
-    """An episode on the paper's plant: rows of theta, theta_dot, x, x_dot, normal force and torque, `DT` apart.
+def sample_episode(policy: Any) -> np.ndarray:
+    """Samples an episode on the paper's plant: theta, theta_dot, x, x_dot, normal force and torque, `DT` apart.
 
     The policy acts every `CONTROL_DT`; its action is held in between.
     """
@@ -59,7 +59,7 @@ def find_cycle(samples: np.ndarray) -> np.ndarray:
 
 def document() -> tuple[dict[str, str], dict[str, Callable[[], Any]]]:
     """The table and the figure."""
-    cycles = {name: find_cycle(record(find_candidate(name).policies[0])) for name in POLICIES}
+    cycles = {name: find_cycle(sample_episode(find_candidate(name).policies[0])) for name in POLICIES}
     lines = [["policy", "period (s)", "distance (cm)", "speed (cm/s)", "time in stick", "time at 1.5 N m"]]
     for name, cycle in cycles.items():
         period, distance = DT * (len(cycle) - 1), 100.0 * (cycle[-1, 2] - cycle[0, 2])

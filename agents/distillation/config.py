@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from agents.evaluation.criteria import CRITERIA
+from agents.criteria import CRITERIA
 from capsule_gym.evaluation.optimum import GRID, STICKY_GRID, PlantGrid
 from capsule_gym.parameters import NOMINAL
 

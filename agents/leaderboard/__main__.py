@@ -18,7 +18,7 @@ import numpy as np
 from agents.leaderboard.candidates import all_candidates
 from agents.leaderboard.chart import CHART, digest, draw
 from agents.leaderboard.page import COMMAND, build, files
-from agents.leaderboard.rows import RESULTS, Row, evaluate, load_row, load_rows, save_row, static_header
+from agents.leaderboard.rows import RESULTS, LeaderboardRow, evaluate, load_row, load_rows, save_row, static_header
 from agents.training.signals import INTERRUPTED
 from capsule_gym.checks import check_count, nearest, require
 from capsule_gym.command_line import Count, Positional, arg, command
@@ -60,7 +60,7 @@ def find_stale(root: Path, candidates: Sequence[Candidate], sets: Sequence[Evalu
             yield f"{name} differs from the results"
 
 
-def check_episodes(root: Path, rows: Iterable[Row]) -> Iterator[str]:
+def check_episodes(root: Path, rows: Iterable[LeaderboardRow]) -> Iterator[str]:
     """Compares every bit of rows with the first episodes of the results; lists the first difference on each set."""
     for row in rows:
         recorded = load_row(root / RESULTS / f"{row.name}.npz")

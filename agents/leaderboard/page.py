@@ -9,8 +9,8 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
-from agents.evaluation.criteria import CRITERIA, Criteria
-from agents.leaderboard.rows import Row
+from agents.criteria import CRITERIA, Criteria
+from agents.leaderboard.rows import LeaderboardRow
 from baselines.tables import markdown_table
 from capsule_gym.evaluation.candidates import find_candidate
 from capsule_gym.evaluation.episodes import LABELS, SHARE_OF_OPTIMUM, TABLE_METRICS, TASK_METRICS, summarise
@@ -55,7 +55,7 @@ KEPT, LEARNED = ("lqr", "gait-predictive", "residual-real"), ("direct-real", "re
 ENTRIES = ("policy", "description", "training_seeds", "revision", "files", "base", "versions")
 
 
-def build(rows: Sequence[Row], sets: Sequence[EvaluationSet]) -> dict[str, Any]:
+def build(rows: Sequence[LeaderboardRow], sets: Sequence[EvaluationSet]) -> dict[str, Any]:
     """The content of leaderboard.json: sets and rows of each task, the best mean on its ranking set first.
 
     Raises:
@@ -72,7 +72,7 @@ def build(rows: Sequence[Row], sets: Sequence[EvaluationSet]) -> dict[str, Any]:
     return content
 
 
-def _ranked(rows: Sequence[Row], sets: Sequence[EvaluationSet], criteria: Criteria) -> list[dict[str, Any]]:
+def _ranked(rows: Sequence[LeaderboardRow], sets: Sequence[EvaluationSet], criteria: Criteria) -> list[dict[str, Any]]:
     """The rows of one task, the best mean on its ranking set first."""
     metric, by_name, content = criteria.metric.name, {row.name: row for row in rows}, []
     for row in rows:

@@ -37,7 +37,7 @@ COLUMNS = tuple(name for name in METRICS if name not in ("distance", "energy"))
 
 
 @dataclass(frozen=True, eq=False)
-class Row:
+class LeaderboardRow:
     """All episodes of one policy: the header, and the arrays by the set's name; a scripted policy has one run."""
 
     header: dict[str, Any]
@@ -122,7 +122,7 @@ def evaluate(
     *,
     jobs: int = 1,
     horizon: float | None = None,
-) -> Iterator[Row]:
+) -> Iterator[LeaderboardRow]:
     """Evaluates policies on the sets of their task, with a progress bar; yields each row as soon as it is finished.
 
     `jobs` is the number of processes, `horizon` the length of an episode in s.
@@ -146,10 +146,10 @@ def evaluate(
             "sets": {each.name: each.hash for each in own[candidate.name]},
             "versions": versions(),
         }
-        yield Row(header, {name: np.stack([run[name] for run in runs], axis=1) for name in header["sets"]})
+        yield LeaderboardRow(header, {name: np.stack([run[name] for run in runs], axis=1) for name in header["sets"]})
 
 
-def save_row(folder: Path, row: Row) -> None:
+def save_row(folder: Path, row: LeaderboardRow) -> None:
     """Writes a row's file atomically; the same row gives the same bytes."""
     folder.mkdir(parents=True, exist_ok=True)
     arrays: dict[str, Any] = {"header": np.frombuffer(json.dumps(row.header).encode(), np.uint8), **row.scores}
@@ -158,7 +158,7 @@ def save_row(folder: Path, row: Row) -> None:
     write_atomically(folder / f"{row.name}.npz", content.getvalue())
 
 
-def load_row(path: Path) -> Row:
+def load_row(path: Path) -> LeaderboardRow:
     """Reads a row's file.
 
     Raises:
@@ -177,9 +177,9 @@ def load_row(path: Path) -> Row:
             raise ValueError("its header does not match its name or arrays")
     except UNREADABLE as error:
         raise ValueError(f"{path.stem}: {path.name} contains no results: {type(error).__name__}: {error}") from error
-    return Row(header, scores)
+    return LeaderboardRow(header, scores)
 
 
-def load_rows(folder: Path, names: Iterable[str]) -> list[Row]:
+def load_rows(folder: Path, names: Iterable[str]) -> list[LeaderboardRow]:
     """Reads the rows of policies, in order, with the errors of `load_row`."""
     return [load_row(folder / f"{name}.npz") for name in names]

@@ -86,7 +86,7 @@ def make_env(config: Config, seed: int, **changes: Any) -> VecNormalize:
     if config.training_limit is not None:
         kwargs["residual_limit"] = config.training_limit
     if config.command_range:
-        if config.env_task != "velocity":
+        if config.task != "velocity":
             raise ValueError(f"command_range must be None in {config.env}, which has no commands")
         with prefix_errors("command_range"):
             kwargs["task"] = velocity.with_commands(*config.command_range)

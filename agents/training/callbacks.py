@@ -15,7 +15,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv
 from tqdm import tqdm
 
-from agents.evaluation.criteria import CRITERIA
+from agents.criteria import CRITERIA
 from agents.training import checkpoint
 from agents.training.algorithms import wrapped_env
 from agents.training.checkpoint import Progress
@@ -45,7 +45,7 @@ def validation_plants(config: Config) -> EvaluationSet:
     first = SELECTION_SEED + config.seed * config.evaluation_episodes
     options = EnvConfig(**config.env_kwargs())
     name, count = f"validation plants from {config.randomization}", config.evaluation_episodes
-    own = options.capsule, config.env_task, options.disturbances
+    own = options.capsule, config.task, options.disturbances
     return validation_set(options.randomization, name, first, count, *own)
 
 
@@ -70,7 +70,7 @@ class TrainingCallback(BaseCallback):
         self.run, self.config, self.revision = run, config, revision
         self.progress, self.latest, self.stop, self.restore_streams = progress, latest, stop, restore_streams
         self.plants = validation_plants(config)
-        self.criteria = CRITERIA[config.env_task]
+        self.criteria = CRITERIA[config.task]
         baseline = evaluate(self.criteria.baseline, self.plants)
         self.baseline_value = float(interquartile_mean(scores(baseline, self.criteria.metric.name))[0])
         self.evaluated_at = int(progress.evaluations[-1]["steps"]) if progress.evaluations else 0
@@ -110,7 +110,7 @@ class TrainingCallback(BaseCallback):
     def _record_episodes(self) -> None:
         """Records the last episodes in the log and on the progress bar."""
         assert self.model.ep_info_buffer is not None
-        config, task, criteria = self.config, find_task(self.config.env_task), self.criteria
+        config, task, criteria = self.config, find_task(self.config.task), self.criteria
         names = ("r", "distance", "energy", "cost_of_transport", "stuck_fraction", *criteria.weights)
         of = {name: np.array([episode[name] for episode in self.model.ep_info_buffer]) for name in names}
         # The terms of the reward; progress is the rest.

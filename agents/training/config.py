@@ -29,7 +29,9 @@ LARGEST_SEED = 2**32 - 1
 CONFIG, MODEL, NORMALISATION, BEST = "config.json", "model.zip", "vecnormalize.pkl", "best"
 LOGS, EVALUATIONS = "logs", "evaluations.csv"
 
-Task = Literal["residual", "direct"]
+# The action: a torque in addition to that of a control law, or the motor torque. The command line and config.json call
+# the mode "task"; in Python, the task is that of the environment.
+ActionMode = Literal["residual", "direct"]
 Environment = Literal["CapsuleStickSlip-v0", "CapsuleGoal-v0", "CapsuleVelocity-v0"]
 Algorithm = Literal["ppo", "sac", "td3", "tqc"]
 
@@ -68,7 +70,7 @@ class Config:
     algo: ClassVar[Algorithm]
 
     # These fields determine the preset, so `train.Choice` has their options.
-    task: Annotated[Task, Fixed, Suppress] = "residual"
+    action_mode: Annotated[ActionMode, Fixed, Suppress] = "residual"
     env: Annotated[Environment, Fixed, Suppress] = "CapsuleStickSlip-v0"
     seed: Count = 0
     """Random seed; the same seed gives the same model on one machine."""
@@ -131,10 +133,10 @@ class Config:
 
     def env_kwargs(self) -> dict[str, Any]:
         """The arguments of the training environment."""
-        # The field `task` (residual or direct) is not the environment's argument `task`.
-        kwargs = {name: getattr(self, name) for name in DOCS if hasattr(self, name) and name != "task"}
-        if self.env_task != "speed":
-            kwargs["task"] = self.env_task
+        names = [name for name in DOCS if name != "task" and hasattr(self, name)]
+        kwargs = {name: getattr(self, name) for name in names}
+        if self.task != "speed":
+            kwargs["task"] = self.task
         if self.randomization == "default":
             del kwargs["randomization"]
         # Policies that are older than these options do not contain them.
@@ -148,7 +150,7 @@ class Config:
             M, mu = self.mass_range or distribution.M, self.friction_range or distribution.mu
             with prefix_errors("mass_range and friction_range"):
                 kwargs["randomization"] = dataclasses.replace(distribution, M=M, mu=mu)
-        if self.task == "direct":
+        if self.action_mode == "direct":
             kwargs |= {"controller": None, "residual_limit": min(self.residual_limit, self.torque_limit)}
         return kwargs
 
@@ -158,25 +160,26 @@ class Config:
         return getattr(self, "privileged", False) and not self.wrapper
 
     @property
-    def env_task(self) -> str:
-        """The environment's argument `task`."""
+    def task(self) -> str:
+        """The task of the environment: speed, goal or velocity."""
         return next(task.name for task in TASKS.values() if task.env_id == self.env)
 
     @property
     def horizon(self) -> float:
         """The length of the environment's episode, s."""
-        return TASKS[self.env_task].episode_steps * CONTROL_DT
+        return TASKS[self.task].episode_steps * CONTROL_DT
 
     def to_dict(self) -> dict[str, Any]:
-        """The fields as plain types."""
-        return dataclasses.asdict(self)
+        """The fields as plain types, with the names of config.json."""
+        fields = dataclasses.asdict(self)
+        return {"task": fields.pop("action_mode"), **fields}
 
     def check(self) -> None:
         """Checks the hyperparameters; the environment checks its own arguments.
 
         A wrong field raises a TypeError or ValueError that names it.
         """
-        if self.task == "direct" and self.controller is not None:
+        if self.action_mode == "direct" and self.controller is not None:
             raise ValueError(f"controller must be None with direct torque, got {self.controller!r}")
         for field in dataclasses.fields(self):
             name, value = field.name, getattr(self, field.name)
@@ -283,9 +286,10 @@ def read_config(run: Path) -> Config:
         given = content["hyperparameters"]
         # JSON has no tuples.
         given |= {name: tuple(value) for name, value in given.items() if isinstance(value, list)}
-        if content["task"] not in get_args(Task):
-            raise ValueError(f"task must be one of {get_args(Task)}, got {content['task']!r}")
-        config = ALGORITHMS[content["algo"]](**given)
+        if content["task"] not in get_args(ActionMode):
+            raise ValueError(f"task must be one of {get_args(ActionMode)}, got {content['task']!r}")
+        action_mode = given.pop("task", Config.action_mode)
+        config = ALGORITHMS[content["algo"]](action_mode=action_mode, **given)
         config.check()
     except FileNotFoundError:
         raise RunError(f"--resume must name the folder of a run, got {str(run)!r}, which has no {CONFIG}") from None

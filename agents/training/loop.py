@@ -52,7 +52,7 @@ def begin(run: Path, config: Config) -> None:
             env.close()
     content = {
         "algo": config.algo,
-        "task": config.task,
+        "task": config.action_mode,
         "seed": config.seed,
         "env": json.loads(json.dumps(config.env_kwargs(), default=dataclasses.asdict)),
         "hyperparameters": config.to_dict(),

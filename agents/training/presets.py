@@ -1,12 +1,12 @@
-"""Tuned hyperparameters: for every algorithm and task, and for the trained rows of the leaderboard (`ROWS`)."""
+"""Tuned hyperparameters: for every algorithm and action mode, and for the trained rows of the leaderboard."""
 
 import dataclasses
 from typing import Any
 
-from agents.training.config import ALGORITHMS, Algorithm, Config, Environment, PPOConfig, Task
+from agents.training.config import ALGORITHMS, ActionMode, Algorithm, Config, Environment, PPOConfig
 from capsule_gym.checks import nearest
 
-# Shared by the presets with a replay buffer, and by those of the direct task.
+# Shared by the presets with a replay buffer, and by those with direct torque.
 OFF_POLICY: dict[str, Any] = {
     **{"total_steps": 400_000, "evaluate_every": 50_000, "num_envs": 32, "batch_size": 512, "learning_rate": 7e-4},
 }
@@ -25,7 +25,7 @@ PPO: dict[str, Any] = {
     **{"learning_rate": 1e-3, "final_learning_rate": 0.0, "gae_lambda": 0.95, "ent_coef": 0.003},
     **{"initial_range": (1.047, 8.0), "termination_penalty": 10.0, "privileged": True, "evaluate_every": 400_000},
 }
-SETTINGS: dict[tuple[Task, Algorithm], dict[str, Any]] = {
+SETTINGS: dict[tuple[ActionMode, Algorithm], dict[str, Any]] = {
     ("residual", "ppo"): {**PPO, "total_torque": True},
     # From the default start, with a larger penalty, both tried seeds learnt wide swings; with wide starts, two of four.
     ("direct", "ppo"): {**PPO, "initial_range": None, "termination_penalty": 30.0},
@@ -36,8 +36,10 @@ SETTINGS: dict[tuple[Task, Algorithm], dict[str, Any]] = {
     ("residual", "tqc"): OFF_POLICY,
     ("direct", "tqc"): {**DIRECT_OFF_POLICY, "target_entropy": -3.0, "quantiles": 10, "dropped_quantiles": 0},
 }
-LAWS: dict[Task, dict[str, Any]] = {"residual": {}, "direct": {"controller": None}}
-PRESETS = {(task, algo): ALGORITHMS[algo](task=task, **LAWS[task], **own) for (task, algo), own in SETTINGS.items()}
+LAWS: dict[ActionMode, dict[str, Any]] = {"residual": {}, "direct": {"controller": None}}
+PRESETS = {
+    (mode, algo): ALGORITHMS[algo](action_mode=mode, **LAWS[mode], **own) for (mode, algo), own in SETTINGS.items()
+}
 
 
 def _vary(base: Config, *changes: dict[str, Any]) -> Config:
@@ -47,7 +49,13 @@ def _vary(base: Config, *changes: dict[str, Any]) -> Config:
 
 # Shared by the presets of the other tasks. Failures are rare, so a score needs many validation episodes.
 ON_GRIP = _vary(
-    PPOConfig(task="direct", controller=None, randomization="default", energy_weight=0.0, termination_penalty=3.0),
+    PPOConfig(
+        action_mode="direct",
+        controller=None,
+        randomization="default",
+        energy_weight=0.0,
+        termination_penalty=3.0,
+    ),
     {"total_steps": 8_000_000, "num_envs": 256, "final_learning_rate": 2e-5, "gamma": 0.99, "evaluation_episodes": 512},
 )
 ENV_PRESETS: dict[Environment, Config] = {
@@ -81,7 +89,7 @@ ON_PREDICTION = _vary(
     {"latency_range": (0.0, 0.015), "privileged": True, "evaluate_every": 250_000, "evaluation_episodes": 512},
 )
 # Keys are the names of the folders in capsule_gym/data/policies; each run sets its own seed.
-ROWS: dict[str, Config] = {
+TRAINED_ROWS: dict[str, Config] = {
     "residual-ppo": PRESETS["residual", "ppo"],
     "direct-ppo": PRESETS["direct", "ppo"],
     "direct-ppo-wide": _vary(PRESETS["direct", "ppo"], {"randomization": "wide", "observe_estimates": True}),
@@ -113,17 +121,17 @@ ROWS: dict[str, Config] = {
 }
 
 
-def preset(env: Environment, task: Task, algo: Algorithm) -> Config:
+def preset(env: Environment, action_mode: ActionMode, algo: Algorithm) -> Config:
     """The default settings of a run; for the other environments, only direct torque with PPO is tuned."""
     if (tuned := ENV_PRESETS.get(env)) is None:
-        return PRESETS[task, algo]
-    if (task, algo) == (tuned.task, tuned.algo):
+        return PRESETS[action_mode, algo]
+    if (action_mode, algo) == (tuned.action_mode, tuned.algo):
         return tuned
     names = ("env", "randomization", "energy_weight", "termination_penalty")
     shared: dict[str, Any] = {name: getattr(tuned, name) for name in names}
-    if task == "residual":
-        shared["controller"] = f"baselines:{tuned.env_task}_pulses"
-    return dataclasses.replace(PRESETS[task, algo], **shared)
+    if action_mode == "residual":
+        shared["controller"] = f"baselines:{tuned.task}_pulses"
+    return dataclasses.replace(PRESETS[action_mode, algo], **shared)
 
 
 def row_settings(name: str) -> Config:
@@ -132,6 +140,6 @@ def row_settings(name: str) -> Config:
     Raises:
         ValueError: if the name is unknown.
     """
-    if name not in ROWS:
-        raise ValueError(f"a row must be one of {', '.join(ROWS)}, got {name!r}{nearest(name, ROWS)}")
-    return ROWS[name]
+    if name not in TRAINED_ROWS:
+        raise ValueError(f"a row must be one of {', '.join(TRAINED_ROWS)}, got {name!r}{nearest(name, TRAINED_ROWS)}")
+    return TRAINED_ROWS[name]

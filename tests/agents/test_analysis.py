@@ -8,7 +8,7 @@ import pytest
 from matplotlib.colors import to_hex
 
 from agents.analysis import __main__ as analysis
-from agents.analysis import limit_cycle, sensitivity, statistics
+from agents.analysis import curves, limit_cycle, sensitivity
 from baselines.drawing import BLUE, GREEN, INK, MUTED, new_figure
 from baselines.dynamic_programming.archive import optimal_front
 from capsule_gym.evaluation.candidates import Candidate, find_candidate
@@ -22,7 +22,7 @@ from tests.figures import assert_lines, texts
 def test_the_last_of_two_evaluations_at_the_same_step_counts(tmp_path):
     path = tmp_path / "evaluations.csv"
     path.write_text("steps,mean_speed_cm_s,failed\n100,1.0,0.0\n200,2.0,0.0\n200,5.0,0.0\n")
-    steps, speeds = statistics.read_evaluations(path)
+    steps, speeds = curves.read_evaluations(path)
     assert (steps.tolist(), speeds.tolist()) == ([100, 200], [1.0, 5.0])
 
 
@@ -73,28 +73,28 @@ def test_a_cycle_is_drawn_in_its_units_above_the_phases_of_its_contact():
 
 
 def test_current_and_stale_tables_are_found(tmp_path, capsys, refused):
-    assert analysis.main(["limit_cycle", "statistics", "--check"]) == 0
-    assert analysis.main(["statistics", "--check", "--output", str(tmp_path)]) == 1
-    assert re.search(r"statistics_tables\.md is not up to date: run `python -m", capsys.readouterr().out)
-    refused(analysis.main, ["statistics", "--output", __file__])
+    assert analysis.main(["limit_cycle", "curves", "--check"]) == 0
+    assert analysis.main(["curves", "--check", "--output", str(tmp_path)]) == 1
+    assert re.search(r"curves_tables\.md is not up to date: run `python -m", capsys.readouterr().out)
+    refused(analysis.main, ["curves", "--output", __file__])
 
 
 def test_the_curves_of_a_row_are_those_of_its_runs_and_its_table_their_end():
     steps = np.arange(1.0, 9.0) * 1e5
     runs = {seed: (steps, 10.0 + seed - 1e6 / steps) for seed in range(3)}
-    figure = statistics.draw_learning({"three": runs, **dict.fromkeys("abcdef", runs)})
+    figure = curves.draw_learning({"three": runs, **dict.fromkeys("abcdef", runs)})
     drawn, _, _, above, _, _, _, empty = figure.axes
     assert drawn.get_title() == "three" and not empty.get_visible() and figure.get_supylabel().endswith("(cm/s)")
     assert drawn.get_xlim()[0] == drawn.get_ylim()[0] == 0.0
-    curves = [(x / 1e6, y) for x, y in runs.values()]
-    assert_lines(drawn, *((*each, MUTED) for each in curves), (*curves[1], BLUE))  # the middle one is the mean
+    seeds = [(x / 1e6, y) for x, y in runs.values()]
+    assert_lines(drawn, *((*each, MUTED) for each in seeds), (*seeds[1], BLUE))  # the middle one is the mean
     first, last = (estimate(np.array([[0.0], [1.0], [2.0]]) + start) for start in (0.0, 8.75))
     band = drawn.collections[0].get_paths()[0].vertices
     assert (band[:, 1].min(), band[band[:, 0] == 0.8][:, 1].max()) == pytest.approx((first.low, last.high))
-    other = statistics.draw_learning({"goal": runs}, "time to the goal (s)")
+    other = curves.draw_learning({"goal": runs}, "time to the goal (s)")
     assert other.axes[0].get_yscale() == "log" and other.get_supylabel() == "time to the goal (s)"
     assert other.axes[0].yaxis.get_major_formatter()(20.0) == "20" and above.xaxis.get_tick_params()["labelbottom"]
-    cells = table(statistics.table({"three": runs, "none": {}}))
+    cells = table(curves.table({"three": runs, "none": {}}))
     assert cells[0][2:] == ["steps", "mean speed (cm/s) at the end", "steps to 90 % of that"]
     # 11 - 10 / n reaches 90 % of 9.75 at n = 5.
     assert cells[2] == ["three", "3", "800,000", f"9.75 [{last.low:.2f},\N{NO-BREAK SPACE}{last.high:.2f}]", "500,000"]
@@ -110,12 +110,12 @@ class FakeRow:
 
     def score(self, set_name, metric):
         speeds = self.speed * (1.0 + 0.2 * np.linspace(-1.0, 1.0, 101) ** 3) * np.ones((5, 1))
-        return speeds if metric == statistics.SPEED.name else np.where(speeds > 0.0, 2.0, np.inf)
+        return speeds if metric == curves.SPEED.name else np.where(speeds > 0.0, 2.0, np.inf)
 
 
 def test_policies_are_named_at_their_cost_and_speed_without_overlap():
     rows = [FakeRow(f"direct-{n}", True, 15.0 - 0.01 * n) for n in range(6)]
-    figure = statistics.draw_transport([*rows, FakeRow("law", False, 3.0), FakeRow("rest", False, 0.0)])
+    figure = curves.draw_transport([*rows, FakeRow("law", False, 3.0), FakeRow("rest", False, 0.0)])
     axes = figure.axes[0]
     marks = [tuple(line.get_xydata()[0]) for line in axes.lines if line.get_marker() in "os" and len(line.get_xydata())]
     np.testing.assert_allclose(marks, [(2.0, row.speed) for row in rows] + [(2.0, 3.0)], rtol=1e-12)
@@ -129,7 +129,7 @@ def test_policies_are_named_at_their_cost_and_speed_without_overlap():
     assert [label.partition(",")[0] for label in labels] == ["dynamic programming", "trained", "scripted"]
     assert [each.get_color() for each in handles] == [GREEN, BLUE, INK]
     # The intervals of trained rows; that of a cost without spread is a point.
-    speed, (front, across, along) = estimate(rows[0].score("nominal", statistics.SPEED.name)), axes.lines[:3]
+    speed, (front, across, along) = estimate(rows[0].score("nominal", curves.SPEED.name)), axes.lines[:3]
     np.testing.assert_allclose(front.get_xydata(), list(optimal_front()))
     np.testing.assert_allclose(across.get_xydata(), [[2.0, speed.value]] * 2)
     np.testing.assert_allclose(along.get_xydata(), [[2.0, speed.low], [2.0, speed.high]])
@@ -137,10 +137,10 @@ def test_policies_are_named_at_their_cost_and_speed_without_overlap():
 
 def test_tables_and_figures_are_written_and_up_to_date(tmp_path, monkeypatch, capsys):
     made = SimpleNamespace(document=lambda: ({"speeds": "|a|"}, {"one": lambda: new_figure(1.0)}))
-    monkeypatch.setattr(analysis, "DOCUMENTS", {"statistics": made})
+    monkeypatch.setattr(analysis, "DOCUMENTS", {"curves": made})
     assert analysis.main(["--output", str(tmp_path / "new")]) == 0
-    assert capsys.readouterr().out == "Written: statistics\n"
+    assert capsys.readouterr().out == "Written: curves\n"
     found = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.*")}
-    assert found == {"new/statistics_tables.md", "new/figures/one.png", "new/figures/one.svg"}
-    assert "[start:speeds] -->\n|a|\n" in (tmp_path / "new/statistics_tables.md").read_text(encoding="utf-8")
+    assert found == {"new/curves_tables.md", "new/figures/one.png", "new/figures/one.svg"}
+    assert "[start:speeds] -->\n|a|\n" in (tmp_path / "new/curves_tables.md").read_text(encoding="utf-8")
     assert analysis.main(["--check", "--output", str(tmp_path / "new")]) == 0

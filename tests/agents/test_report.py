@@ -6,7 +6,7 @@ import pytest
 
 from agents import report
 from agents.leaderboard.rows import load_row
-from agents.training.presets import ROWS
+from agents.training.presets import TRAINED_ROWS
 from baselines.drawing import BLUE, MUTED
 from capsule_gym.evaluation.episodes import evaluate
 from capsule_gym.evaluation.sets import EvaluationSet, PlantSpec, load_set
@@ -51,7 +51,7 @@ def test_a_finished_run_is_compared(tmp_path, monkeypatch, capsys, env, options,
 )
 def test_a_run_worse_than_its_row_names_a_likely_reason(tmp_path, changes, theta, speeds, failed, reason):
     row, name = load_row(ROOT / report.RESULTS / "direct-ppo.npz"), "paper"
-    config = replace(ROWS["direct-ppo"], seed=7, **changes)
+    config = replace(TRAINED_ROWS["direct-ppo"], seed=7, **changes)
     content = {"task": "direct", "algo": "ppo", "hyperparameters": config.to_dict()}
     (tmp_path / "config.json").write_text(json.dumps(content))
     lines = [f"{step},{speed}" for step, speed in enumerate(speeds)]
@@ -67,7 +67,7 @@ def test_a_run_worse_than_its_row_names_a_likely_reason(tmp_path, changes, theta
 @pytest.mark.parametrize("amplitude", [0.5, 1.5])
 def test_a_recording_is_the_episode(amplitude):
     policy, one = Sine(amplitude, env_kwargs={"control_dt": 0.01}), EvaluationSet("one", (PLANT,))
-    found = report.record(policy, PLANT, one)
+    found = report.run_episode(policy, PLANT, one)
     (episode,) = evaluate(policy, one)
     # The stronger torque ends the episode early.
     assert found["t"][-1] == pytest.approx(episode["duration"], abs=0.011)

@@ -11,7 +11,7 @@ import pytest
 
 from agents.study import FINISHED, Job, copy_policy, main, plan, results_table, train_all
 from agents.training.config import RunError
-from agents.training.presets import ROWS
+from agents.training.presets import TRAINED_ROWS
 from tests.agents.fakes import write_run
 from tests.agents.training.small import differences, small
 
@@ -26,7 +26,7 @@ def job(folder, seed=0, **changes):
 def test_a_run_with_other_settings_is_not_resumed(tmp_path):
     run = tmp_path / "direct-ppo" / "seed-0"
     run.mkdir(parents=True)
-    config = dataclasses.replace(ROWS["direct-ppo"], gamma=0.5)
+    config = dataclasses.replace(TRAINED_ROWS["direct-ppo"], gamma=0.5)
     content = {"task": "direct", "algo": "ppo", "hyperparameters": config.to_dict()}
     (run / "config.json").write_text(json.dumps(content))
     with pytest.raises(RunError, match=r"gamma was 0\.5 and is 0\.995"):

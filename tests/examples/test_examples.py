@@ -146,8 +146,8 @@ def test_data_are_recorded_in_their_qualities(monkeypatch, capsys):
     from examples import offline_data
 
     monkeypatch.setattr(offline_data, "BATCH", 3)
-    offline_data.record("mixed", 4000)
-    offline_data.record("expert", 1)
+    offline_data.write_dataset("mixed", 4000)
+    offline_data.write_dataset("expert", 1)
     ((*random, medium, expert), (first,)), env = made, gym.make(ID)
     said = f"mixed: 7 episodes, 8 steps, mean return {np.mean([each.rewards.sum() for each in made[0]]):.1f} cm\n"
     assert capsys.readouterr().out.startswith(said)

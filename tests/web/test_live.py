@@ -116,7 +116,8 @@ def test_recordings_are_what_the_policies_do(name):
     known = np.load(episodes.RECORDINGS)
     assert [key for key in known if key.startswith(name)] == [f"{name} {each}" for each in SET_NAMES]
     for each, n in (("wide", 17), ("drift", 4)):
-        assert episodes.record(name, [load_set(each).plants[n]])[0].tolist() == known[f"{name} {each}"][n].tolist()
+        actions = episodes.record_actions(name, [load_set(each).plants[n]])
+        assert actions[0].tolist() == known[f"{name} {each}"][n].tolist()
 
 
 def test_a_restored_episode_goes_on_as_it_did(node):

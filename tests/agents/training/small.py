@@ -22,9 +22,9 @@ SMALL = {"num_envs": 8, "batch_size": 64, "hidden": 8, "evaluation_episodes": 2,
 CLOCKS = ("core_seconds", "time/fps", "time/time_elapsed", "time/iterations")
 
 
-def small(task, algo, **changes):
+def small(action_mode, algo, **changes):
     extra = {"n_steps": 32, "n_epochs": 2} if algo == "ppo" else {"learning_starts": 300, "buffer_size": 2000}
-    return dataclasses.replace(PRESETS[task, algo], **{**SMALL, **extra, **changes})
+    return dataclasses.replace(PRESETS[action_mode, algo], **{**SMALL, **extra, **changes})
 
 
 def finished(folder, config):

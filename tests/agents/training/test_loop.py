@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from agents.evaluation.criteria import CRITERIA
+from agents.criteria import CRITERIA
 from agents.training.algorithms import make_env, make_model
 from agents.training.callbacks import validation_plants
 from agents.training.config import read_config
@@ -72,7 +72,7 @@ JUDGED += [("CapsuleVelocity-v0", "velocity_error_percent", {"command_range": (0
 def test_a_run_in_another_environment_is_judged_by_its_task(tmp_path, monkeypatch, env, column, changes):
     settings = {**SMALL, "n_steps": 32, "n_epochs": 1, "total_steps": 768, "evaluate_every": 256, **changes}
     config = dataclasses.replace(preset(env, "direct", "ppo"), episode_seconds=0.4, **settings)
-    run, whole, task = tmp_path / "run", finished(tmp_path / "whole", config), config.env_task
+    run, whole, task = tmp_path / "run", finished(tmp_path / "whole", config), config.task
     begin(run, config)
     train_until(run, 600, monkeypatch, killed=True)
     assert train(run) and differences(run, whole) == []

@@ -1,4 +1,4 @@
-"""Tables and figures of the leaderboard's results: learning curves, cost of transport."""
+"""Learning curves, and speed against cost of transport: a table and figures of the leaderboard's results."""
 
 import csv
 import math
@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from agents.evaluation.criteria import CRITERIA
+from agents.criteria import CRITERIA
 from agents.leaderboard.candidates import all_candidates
-from agents.leaderboard.rows import RESULTS, Row, load_rows
+from agents.leaderboard.rows import RESULTS, LeaderboardRow, load_rows
 from agents.training.config import EVALUATIONS
 from baselines.drawing import BLUE, GREEN, INK, MUTED, add_note, new_figure
 from baselines.dynamic_programming.archive import optimal_front
@@ -34,13 +34,13 @@ def document() -> tuple[dict[str, str], dict[str, Callable[[], Any]]]:
     rows.sort(key=lambda row: (-row.score(ranking_set, SPEED.name).mean(), row.name))
     learning = read_learning([row.name for row in rows if row.trained], "speed")
     figures: dict[str, Callable[[], Any]] = {
-        "statistics_transport": lambda: draw_transport(rows),
-        "statistics_learning": lambda: draw_learning({name: runs for name, runs in learning.items() if runs}),
+        "curves_transport": lambda: draw_transport(rows),
+        "curves_learning": lambda: draw_learning({name: runs for name, runs in learning.items() if runs}),
     }
     for task in ("goal", "velocity"):
         names = [candidate.name for candidate in all_candidates(task) if candidate.trained]
         label = CRITERIA[task].metric.label
-        figures[f"statistics_{task}"] = partial(draw_learning, read_learning(names, task), label)
+        figures[f"curves_{task}"] = partial(draw_learning, read_learning(names, task), label)
     return {"learning": table(learning)}, figures
 
 
@@ -121,7 +121,7 @@ def draw_learning(learning: Mapping[str, Learning], label: str = SPEED.label) ->
     return figure
 
 
-def draw_transport(rows: Sequence[Row]) -> Any:
+def draw_transport(rows: Sequence[LeaderboardRow]) -> Any:
     """Draws speed against cost of transport on the nominal plant, with the front of dynamic programming."""
     from matplotlib.ticker import LogLocator
 

@@ -1,1 +1,0 @@
-"""The frozen evaluation sets, and the criteria of each task."""
