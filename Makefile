@@ -4,7 +4,7 @@ PYTEST_ARGS ?=
 TRAIN_ARGS ?=
 
 BIN := .venv/bin
-CORE := $(wildcard $(addprefix capsule_gym/core/,CMakeLists.txt backend.py *.hpp */*.?pp */*.h))
+CORE := $(wildcard $(addprefix capsule_gym/core/,CMakeLists.txt backend.py stub.py *.hpp */*.?pp */*.h))
 STAMP := .venv/.installed
 
 # Without its bytecode on disk every process that imports torch compiles it anew, for five seconds.

@@ -13,7 +13,7 @@ from gymnasium.vector import AutoresetMode
 from agents.distillation.config import Student
 from baselines.dynamic_programming.policy import TORQUES, Oracle
 from capsule_gym import CapsuleVectorEnv
-from capsule_gym.envs.resets import draw_plant
+from capsule_gym.envs.contract import draw_plant
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
 from capsule_gym.policies.scripted import Act
 from capsule_gym.tasks.task import CONTROL_DT

@@ -15,7 +15,6 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -102,9 +101,7 @@ def static_header(candidate: Candidate) -> dict[str, Any]:
 
 def columns(task: str) -> list[str]:
     """The metrics in rows of a task."""
-    of_task = find_task(task)
-    memory = SimpleNamespace(**{name: np.zeros(1) for name in of_task.fields})
-    return [*COLUMNS, *of_task.metrics(memory, np.zeros(1))]
+    return [*COLUMNS, *find_task(task).metrics]
 
 
 def _work(policy: AnyPolicy, sets: Sequence[EvaluationSet], horizon: float | None) -> dict[str, np.ndarray]:

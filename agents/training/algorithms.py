@@ -24,7 +24,7 @@ from torch import nn
 from agents.training.config import Algorithm, Config, OffPolicyConfig, PPOConfig, RunError, SACConfig, TQCConfig
 from capsule_gym.checks import prefix_errors
 from capsule_gym.envs.config import EnvConfig
-from capsule_gym.envs.observation import observation_entries
+from capsule_gym.envs.contract import entries_of
 from capsule_gym.parameters import Disturbances
 from capsule_gym.sb3 import AsymmetricPolicy, CapsuleSB3VecEnv, FixedScale
 from capsule_gym.tasks import velocity
@@ -112,7 +112,7 @@ def make_env(config: Config, seed: int, **changes: Any) -> VecNormalize:
         of = dict(zip(("theta", "theta_dot", "x_dot"), config.observation_scale, strict=True))
         of |= {"theta_d": of["theta"], "theta_d_dot": of["theta_dot"]}
         # Wrappers may add entries, or remove some; the names of stacked observations end with a number.
-        for i, name in zip(range(len(factors)), observation_entries(EnvConfig(**kwargs)), strict=False):
+        for i, name in zip(range(len(factors)), entries_of(EnvConfig(**kwargs)), strict=False):
             factors[i] = of.get(name.partition(" ")[0], 1.0)
         fixed: Any = FixedScale(factors)
         env.obs_rms = {**statistics, "policy": fixed} if config.asymmetric else fixed

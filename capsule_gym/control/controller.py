@@ -14,8 +14,8 @@ from capsule_gym.tasks.task import Task
 
 Law = Callable[..., tuple[float, tuple[float, ...]]]
 
-# Period of a control law inside the step, s, unless its `Controller` sets another one.
-LAW_DT = 1e-3
+# Period of a control law inside the step, s, unless its `Controller` sets another one: a step of the integrator.
+LAW_DT = _core.LAW_PHYSICS_DT
 # Limits of the numbers in a reference table (80 MB), and of its columns and the cells of a memory, each of which the
 # compiler sees.
 LARGEST_TABLE = 10_000_000

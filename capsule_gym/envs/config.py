@@ -18,17 +18,17 @@ from capsule_gym.checks import (
     require,
     short_repr,
 )
-from capsule_gym.control.controller import LAW_DT, Controller
+from capsule_gym.control.controller import Controller
+from capsule_gym.core import _core
 from capsule_gym.parameters import Capsule, Disturbances, Randomization
 from capsule_gym.parameters.limits import LONGEST_STEP, SHORTEST_STEP
 from capsule_gym.tasks import task
 from capsule_gym.tasks.registry import find_task
 from capsule_gym.tasks.task import Task
 
-DIRECT_PHYSICS_DT = 2e-3
-LAW_PHYSICS_DT = LAW_DT
-# Largest number of integrator steps per agent step, which take a tenth of a second.
-MOST_SUBSTEPS = 1_000_000
+# s: the integrator's step without and with a law.
+DIRECT_PHYSICS_DT = _core.DIRECT_PHYSICS_DT
+LAW_PHYSICS_DT = _core.LAW_PHYSICS_DT
 # N m, and cm: within these limits no sum of an episode overflows.
 LARGEST_TORQUE, LARGEST_COST = 1e6, 1e12
 RENDER_MODES = ("human", "rgb_array")

@@ -13,7 +13,7 @@ from gymnasium import spaces
 from capsule_gym.checks import check_count, require, short_repr
 from capsule_gym.core.layout import Row
 from capsule_gym.envs.config import RENDER_MODES, EnvConfig
-from capsule_gym.envs.settings import SPEED
+from capsule_gym.envs.contract import SPEED
 from capsule_gym.envs.simulation import GOAL_BOUND, Simulation, check_seed
 from capsule_gym.parameters import CONSTANTS, DISTURBANCES
 from capsule_gym.rendering import Renderer
@@ -221,7 +221,7 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
         self._rows = self.simulation.world[0, : Row.steps, 0]
         self._state = self._rows[_STATE]
         # Further entries of `info` in tasks other than speed.
-        memory = self.simulation.world[0, self.simulation.task_row :, 0]
+        memory = self.simulation.world[0, self.simulation.layout.task :, 0]
         self._memory = None if self.simulation.task is SPEED else memory
         # Further entries of `info` for varied plants.
         self._reading = self.simulation.world[0, Row.read_theta : Row.late_theta, 0]
@@ -259,7 +259,7 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
         if options is None:
             self.simulation.reset(_FIRST)
         else:
-            task_options = self.simulation.task.options
+            task_options = self.simulation.task.option_sizes
             check_options(options, (*RESET_OPTIONS, *task_options))
             # One environment is a batch of one.
             given = {name: [value] for name, value in options.items() if value is not None and name != "state"}
@@ -321,7 +321,7 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
     def _bind_drawn(self) -> None:
         """Keeps the drawn values of the episode as dicts, which are copied faster than arrays."""
         drawn = self.simulation.world[0, Row.drawn_m : Row.key, 0]
-        self._drawn = name_drawn(drawn.tolist()) if self.simulation.settings.history else ()
+        self._drawn = name_drawn(drawn.tolist()) if self.simulation.settings.varied else ()
 
     def episode_metrics(self, horizon: int | None) -> dict[str, float]:
         """The metrics of the episode so far: those of `capsule_gym.tasks.task.METRICS`, and those of the task.
@@ -432,5 +432,5 @@ def shown_state(simulation: Simulation, i: int) -> dict[str, Any]:
     found["time"] = row[Row.duration]
     for name, place in simulation.task.places:
         if name in _PLACES:
-            found["ghost"] = name, 0.0, row[simulation.task_row + place]
+            found["ghost"] = name, 0.0, row[simulation.layout.task + place]
     return found

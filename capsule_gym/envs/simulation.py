@@ -1,5 +1,6 @@
 """The simulation of N environments, which `CapsuleEnv` and `CapsuleVectorEnv` share."""
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -14,20 +15,23 @@ from capsule_gym.checks import check_count, check_integer, check_number, check_t
 from capsule_gym.control.controller import CoreLaw
 from capsule_gym.control.lookup import find_controller
 from capsule_gym.control.user_law import bind_user_law
-from capsule_gym.core import _core, layout, native
+from capsule_gym.core import _core, native
 from capsule_gym.core.layout import LANES, Row
 from capsule_gym.envs import resets
 from capsule_gym.envs.config import EnvConfig
-from capsule_gym.envs.metrics import episode_metrics
-from capsule_gym.envs.observation import observation_entries, parameter_bounds
-from capsule_gym.envs.settings import DEFAULTS, NO_CONTROLLER, check_step, ends, make_settings
+from capsule_gym.envs.contract import (
+    DEFAULTS,
+    NO_CONTROLLER,
+    as_arrays,
+    check_periods,
+    check_step,
+    describe,
+    ends,
+)
 from capsule_gym.parameters import CONSTANTS, DISTURBANCES, NOMINAL, Capsule, Disturbances, Randomization
 from capsule_gym.parameters.limits import LARGEST
 from capsule_gym.tasks import task
 from capsule_gym.tasks.registry import find_task
-
-# Upper limit of the keys of an episode's noise; floats represent all whole numbers up to it exactly.
-LARGEST_KEY = 2.0**53
 
 # Bound of an achieved or a desired goal, m and m/s.
 GOAL_BOUND = 1e7
@@ -54,14 +58,14 @@ class Simulation:
         options: options of the environments.
         capsule: the plant's constants.
         controller: the law inside the step, or None.
-        settings: the options as the core reads them.
+        settings: the settings of the step, which follow from the options.
+        layout: the first rows of the parts of `world`, and sizes.
         world: shape (blocks, rows, lanes): environment i is lane i % lanes of block i // lanes, and `lanes` is LANES
-            or, for a single environment, 1. `capsule_gym.core.layout` describes the rows; those of the task's memory,
-            of varied plants that with true values, are `task_row` to `task_end`. `row`, `rows` and `columns` read it by
+            or, for a single environment, 1. `layout` names the rows; `row`, `rows` and `columns` read it by
             environments.
         observations: shape (num_envs, entries), float32, of the present state.
         entries: the bounds of the observation's entries by name, in order.
-        fields: the numbers and arrays of the core's `Batch` by name; `settings` is in the order of `_core.SETTINGS`.
+        fields: the numbers and arrays of the core's `Batch` by name.
 
     Raises:
         TypeError: if an option is of the wrong type.
@@ -73,8 +77,6 @@ class Simulation:
         self.options = options
         self.capsule = options.capsule or NOMINAL
         self.randomization = Randomization.named(options.randomization)
-        # Largest M in kg and mu if they are observed.
-        self._largest = parameter_bounds(self.capsule, self.randomization)
         self.controller = find_controller(options.controller)
         self.task = find_task(options.task)
         if self.controller and self.controller.task and find_task(self.controller.task).name != self.task.name:
@@ -82,11 +84,12 @@ class Simulation:
                 f"controller must be a law for the task {self.task.name!r} or for any, got {self.controller.name!r}, "
                 f"which is for the task {find_task(self.controller.task).name!r}"
             )
-        self.settings = make_settings(options, self.controller)
+        self._description = describe(options, self.controller)
+        self.settings = self._description.settings
+        self.layout = self._description.layout
+        check_periods(options, self.settings, law=self.controller is not None)
         if options.initial_range and options.initial_noise > 0.0:
             raise ValueError(f"initial_noise must be 0 where initial_range is given, got {options.initial_noise}")
-        at_rest = task.START_THETA, options.initial_noise, 0.0
-        start = resets.start_table(*((0.0, *options.initial_range) if options.initial_range else at_rest))
         disturbed = Disturbances.named(options.disturbances) or Disturbances()
         # The lightest platform on the roughest floor is the stiffest plant.
         for corner in self.randomization.corners(self.capsule):
@@ -94,25 +97,9 @@ class Simulation:
             check_step(stiffest, corner.M, corner.mu, self.settings)
         self.lanes = 1 if self.num_envs == 1 else LANES
         blocks = -(-self.num_envs // self.lanes)
-        acting = self.controller or NO_CONTROLLER
-        self._law_end = layout.NUM_ROWS + len(acting.memory) + acting.reference.shape[1]
-        # A law that observes the sensors observes the memory with measured values, which then comes first.
-        self.task_row = self._law_end + self.settings.law_reads * self.task.rows
-        self.task_end = self.task_row + self.task.rows
-        memories = 2 if self.settings.history else 1
-        filter_rows = _core.ESTIMATOR_CELLS if options.observe_estimates else 0
-        rows = self._law_end + memories * self.task.rows + layout.HISTORY_ROWS * self.settings.history + filter_rows
-        tables = [start, resets.plant_table(self.randomization, self.capsule)]
-        tables.append(resets.draw_table(self.task_end - len(self.task.draws), resets.Stream.task, self.task.draws))
-        if self.settings.history:
-            constants = [getattr(self.randomization, name) or getattr(self.capsule, name) for name in CONSTANTS]
-            ranges = [*constants, *(getattr(disturbed, name) for name in DISTURBANCES), (0.0, LARGEST_KEY)]
-            draws = [task.Draw(*ends(each)) for each in ranges]
-            tables.append(resets.draw_table(Row.drawn_m, resets.Stream.variation, draws))
-        self.draw_table = np.concatenate(tables)
-        self.entries = observation_entries(options)
+        self.entries = {name: (low, high) for name, low, high in self._description.entries}
         try:
-            self.world = native.aligned_zeros((blocks, rows, self.lanes))
+            self.world = native.aligned_zeros((blocks, self.layout.rows, self.lanes))
             self.observations = np.zeros((self.num_envs, len(self.entries)), np.float32)
         except MemoryError as error:
             raise ValueError(f"num_envs must fit into memory, got {self.num_envs}: {error}") from None
@@ -159,10 +146,9 @@ class Simulation:
         """Binds the arrays and the law to the core."""
         acting = self.controller or NO_CONTROLLER
         self.reference, self.memory = acting.reference, acting.memory
-        plant, count = self.capsule.plant(), self.num_envs
-        given = {**vars(self.settings), **plant._asdict(), "varied": bool(self.settings.history)}
         # The environments that begin, and what their episodes draw.
-        self._rows, self._drawn = np.zeros(count, np.int64), np.zeros((len(self.draw_table), count))
+        self._rows = np.zeros(self.num_envs, np.int64)
+        self._drawn = np.zeros((self.layout.draws, self.num_envs))
         # Exceptions of a law that Python calls.
         self._raised: list[Exception] = []
         if isinstance(acting.law, CoreLaw):
@@ -172,25 +158,18 @@ class Simulation:
             law = {"law": len(_core.LAWS), **bind_user_law(acting, self.lanes, observed, self._raised)}
         self.fields: dict[str, Any] = {
             **law,
+            **as_arrays(self._description),
             "world": self.world,
-            "block_rows": self.world.shape[1],
-            "num_envs": count,
+            "num_envs": self.num_envs,
             "lanes": self.lanes,
             "observations": self.observations,
-            "entries": self.observations.shape[1],
-            "settings": native.ordered(_core.SETTINGS, given),
             "task": self.task.number,
-            "task_size": self.task.rows,
             "memory": np.array(self.memory),
-            "memory_size": len(self.memory),
             "reference": self.reference,
             "reference_rows": len(self.reference),
-            "reference_size": self.reference.shape[1],
             "keys": self._keys,
             "episodes": self._episodes,
             "rows": self._rows,
-            "draw_table": self.draw_table,
-            "draw_lines": len(self.draw_table),
             "drawn": self._drawn,
         }
         self._fields = np.array(native.addressed(self.fields.get(name, 0) for name in _core.BATCH))
@@ -251,7 +230,7 @@ class Simulation:
         for name in ("capsule", "disturbances"):
             # An empty dict sets nothing.
             given = any(not isinstance(value, dict) or value for value in options.get(name, ()))
-            if given and not self.settings.history:
+            if given and not self.settings.varied:
                 raise ValueError(
                     f"options[{name!r}] needs an environment with disturbances other than 'none', or with a "
                     "Randomization of constants besides M and mu"
@@ -263,16 +242,16 @@ class Simulation:
         if not fits or _core.call("draw_episodes", self._batch, count) >= 0:
             accepted = f"rows must be indices of environments, from 0 to {self.num_envs - 1}, each at most once"
             raise IndexError(f"{accepted}, got {short_repr(rows.tolist())}")
-        starts = self._drawn[: Row.torque, :count]
-        drawn = self._drawn[Row.torque :, :count]
-        resets.write_options(drawn, options, self.task, self.settings)
+        drawn = self._drawn[:, :count]
+        resets.write_options(drawn, options, self.task, self._description)
+        starts = drawn[: self.layout.task_draws]
         changes: list[tuple[int, float, float, float]] = []
         if M is not None or mu is not None or any(map(options.get, ("changes", "capsule", "disturbances"))):
             masses = starts[Row.M].tolist() if M is None else M
             frictions = starts[Row.mu].tolist() if mu is None else mu
             schedules = options.get("changes", [()] * count)
             for n, (mass, friction, schedule) in enumerate(zip(masses, frictions, schedules, strict=True)):
-                capsule = self._episode_capsule(drawn[len(self.task.draws) :, n].tolist())
+                capsule = self._episode_capsule(drawn[self.layout.constant_draws :, n].tolist())
                 self._check_plant(mass, friction, capsule)
                 changes += [(int(rows[n]), *change) for change in self._schedule(schedule, capsule)]
             starts[Row.M], starts[Row.mu] = masses, frictions
@@ -357,8 +336,10 @@ class Simulation:
         law, reads_task = self.controller.law, self.controller.task is not None
         if not isinstance(law, CoreLaw):
             # Compiled code catches the law's exceptions. The arguments are still those of the call that has failed.
-            first, last = layout.NUM_ROWS + len(self.memory), self._law_end + reads_task * self.task.rows
-            memory, row = (tuple(part.tolist()) for part in (column[layout.NUM_ROWS : first], column[first:last]))
+            layout = self.layout
+            last = layout.reference_end + reads_task * self.task.rows
+            memory = tuple(column[layout.law_memory : layout.reference].tolist())
+            row = tuple(column[layout.reference : last].tolist())
             getattr(law, "py_func", law)(*state.values(), memory, row)
         raise ValueError(
             f"the control law {self.controller.name!r} returned a torque that is not finite in environment {broken} "
@@ -373,22 +354,28 @@ class Simulation:
         self.observations[lost] = np.nan_to_num(self.observations[lost])
 
     def metrics(self, rows: np.ndarray, horizon: int | None = None) -> dict[str, np.ndarray]:
-        """`episode_metrics` of the running episodes with these indices.
+        """The metrics of the running episodes with these indices: those of `METRICS`, and those of the task.
 
         Args:
             rows: indices of the environments, int64, shape (n,).
             horizon: agent steps of a whole episode. The mean speed of a failed episode is over all of them, so that an
                 early failure is no advantage; None takes the elapsed time.
+
+        Returns:
+            One float64 array of shape (n,) for each metric.
         """
-        seconds = horizon * self.options.control_dt if horizon else None
-        return episode_metrics(self.columns(rows)[: self.task_end], seconds, self.task)
+        seconds = horizon * self.options.control_dt if horizon else math.nan
+        names = [*task.METRICS, *self.task.metrics]
+        values = np.empty((len(names), len(rows)))
+        native.call("episode_metrics", self._batch, np.ascontiguousarray(rows, np.int64), len(rows), seconds, values)
+        return dict(zip(names, values, strict=True))
 
     def observe(self) -> Any:
         """A copy of the observations; with `goal_env` a dict with the achieved and the desired goals beside them."""
         if not self.options.goal_env:
             return self.observations.copy()
         x, x_dot = (Row.read_x, Row.read_x_dot) if self.settings.agent_reads else (Row.x, Row.x_dot)
-        goal = self.row(self.task_row + self.task.fields.index("goal"))
+        goal = self.row(self.layout.task + self.task.fields.index("goal"))
         goals = {"achieved_goal": (self.row(x), self.row(x_dot)), "desired_goal": (goal, np.zeros(self.num_envs))}
         bounded = {name: np.clip(np.stack(each, 1), -GOAL_BOUND, GOAL_BOUND) for name, each in goals.items()}
         return {"observation": self.observations.copy(), **bounded}
@@ -412,7 +399,7 @@ class Simulation:
         capsule.check_plant(M, mu)
         check_step(capsule, float(M), float(mu), self.settings)
         if self.settings.with_parameters:
-            for name, value, largest in zip(("M", "mu"), (M, mu), self._largest, strict=True):
+            for name, value, largest in (("M", M, self.settings.M_bound), ("mu", mu, self.settings.mu_bound)):
                 accepted = f"at most {largest:g} where observe_parameters shows it (a wider randomization shows more)"
                 check_number(name, value, accepted, 0.0, largest)
 

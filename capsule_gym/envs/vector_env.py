@@ -16,7 +16,7 @@ from capsule_gym.checks import check_integer, require, short_repr
 from capsule_gym.core.layout import Row
 from capsule_gym.envs import env
 from capsule_gym.envs.config import EnvConfig
-from capsule_gym.envs.settings import SPEED
+from capsule_gym.envs.contract import SPEED
 from capsule_gym.envs.simulation import check_seed
 from capsule_gym.rendering import Renderer
 
@@ -136,7 +136,7 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         Returns:
             Observations, float32 of shape (num_envs, entries), and the infos.
         """
-        task_options = self.simulation.task.options
+        task_options = self.simulation.task.option_sizes
         options = env.check_options(options, (*env.RESET_OPTIONS, *task_options, "reset_mask"))
         given = options.get("reset_mask")
         mask = np.ones(self.num_envs, np.bool_) if given is None else given
@@ -223,8 +223,8 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         simulation = self.simulation
         info = env.describe(rows[: Row.steps], rows[Row.theta : Row.M].T, rows[Row.termination].astype(np.int64))
         if simulation.task is not SPEED:
-            env.add_task(info, simulation.task, simulation.rows(simulation.task_row, simulation.task_end))
-        if simulation.settings.history:
+            env.add_task(info, simulation.task, simulation.rows(simulation.layout.task, simulation.layout.task_end))
+        if simulation.settings.varied:
             info["reading"] = simulation.rows(Row.read_theta, Row.late_theta).T
             # Until an episode begins these stay the same.
             if simulation.resets != self._drawn_at:

@@ -14,7 +14,8 @@ from gymnasium.vector import AutoresetMode
 
 from capsule_gym.checks import check_number, require
 from capsule_gym.envs.config import EnvConfig
-from capsule_gym.envs.resets import Stream, draw_plant, random_stream
+from capsule_gym.envs.contract import draw_plant
+from capsule_gym.envs.resets import random_stream
 from capsule_gym.envs.vector_env import CapsuleVectorEnv
 from capsule_gym.evaluation.candidates import Candidate, find_candidate, wrap_policy
 from capsule_gym.evaluation.optimum import find_grid, optimal_speed
@@ -106,8 +107,8 @@ def validation_set(
     """
     drawn, plants = Randomization.named(randomization), []
     for seed in range(first_seed, first_seed + count):
-        M, mu = draw_plant(drawn, capsule or NOMINAL, random_stream(seed, 0, Stream.parameters))
-        shares = random_stream(seed, 0, Stream.variation).random(len(CONSTANTS)).tolist()
+        M, mu = draw_plant(drawn, capsule or NOMINAL, random_stream(seed, 0, "parameters"))
+        shares = random_stream(seed, 0, "variation").random(len(CONSTANTS)).tolist()
         own = {}
         for constant in drawn.drawn:
             low, high = getattr(drawn, constant)

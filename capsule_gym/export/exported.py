@@ -69,7 +69,7 @@ class Exported:
         """The C99 header, which computes in float or in double; in double it has the bits of this package."""
         task, law = self.task, self.law
         # The task's memory but for what an episode draws. Goal and command are given; a new command ends the last one.
-        kept = task.rows - len(task.draws)
+        kept = task.rows - sum(task.option_sizes.values())
         given = dict.fromkeys(task.fields[kept:], "0") | dict.fromkeys(("v_0", "v_1"), "reading->command")
         given |= {"goal": "reading->goal", "displacement": "(reading->goal - reading->x)"}
         given |= {"lasts": "(reading->command == before.task[0] ? HUGE_VAL : 0)"}
@@ -79,7 +79,7 @@ class Exported:
         filtered = [f"estimates[{n}]" for n in range(_core.ESTIMATOR_CELLS)]
         estimates = [f"memory->{cell}" for cell in filtered]
         law_cells = [f"law[{n}]" for n in range(len(law.memory) if law else 0)]
-        memory = {"task": kept, "estimates": len(filtered) * self.settings.with_estimates, "law": len(law_cells)}
+        memory = {"task": kept, "estimates": len(filtered) * bool(self.settings.with_estimates), "law": len(law_cells)}
         law_inputs = [f"before.{cell}" for cell in law_cells]
         law_inputs += [f"reading->{name}" for name in ("theta", "theta_dot", "x", "x_dot")]
         law_inputs += [f"row[{n}]" for n in range(law.reference.shape[1] if law else 0)]
@@ -111,14 +111,14 @@ class Exported:
             exact = Disturbances(stick_threshold=0.0, x_noise=0.0)
             kwargs["disturbances"] = exact if disturbed.controls == "law" else replace(disturbed, controls="both")
         # The same episode in steps of the law's period shows what each call of the law reads.
-        periods = self.settings.law_steps if self.law else 1
+        periods = int(self.settings.law_steps) if self.law else 1
         slow = CapsuleEnv(**kwargs)
         fast = CapsuleEnv(**{**kwargs, "control_dt": self.options.control_dt / periods})
         for env in (slow, fast):
             observation, _ = env.reset(seed=plant.seed, options=plant.reset_options())
         # The task's memory that the law observes is renewed at the end of an agent step alone.
         simulation = slow.simulation
-        first = simulation.task_row - simulation.settings.law_reads * self.task.rows
+        first = simulation.layout.reference_end
         ours, observed = (env.simulation.world[0, first : first + self.task.rows] for env in (fast, slow))
         act = self.policy or (lambda _: np.zeros(1, np.float32))
         computed = ("action", *(("theta_d", "theta_d_dot", "phase", "law_torque") if self.law else ()))
@@ -211,5 +211,5 @@ def _read(simulation: Simulation) -> dict[str, float]:
     shown |= {name: column[getattr(Row, name)] for name in ("law_torque", "M", "mu")}
     clock = column[Row.clock]
     shown |= dict(zip(("theta_d", "theta_d_dot"), simulation.reference[int(clock)], strict=False))
-    shown |= dict(zip(simulation.task.fields, column[simulation.task_row :], strict=False))
+    shown |= dict(zip(simulation.task.fields, column[simulation.layout.task :], strict=False))
     return {**shown, "phase": clock / len(simulation.reference)}

@@ -9,8 +9,8 @@ from capsule_gym.checks import nearest, require, short_repr
 from capsule_gym.core import _core
 from capsule_gym.core.native import call, ordered
 from capsule_gym.envs.config import DIRECT_PHYSICS_DT, LARGEST_TORQUE, EnvConfig
+from capsule_gym.envs.contract import check_periods, check_step, describe
 from capsule_gym.envs.resets import check_state
-from capsule_gym.envs.settings import check_step, make_settings
 from capsule_gym.parameters import CONSTANTS, NOMINAL, Capsule
 from capsule_gym.tasks.task import CONTROL_DT
 
@@ -95,7 +95,9 @@ def sensitivity(
         ((6, 4), (6, 4))
     """
     require(isinstance(capsule, Capsule), "capsule", "a Capsule", capsule, TypeError)
-    settings = make_settings(EnvConfig(capsule=capsule, control_dt=control_dt, physics_dt=physics_dt), None)
+    options = EnvConfig(capsule=capsule, control_dt=control_dt, physics_dt=physics_dt)
+    settings = describe(options, None).settings
+    check_periods(options, settings, law=False)
     check_step(capsule, capsule.M, capsule.mu, settings)
     (start,) = check_state("state", state, 1)
     accepted = f"a sequence of numbers within +-{LARGEST_TORQUE:g} N m"
@@ -120,7 +122,7 @@ def sensitivity(
     factor = np.append(np.zeros(first), commands)[:, None]
     own = [factor if name == "torque" else np.eye(len(inputs), spans[name][1], -spans[name][0]) for name in wrt]
     partials = np.hstack([factor[:, :0], *own])
-    steps = settings.physics_steps * settings.law_steps
+    steps = int(settings.physics_steps * settings.law_steps)
     states, slopes, ended = simulate(inputs, partials, steps, settings.physics_dt)
     if ended >= 0:
         raise ValueError(

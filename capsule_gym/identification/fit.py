@@ -13,7 +13,7 @@ import numpy as np
 
 from capsule_gym.checks import check_number, nearest, require
 from capsule_gym.envs.config import DIRECT_PHYSICS_DT, EnvConfig
-from capsule_gym.envs.settings import check_step, make_settings
+from capsule_gym.envs.contract import check_step, describe
 from capsule_gym.files import replacing
 from capsule_gym.identification.derivatives import PLANT
 from capsule_gym.identification.log import UNITS, read_log
@@ -188,7 +188,7 @@ def identify(
         low, high = Disturbances.limits(name) if name in OTHERS else (-math.inf, math.inf)
         known[name] = check_number(f"known[{name!r}]", value, f"a finite number from {low:g} to {high:g}", low, high)
     constants: dict[str, Any] = {name: value for name, value in known.items() if name in PLANT}
-    settings = make_settings(EnvConfig(control_dt=physics_dt, physics_dt=physics_dt), None)
+    settings = describe(EnvConfig(control_dt=physics_dt, physics_dt=physics_dt), None).settings
     unknown: dict[str, Any] = dict.fromkeys(constants)
     for corner in replace(prior, **unknown).corners(Capsule(**constants)):
         check_step(corner, corner.M, corner.mu, settings)

@@ -1,9 +1,10 @@
 """Imperfect sensors and motor, and pushes on the platform, with their checks."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Literal
 
 from capsule_gym.checks import check_choice, check_name, check_number, check_pair, require
+from capsule_gym.core import _core
 from capsule_gym.parameters.limits import SHORTEST_STEP, check_divisor
 from capsule_gym.parameters.randomization import Range
 
@@ -112,8 +113,8 @@ class Disturbances:
         return REAL if check_name("disturbances", name, cls, ("none", "real")) == "real" else None
 
 
-DISTURBANCES = tuple(each.name for each in fields(Disturbances))[:-4]
-"""The fields of `Disturbances` that are numbers or ranges."""
+DISTURBANCES = tuple(_core.DISTURBANCES)
+"""The fields of `Disturbances` that are numbers or ranges, in the order of their draws."""
 
 REAL = Disturbances(
     theta_noise=0.01,

@@ -29,7 +29,7 @@ from capsule_gym.control.laws import LAWS
 from capsule_gym.control.lookup import is_own
 from capsule_gym.core.native import call
 from capsule_gym.envs.config import EnvConfig
-from capsule_gym.envs.observation import observation_entries
+from capsule_gym.envs.contract import entries_of
 from capsule_gym.files import write_atomically
 from capsule_gym.policies.network import Layer, pack
 
@@ -132,7 +132,7 @@ class Policy:
         named = law is None or isinstance(law, str)
         require(named, "env_kwargs['controller']", "None or an import string", law, TypeError)
         require(isinstance(task, str), "env_kwargs['task']", "the name of a task", task, TypeError)
-        entries = len(observation_entries(options))
+        entries = len(entries_of(options))
         for name, array in (("mean", self.mean), ("variance", self.variance)):
             accepted = "one for each entry of the observation by env_kwargs"
             _check_array(f"inputs.{name}", array, np.float64, (entries,), accepted)

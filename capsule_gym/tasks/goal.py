@@ -57,20 +57,17 @@ log-uniform in [0.05, 0.5], `energy_weight=0` and `termination_penalty=3`. `caps
 gives the paper's floor, where a torque of 1.3 % of the limit moves the platform, so that it is difficult to rest.
 """
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from capsule_gym.checks import check_number, require
-from capsule_gym.core import _core, native
-from capsule_gym.tasks.task import GRIP_DEFAULTS, LARGEST_STATE, Draw, Option, Task
-
-# Range of the drawn displacements, m.
-NEAREST, FARTHEST = 0.05, 0.5
+from capsule_gym.core import native
+from capsule_gym.core.layout import Settings
+from capsule_gym.tasks.task import GRIP_DEFAULTS, LARGEST_STATE, Task
 
 
-def compute_reward(settings: SimpleNamespace, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
+def compute_reward(settings: Settings, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
     """The rewards of steps that end with these goals, for environments with `goal_env=True`.
 
     With the info of a step, the result is its reward, bit for bit, unless the achieved goal is a measured one.
@@ -107,24 +104,4 @@ def parse_goal(name: str, value: Any) -> list[float]:
     return [check_number(name, value, f"a finite number of m within {farthest:g} of 0", -farthest, farthest)]
 
 
-def metrics(memory: Any, whole: np.ndarray) -> dict[str, np.ndarray]:
-    """See `Task.metrics`."""
-    success = memory.reached > 0.0
-    return {"success": success.astype(np.float64), "goal_time": np.where(success, memory.reached, whole)}
-
-
-TASK = Task(
-    name="goal",
-    env_id="CapsuleGoal-v0",
-    episode_steps=750,
-    term="reward_goal",
-    entries={
-        "goal_error": (-_core.ERROR_BOUND, _core.ERROR_BOUND),
-        "near_goal_error": (-1.0, 1.0),
-        "held": (0.0, _core.HOLD),
-    },
-    shown=("goal", "error", "held"),
-    options={"goal": Option((Draw(NEAREST, FARTHEST, signed=True),), parse_goal)},
-    metrics=metrics,
-    defaults=GRIP_DEFAULTS,
-)
+TASK = Task(name="goal", env_id="CapsuleGoal-v0", parsers={"goal": parse_goal}, defaults=GRIP_DEFAULTS)

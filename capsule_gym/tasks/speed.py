@@ -2,4 +2,4 @@
 
 from capsule_gym.tasks.task import Task
 
-TASK = Task(name="speed", term="reward_progress")
+TASK = Task(name="speed")

@@ -1,20 +1,23 @@
 """The class `Task`, and the reasons for termination and the metrics that all tasks share.
 
-A task is a module of this folder; its reward, its memory and its observation are in `capsule_gym/core/tasks`.
+A task is a module of this folder, and a header in `capsule_gym/core/tasks`.
 """
 
-import math
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
+import numpy as np
+
+from capsule_gym.checks import check_number
 from capsule_gym.core import _core
 from capsule_gym.parameters import Capsule, Randomization
 
 ENV_ID = "CapsuleStickSlip-v0"
-EPISODE_STEPS = 1650
+EPISODE_STEPS = _core.TASKS["speed"].steps
 CONTROL_DT = 0.02
 HORIZON = EPISODE_STEPS * CONTROL_DT
 TORQUE_LIMIT = 1.5
@@ -22,7 +25,7 @@ TORQUE_LIMIT = 1.5
 ENERGY_WEIGHT = 0.1
 TERMINATION_PENALTY = 10.0
 THETA_LIMIT = _core.THETA_LIMIT
-START_THETA = -math.pi / 3.0
+START_THETA = _core.START_THETA
 # Limits of a reset: |theta| below THETA_LIMIT, and up to this |theta_dot| (rad/s), |x| (m) and |x_dot| (m/s).
 LARGEST_STATE = (THETA_LIMIT, 1e3, 1e6, 1e3)
 
@@ -48,70 +51,38 @@ class Termination(IntEnum):
     diverged = 3
 
 
-METRICS = {
-    "mean_speed": "displacement over the length of a whole episode, cm/s",
-    "cost_of_transport": "energy over weight and distance; infinite without forward progress",
-    "peak_torque": "largest |u|, N m",
-    "rms_torque": "root mean square of u, N m",
-    "backward_ratio": "backward over forward travel; infinite with backward travel only, 0 at rest",
-    "stuck_fraction": "share of the time in stick",
-    "smallest_normal_ratio": "smallest N / ((M + m) g)",
-    "largest_theta": "largest |theta|, rad",
-    "largest_theta_dot": "largest |theta_dot|, rad/s",
-    "distance": "displacement, m",
-    "energy": "integral of |u theta_dot|, J",
-    "duration": "length of the episode, s",
-    "failed": "1 if the episode terminated, else 0",
-}
+METRICS = _core.METRICS
 """The metrics of an episode, and what they are."""
 
 
-class Draw(NamedTuple):
-    """A number that every episode draws uniformly from [low, high], where `signed` with a random sign."""
-
-    low: float
-    high: float
-    signed: bool = False
-
-
-class Option(NamedTuple):
-    """Numbers that every episode of a task draws, and that `reset(options={name: value})` sets.
-
-    parse(name, value) returns the numbers for a value of the option; its TypeError or ValueError names the option.
-    """
-
-    draws: tuple[Draw, ...]
-    parse: Callable[[str, Any], list[float]]
+def parse_numbers(name: str, value: Any) -> list[float]:
+    """The numbers of a reset option that is a number or a sequence of numbers."""
+    values = [value] if np.ndim(value) == 0 else list(value)
+    return [check_number(name, each, "a finite number, or a sequence of them") for each in values]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Task:
-    """A task of the core: its names, draws and metrics; reward, memory and observation are in the core.
-
-    The memory's last fields are the numbers that an episode draws, in the order of `options`.
+    """A task of the core, where its memory, reward, entries of the observation, draws and metrics are.
 
     Attributes:
         name: value of the environment's argument `task`.
         env_id: id by which Gymnasium knows the environment.
-        episode_steps: agent steps until truncation.
-        term: name in `info` of the task's reward term, to which the energy and termination terms are added.
-        entries: names of the additional entries, which end the observation, and the bounds to which they are clipped.
-        shown: fields of the memory that `info` contains; `render` marks the position of a "goal" or a "target" (m).
-        options: numbers that an episode draws, by the name of their reset option.
-        metrics: metrics(memory, whole) -> metrics by name, in addition to `METRICS`. The fields of `memory`
-            are arrays with one entry per episode; `whole` is the length of a whole episode in s.
+        parsers: by the name of a reset option, parser(name, value) -> the numbers for a value of the option; its
+            TypeError or ValueError names the option.
+        draw_range: range from which the commands of an episode are drawn; None for that of the core.
         defaults: arguments of the environment that differ from those of the speed task.
     """
 
     name: str
     env_id: str = ENV_ID
-    episode_steps: int = EPISODE_STEPS
-    term: str
-    entries: dict[str, tuple[float, float]] = field(default_factory=dict)
-    shown: tuple[str, ...] = ()
-    options: dict[str, Option] = field(default_factory=dict)
-    metrics: Callable[..., dict[str, Any]] = lambda memory, whole: {}
+    parsers: dict[str, Callable[[str, Any], list[float]]] = field(default_factory=dict)
+    draw_range: tuple[float, float] | None = None
     defaults: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def _description(self) -> _core.TaskDescription:
+        return _core.TASKS[self.name]
 
     @property
     def number(self) -> int:
@@ -119,9 +90,19 @@ class Task:
         return list(_core.TASKS).index(self.name)
 
     @property
-    def fields(self) -> tuple[str, ...]:
-        """The names of the numbers in the memory of one environment."""
-        return tuple(_core.TASKS[self.name].split())
+    def episode_steps(self) -> int:
+        """Agent steps until truncation."""
+        return self._description.steps
+
+    @property
+    def term(self) -> str:
+        """The name in `info` of the task's reward term, to which the energy and termination terms are added."""
+        return self._description.term
+
+    @property
+    def fields(self) -> list[str]:
+        """The names of the numbers in the memory of one environment; the last ones are those that an episode draws."""
+        return self._description.fields
 
     @property
     def rows(self) -> int:
@@ -130,15 +111,34 @@ class Task:
 
     @cached_property
     def places(self) -> list[tuple[str, int]]:
-        """The names in `shown`, and where they are in the memory."""
-        return [(name, self.fields.index(name)) for name in self.shown]
+        """The fields that `info` contains, and where they are in the memory.
+
+        `render` marks the position of a "goal" or a "target" (m).
+        """
+        return [(name, self.fields.index(name)) for name in self._description.shown]
+
+    @cached_property
+    def option_sizes(self) -> dict[str, int]:
+        """The reset options of the task, and how many drawn numbers each sets, in the order of the memory."""
+        return dict(Counter(option for option, *_ in self._description.draws))
 
     @property
-    def draws(self) -> list[Draw]:
-        """Everything that an episode draws."""
-        return [draw for option in self.options.values() for draw in option.draws]
+    def metrics(self) -> dict[str, str]:
+        """The metrics of an episode in addition to `METRICS`, and what they are."""
+        return self._description.metrics
 
     @property
     def reward_terms(self) -> tuple[str, str, str]:
         """The names in `info` of the terms whose sum is the reward."""
         return self.term, "reward_energy", "reward_termination"
+
+    def parse(self, option: str, value: Any) -> list[float]:
+        """The numbers for a value of a reset option.
+
+        Raises:
+            TypeError: if the value is of the wrong type.
+            ValueError: if it is out of range.
+        """
+        whose = f"options[{option!r}]"
+        parser = self.parsers.get(option, parse_numbers)
+        return parser(whose, value)

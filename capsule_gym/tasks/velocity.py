@@ -59,15 +59,12 @@ import math
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from capsule_gym.checks import check_number, check_timed, require
 from capsule_gym.core import _core
-from capsule_gym.tasks.task import GRIP_DEFAULTS, Draw, Option, Task
+from capsule_gym.tasks.task import GRIP_DEFAULTS, Task
 
-# Largest drawn and largest accepted command, m/s, and the range of its duration, s.
-DRAWN, LARGEST = 0.1, 0.2
-LASTS = (4.0, 8.0)
+# Largest accepted command, m/s.
+LARGEST = _core.LARGEST_COMMAND
 
 
 def parse_commands(name: str, value: Any) -> list[float]:
@@ -89,40 +86,7 @@ def parse_commands(name: str, value: Any) -> list[float]:
     return [*commands, *[commands[-1]] * more, *lasts, *[math.inf] * more]
 
 
-def metrics(memory: Any, whole: np.ndarray) -> dict[str, np.ndarray]:
-    """The metrics of `Task.metrics`: the sums with the present command, where it has been measured for long enough."""
-    duration = np.where(memory.measured_from > 0.0, memory.since - memory.measured_from, 0.0)
-    counts = duration >= _core.MEASURED - _core.TIME_TOLERANCE
-    moved = memory.target - memory.error - memory.measured_x
-    missed = memory.missed + np.where(counts, abs(moved - memory.command * duration), 0.0)
-    commanded = memory.commanded + np.where(counts, abs(memory.command) * duration, 0.0)
-    measured = memory.measured + counts
-    unsettled = memory.unsettled + counts * (1.0 - memory.settled)
-    everything = np.ones(len(measured))
-    return {
-        "velocity_error": 100.0 * np.divide(missed, commanded, out=everything.copy(), where=commanded > 0.0),
-        "unsettled": np.divide(unsettled, measured, out=everything, where=measured > 0.0),
-    }
-
-
-TASK = Task(
-    name="velocity",
-    env_id="CapsuleVelocity-v0",
-    episode_steps=1000,
-    term="reward_tracking",
-    entries={
-        "command": (-LARGEST, LARGEST),
-        "near_error": (-1.0, 1.0),
-        "far_error": (-1.0, 1.0),
-        "mean_x_dot": (-_core.SPEED_BOUND, _core.SPEED_BOUND),
-    },
-    shown=("command", "target", "error"),
-    options={
-        "commands": Option((Draw(-DRAWN, DRAWN),) * _core.COMMANDS + (Draw(*LASTS),) * _core.COMMANDS, parse_commands)
-    },
-    metrics=metrics,
-    defaults=GRIP_DEFAULTS,
-)
+TASK = Task(name="velocity", env_id="CapsuleVelocity-v0", parsers={"commands": parse_commands}, defaults=GRIP_DEFAULTS)
 
 
 def with_commands(low: float, high: float) -> Task:
@@ -135,6 +99,4 @@ def with_commands(low: float, high: float) -> Task:
     accepted = f"a number of m/s within {LARGEST:g} of 0"
     low = check_number("low", low, accepted, -LARGEST, LARGEST)
     high = check_number("high", high, f"{accepted} and not below low", low, LARGEST)
-    commands = TASK.options["commands"]
-    draws = (Draw(low, high),) * _core.COMMANDS + commands.draws[_core.COMMANDS :]
-    return replace(TASK, options={"commands": commands._replace(draws=draws)})
+    return replace(TASK, draw_range=(low, high))

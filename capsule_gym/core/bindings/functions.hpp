@@ -2,6 +2,7 @@
 #pragma once
 #include "../network.hpp"
 #include "../step/resets.hpp"
+#include "../step/contract.hpp"
 #include "../step/step.hpp"
 #include "levels.hpp"
 
@@ -106,7 +107,7 @@ long long run_episodes(const Batch& batch, long long first, long long last, long
       going = 0;
       for (int j = 0; j < n; j++) going += (int)(block.active[j] = block.termination[j] == 0.0 ? 1.0 : 0.0);
       float actions[N];
-      act(network, batch.observations + at * batch.entries, n, actions);
+      act(network, batch.observations + at * batch.layout->entries, n, actions);
       for (int j = 0; j < n; j++) block.action[j] = actions[j];
       long long broken = advance(batch, at, at + n, false);
       if (broken >= 0) return broken;

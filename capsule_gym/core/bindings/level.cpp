@@ -11,6 +11,8 @@ long long call(const char* function, const Argument* a) {
   if (is("step_one")) return step_one(*batch, a[1]);
   if (is("draw_episodes")) return draw_episodes(*batch, a[1]);
   if (is("begin_episodes")) return (batch->lanes == 1 ? begin_episodes<1> : begin_episodes<LANES>)(*batch, a[1]), -1;
+  if (is("episode_metrics"))
+    return (batch->lanes == 1 ? episode_metrics<1> : episode_metrics<LANES>)(*batch, a[1], a[2], a[3], a[4]), -1;
   if (is("run_episodes"))
     return (batch->lanes == 1 ? run_episodes<1> : run_episodes<LANES>)(*batch, a[1], a[2], a[3], a[4]);
   if (is("trajectory"))

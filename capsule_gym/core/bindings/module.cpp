@@ -83,47 +83,186 @@ PyObject* names_in(const char* text) {
   return names;
 }
 
+// Puts a new object into a dict; returns whether that has failed.
+bool put_item(PyObject* entries, const char* name, PyObject* value) {
+  bool failed = !value || PyDict_SetItemString(entries, name, value) < 0;
+  Py_XDECREF(value);
+  return failed;
+}
+
+// Appends a new object to a list; where it is missing, the exception stays for the end.
+void append(PyObject* list, PyObject* value) {
+  if (value) PyList_Append(list, value);
+  Py_XDECREF(value);
+}
+
+// The types of tuples with named fields that `describe` and TASKS contain.
+#define NAMED(name) {#name, nullptr},
+PyStructSequence_Field SETTINGS_FIELDS[] = {CAPSULE_SETTINGS(NAMED){nullptr, nullptr}};
+PyStructSequence_Field LAYOUT_FIELDS[] = {CAPSULE_LAYOUT(NAMED){nullptr, nullptr}};
+PyStructSequence_Field DESCRIPTION_FIELDS[] = {
+    NAMED(settings) NAMED(layout) NAMED(entries) NAMED(draws){nullptr, nullptr}};
+PyStructSequence_Field TASK_FIELDS[] = {
+    NAMED(fields) NAMED(shown) NAMED(term) NAMED(steps) NAMED(draws) NAMED(metrics){nullptr, nullptr}};
+#undef NAMED
+template <class Fields> constexpr int COUNT = (int)(sizeof(Fields) / sizeof(PyStructSequence_Field)) - 1;
+PyTypeObject *settings_type, *layout_type, *description_type, *task_type;
+
+// A tuple of this type from the numbers of a struct.
+template <class Number> PyObject* named_tuple(PyTypeObject* type, const Number* numbers, int count) {
+  PyObject* found = PyStructSequence_New(type);
+  for (int n = 0; found && n < count; n++)
+    PyStructSequence_SetItem(found, n, Py_BuildValue(sizeof(Number) && Number(0.5) == 0 ? "L" : "d", numbers[n]));
+  return found;
+}
+
+// Reads an option by its name; NaN where it is missing or None. Returns whether it is there.
+bool read_option(PyObject* options, const char* name, double& option) {
+  PyObject* value = PyDict_GetItemString(options, name);
+  option = __builtin_nan("");
+  if (!value || PyErr_Occurred()) return false;
+  if (value == Py_None) return true;
+  option = PyFloat_AsDouble(value);
+  if (PyErr_Occurred()) PyErr_Format(PyExc_TypeError, "the option '%s' must be a number or None, got %R", name, value);
+  return true;
+}
+
+// describe(options) -> Description: what follows from options by their names.
+PyObject* describe(PyObject*, PyObject* options) {
+  using namespace portable;
+  if (!PyDict_Check(options)) return PyErr_Format(PyExc_TypeError, "options must be a dict, got %R", options);
+  Options o;
+  Py_ssize_t found = 0;
+#define READ(name) found += read_option(options, #name, o.name);
+#define READ_RANGE(name)                                           \
+  found += read_option(options, #name "_low", o.name##_range.low); \
+  found += read_option(options, #name "_high", o.name##_range.high);
+#define READ_DISTURBANCE(name)                                                      \
+  found += read_option(options, "disturbances_" #name "_low", o.disturbances_##name.low); \
+  found += read_option(options, "disturbances_" #name "_high", o.disturbances_##name.high);
+  CAPSULE_OPTIONS(READ, READ_RANGE, READ_DISTURBANCE)
+#undef READ
+#undef READ_DISTURBANCE
+#undef READ_RANGE
+  if (PyErr_Occurred()) return nullptr;
+  if (found != PyDict_Size(options)) return PyErr_Format(PyExc_TypeError, "the core has no option of a name in %R", options);
+  auto q = make_settings(o);
+  PyObject* description = nullptr;
+  bool known = with_type(Tasks(), (long long)o.task, [&]<class Task>() {
+    auto l = make_layout<Task>(o, q);
+    PyObject *entries = PyList_New(0), *draws = PyList_New(0);
+    describe_entries<Task>(q, [&](const char* name, int age, double low, double high) {
+      PyObject* whole = age ? PyUnicode_FromFormat("%s %d", name, age) : PyUnicode_FromString(name);
+      append(entries, Py_BuildValue("Ndd", whole, low, high));
+    });
+    auto* lines = (Draw*)PyMem_Malloc(l.draws * sizeof(Draw));
+    if (!lines) {
+      PyErr_NoMemory();
+      return;
+    }
+    make_draws<Task>(o, q, l, lines);
+    for (long long k = 0; k < l.draws; k++) {
+      const auto& [row, stream, place, low, range, distribution] = lines[k];
+      append(draws, Py_BuildValue("dddddd", row, stream, place, low, range, distribution));
+    }
+    PyMem_Free(lines);
+    description = PyStructSequence_New(description_type);
+    PyStructSequence_SetItem(description, 0, named_tuple(settings_type, (const double*)&q, COUNT<decltype(SETTINGS_FIELDS)>));
+    PyStructSequence_SetItem(description, 1, named_tuple(layout_type, (const long long*)&l, COUNT<decltype(LAYOUT_FIELDS)>));
+    PyStructSequence_SetItem(description, 2, entries);
+    PyStructSequence_SetItem(description, 3, draws);
+  });
+  if (!known) return PyErr_Format(PyExc_ValueError, "the core has no task of this number");
+  if (PyErr_Occurred()) Py_CLEAR(description);
+  return description;
+}
+
+// What Python knows of a task: a tuple of type `Task`.
+template <class Task> PyObject* describe_task(PyObject* shared_metrics) {
+  using namespace portable;
+  PyObject *found = PyStructSequence_New(task_type), *draws = PyList_New(0), *metrics = PyDict_New();
+  double nan = __builtin_nan("");
+  Task::draws(Range{nan, nan}, [&](const char* option, double low, double high, double distribution) {
+    append(draws, Py_BuildValue("sddd", option, low, high, distribution));
+  });
+  // An environment of zeros, for the names of its metrics.
+  struct { Block<1> block; typename Task::template Memory<double> memory; double end; } world = {};
+  Layout layout = {};
+  layout.rows = layout.task = NUM_ROWS;
+  Batch batch = {};
+  batch.world = (double*)&world, batch.layout = &layout, batch.lanes = 1;
+  put_metrics<Task, 1>(batch, 0, nan, [&](const char* name, const char* description, double) {
+    if (!PyDict_GetItemString(shared_metrics, name)) put_item(metrics, name, PyUnicode_FromString(description));
+  });
+  PyStructSequence_SetItem(found, 0, names_in(Task::FIELDS));
+  PyStructSequence_SetItem(found, 1, names_in(Task::SHOWN));
+  PyStructSequence_SetItem(found, 2, PyUnicode_FromString(Task::TERM));
+  PyStructSequence_SetItem(found, 3, PyLong_FromLong(Task::STEPS));
+  PyStructSequence_SetItem(found, 4, draws);
+  PyStructSequence_SetItem(found, 5, metrics);
+  return found;
+}
+
 int fill(PyObject* module) {
   using namespace portable;
   int failed = 0;
-  auto put = [&](PyObject* entries, const char* name, PyObject* value) {
-    failed |= value ? PyDict_SetItemString(entries, name, value) : -1;
-    Py_XDECREF(value);
+  PyObject* own = PyModule_GetDict(module);
+  auto put = [&](const char* name, PyObject* value) { failed |= put_item(own, name, value); };
+  auto put_type = [&](PyTypeObject*& type, const char* name, const char* doc, PyStructSequence_Field* fields, int count) {
+    PyStructSequence_Desc description = {name, doc, fields, count};
+    type = PyStructSequence_NewType(&description);
+    failed |= !type || PyDict_SetItemString(own, __builtin_strrchr(name, '.') + 1, (PyObject*)type) < 0;
   };
-  PyObject *own = PyModule_GetDict(module), *laws = PyDict_New(), *tasks = PyDict_New();
-  put(own, "LAWS", laws), put(own, "TASKS", tasks);
+#define PUT_TYPE(type, name, doc, FIELDS) put_type(type, "capsule_gym.core._core." name, doc, FIELDS, COUNT<decltype(FIELDS)>);
+  PUT_TYPE(settings_type, "Settings", "The settings of the step.", SETTINGS_FIELDS)
+  PUT_TYPE(layout_type, "Layout", "The rows of an environment, and sizes.", LAYOUT_FIELDS)
+  PUT_TYPE(description_type, "Description", "What follows from the options of an environment.", DESCRIPTION_FIELDS)
+  PUT_TYPE(task_type, "TaskDescription", "What follows from a task.", TASK_FIELDS)
+  if (failed) return -1;
+  PyObject *laws = PyDict_New(), *tasks = PyDict_New(), *metrics = PyDict_New(), *rows = PyDict_New();
+  put("LAWS", laws), put("TASKS", tasks), put("METRICS", metrics);
   // In the order of their numbers.
   [&]<class... Law>(List<Law...>) {
-    (put(laws, Law::NAME, Py_BuildValue("(sii)", Law::CONSTANTS, Law::MEMORY, Law::COLUMNS)), ...);
+    (put_item(laws, Law::NAME, Py_BuildValue("(sii)", Law::CONSTANTS, Law::MEMORY, Law::COLUMNS)), ...);
   }(Laws());
-  [&]<class... Task>(List<Task...>) { (put(tasks, Task::NAME, PyUnicode_FromString(Task::FIELDS)), ...); }(Tasks());
+  // The metrics of the task that adds none are those of all.
+  PyObject* none = PyDict_New();
+  PyObject* speed = none ? describe_task<Speed>(none) : nullptr;
+  if (!speed) return -1;
+  PyDict_Update(metrics, PyStructSequence_GetItem(speed, 5));
+  Py_DecRef(speed), Py_DecRef(none);
+  [&]<class... Task>(List<Task...>) { (put_item(tasks, Task::NAME, describe_task<Task>(metrics)), ...); }(Tasks());
+  long long row = 0;
+#define ROW(name) put_item(rows, #name, PyLong_FromLongLong(row++));
+  CAPSULE_ROWS
+#undef ROW
+  put("Row", PyObject_CallFunction((PyObject*)&PyType_Type, "s()O", "Row", rows));
+  put("ROW_NAMES", PyDict_Keys(rows));
+  Py_DecRef(rows);
   char levels[64] = "";
   for (int i = BEST; i < NUM_LEVELS; i++) __builtin_strcat(__builtin_strcat(levels, LEVELS[i].name), " ");
 #define FIELD(type, name) CAPSULE_NAME(name)
-#define ROW(name) CAPSULE_NAME(name)
-#define NAMES(name, text) put(own, #name, names_in(text));
-  NAMES(LEVELS, levels) NAMES(ROW_NAMES, CAPSULE_ROWS) NAMES(BATCH, CAPSULE_BATCH(FIELD))
-  NAMES(SETTINGS, CAPSULE_SETTINGS(CAPSULE_NAME))
+#define NAMES(name, text) put(#name, names_in(text));
+  NAMES(LEVELS, levels) NAMES(BATCH, CAPSULE_BATCH(FIELD)) NAMES(OPTIONS, CAPSULE_OPTIONS(CAPSULE_NAME, CAPSULE_RANGE_NAMES, CAPSULE_DISTURBANCE_NAMES))
   NAMES(PLANT, NOMINAL_CONSTANTS(CAPSULE_NAME)) NAMES(TRAJECTORY, CAPSULE_TRAJECTORY(CAPSULE_NAME))
-  NAMES(CONSTANTS, CAPSULE_CONSTANTS(CAPSULE_NAME)) NAMES(OBSERVED, OBSERVED(CAPSULE_NAME))
-#define REAL(name) put(own, #name, PyFloat_FromDouble(name));
-  REAL(THETA_LIMIT) REAL(THETA_DOT_BOUND) REAL(X_DOT_BOUND) REAL(MOTOR_WIDTH) REAL(MOTOR_SLOPE)
-  REAL(ERROR_BOUND) REAL(HOLD) REAL(TIME_TOLERANCE) REAL(SPEED_BOUND) REAL(MEASURED) REAL(ROUNDING)
-#define WHOLE(name) put(own, #name, PyLong_FromLongLong(name));
-  WHOLE(LANES) WHOLE(HISTORY_ROWS) WHOLE(MOST_CELLS) WHOLE(PADDING) WHOLE(COMMANDS) WHOLE(ESTIMATOR_CELLS)
-  WHOLE(DIRECTIONS) WHOLE(MOST_RESULTS) WHOLE(CENTRED) WHOLE(LOGARITHMIC)
-  put(own, "PLAIN_LAW", PyLong_FromVoidPtr((void*)&call_plain));
-  using E = Estimator<double>;
-  put(own, "ESTIMATES", Py_BuildValue("{s(dd)s(dd)s(dd)s(dd)}", "M_estimate", E::LOW_M, E::HIGH_M, "log_mu_estimate",
-                                      E::LOW_LOG_MU, E::HIGH_LOG_MU, "M_deviation", 0.0, E::DEVIATION_M,
-                                      "log_mu_deviation", 0.0, E::DEVIATION_LOG_MU));
-  return failed;
+  NAMES(CONSTANTS, CAPSULE_CONSTANTS(CAPSULE_NAME)) NAMES(DISTURBANCES, CAPSULE_DISTURBANCES(CAPSULE_NAME))
+  NAMES(OBSERVED, OBSERVED(CAPSULE_NAME)) NAMES(TERMINATIONS, CAPSULE_TERMINATIONS)
+  NAMES(STREAMS, CAPSULE_STREAMS(CAPSULE_NAME))
+#define REAL(name) put(#name, PyFloat_FromDouble(name));
+  REAL(THETA_LIMIT) REAL(THETA_DOT_BOUND) REAL(MOTOR_WIDTH) REAL(MOTOR_SLOPE) REAL(ROUNDING)
+  REAL(LARGEST_COMMAND) REAL(START_THETA) REAL(M_BOUND) REAL(MU_BOUND) REAL(DIRECT_PHYSICS_DT) REAL(LAW_PHYSICS_DT)
+#define WHOLE(name) put(#name, PyLong_FromLongLong(name));
+  WHOLE(LANES) WHOLE(MOST_CELLS) WHOLE(PADDING) WHOLE(COMMANDS) WHOLE(ESTIMATOR_CELLS) WHOLE(DIRECTIONS)
+  WHOLE(MOST_RESULTS) WHOLE(MOST_SUBSTEPS)
+  put("PLAIN_LAW", PyLong_FromVoidPtr((void*)&call_plain));
+  return failed || PyErr_Occurred() ? -1 : 0;
 }
 
 PyMethodDef METHODS[] = {
     {"select_level", select_level, METH_O, nullptr},
     {"call", (PyCFunction)(void*)call<true>, METH_FASTCALL, nullptr},
     {"call_locked", (PyCFunction)(void*)call<false>, METH_FASTCALL, nullptr},
+    {"describe", describe, METH_O, nullptr},
     {"trace", portable::trace, METH_VARARGS, nullptr},
     {nullptr, nullptr, 0, nullptr}};
 PyModuleDef_Slot SLOTS[] = {{Py_mod_exec, (void*)fill}, {0, nullptr}};

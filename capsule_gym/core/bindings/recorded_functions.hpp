@@ -70,7 +70,8 @@ inline PyObject* trace(PyObject*, PyObject* arguments) {
       auto seen = given<Observed<Trace>>();
       double rest = settings.agent_reads != 0.0 ? settings.stick_threshold : 0.0;
       if (auto taken = when(begun)) Task::reward(x, seen.x_dot, x - before, settings.control_dt(), rest, memory);
-      put_entries<Task>(settings, seen, memory, give<Trace>, given<Estimator<Trace>>);
+      auto put = [](const char*, double, double, Trace entry) { give(entry); };
+      put_entries<Task>(settings, seen, memory, put, given<Estimator<Trace>>);
     }
     give(memory);
   };

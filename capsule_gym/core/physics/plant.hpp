@@ -222,6 +222,11 @@ template <class T, Kind kind_> struct Plant {
 
 template <class P> using Number = typename P::Number;
 
+// Whether a plant with these constants is not a level floor with Coulomb friction alone.
+template <class T> INLINE bool is_extended(const Constants<T>& given) {
+  return given.viscous != 0.0 || given.stribeck_speed != 0.0 || given.slope != 0.0 || given.motor_friction != 0.0;
+}
+
 // The plant with these constants, which nothing pushes; M and mu are left to the caller.
 template <class T> INLINE Plant<T, Kind::varied> derive(const Constants<T>& given) {
   auto [sin, cos] = sincos(given.slope);

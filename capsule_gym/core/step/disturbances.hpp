@@ -1,10 +1,19 @@
-// Disturbances of sensors, motor and platform; `Disturbances` in parameters.py documents them. Random numbers are
-// hashes of the episode's key and a counter, so that a reading is the same alone and in a batch.
+// The disturbances of sensors, motor and platform, and what each does to a reading or a torque; `Disturbances` in
+// capsule_gym/parameters/disturbances.py documents them. Random numbers are hashes of the episode's key and a counter, so
+// that a reading is the same alone and in a batch.
 #pragma once
 #include "../numbers/random.hpp"
-#include "layout.hpp"
+
+// What an episode draws; SI units.
+#define CAPSULE_DISTURBANCES(FIELD)                                                                              \
+  FIELD(theta_noise) FIELD(theta_dot_noise) FIELD(x_dot_noise) FIELD(theta_bias) FIELD(theta_dot_bias)           \
+  FIELD(x_dot_bias) FIELD(theta_drift) FIELD(theta_dot_drift) FIELD(x_dot_drift) FIELD(drift_time)               \
+  FIELD(theta_resolution) FIELD(theta_dot_resolution) FIELD(x_dot_resolution) FIELD(latency) FIELD(lag)          \
+  FIELD(motor_friction) FIELD(torque_resolution) FIELD(push)
 
 namespace LEVEL {
+template <class T> struct Disturbances { CAPSULE_DISTURBANCES(CAPSULE_NUMBER) };
+
 // Added to a whole number: the lowest 52 bits of the sum are those of the number.
 constexpr double WHOLE = 4503599627370496.0;
 // Duration of the push in every second, and tolerance of the episode's time, s.
@@ -23,96 +32,34 @@ template <class T> INLINE T rounded(T value, T resolution) {
   return select(rounds, ((value / unit + ROUNDING) - ROUNDING) * unit, value);
 }
 
-// Disturbances of a block of N environments, with the number type T; `history` holds the last states.
-template <class T, int N> struct Disturbed {
-  const Settings& q;
-  Block<N>& b;
-  double* history;
-  const int n;
+// The errors of one sensor: the size of its white noise, its bias, the size of its drift, and its resolution.
+template <class T> struct SensorErrors { T noise, bias, drift, resolution; };
+template <class T> INLINE SensorErrors<T> errors_of_theta(const Disturbances<T>& d) {
+  return {d.theta_noise, d.theta_bias, d.theta_drift, d.theta_resolution};
+}
+template <class T> INLINE SensorErrors<T> errors_of_theta_dot(const Disturbances<T>& d) {
+  return {d.theta_dot_noise, d.theta_dot_bias, d.theta_dot_drift, d.theta_dot_resolution};
+}
+template <class T> INLINE SensorErrors<T> errors_of_x_dot(const Disturbances<T>& d) {
+  return {d.x_dot_noise, d.x_dot_bias, d.x_dot_drift, d.x_dot_resolution};
+}
 
-  // The period of the law, s, and the time between readings: this period, or without a law the agent's step.
-  double period() const { return q.physics_steps * q.physics_dt; }
-  double time_between_readings() const { return q.with_reference != 0.0 ? period() : period() * q.law_steps; }
-  double* entry(int place) const { return history + HISTORY_ROWS * N * place; }
+// The reading of a sensor that shows a value, with the present drift and a standard normal number.
+template <class T> INLINE T read_sensor(const SensorErrors<T>& errors, T shown, T drift, T white) {
+  T error = errors.bias + drift + white * errors.noise;
+  return rounded(shown + error, errors.resolution);
+}
 
-  // Derives the constants of the plants that begin an episode, and fills their history.
-  NOINLINE void begin() {
-    for (int j = 0; j < n; j++) {
-      if (b.active[j] == 0.0) continue;
-      auto drawn = load_record<Constants<double>, double, N>(FROM(drawn_m), j);
-      drawn.motor_friction += b.motor_friction[j];
-      auto p = derive(drawn);
-#define FIELD(name) b.plant_##name[j] = p.name;
-      CAPSULE_PLANT(FIELD)
-#undef FIELD
-      double lag = b.lag[j], key = b.key[j];
-      b.normal_force[j] = (b.M[j] + p.m) * drawn.g * sincos(drawn.slope).cos;
-      b.delay[j] = (b.latency[j] / period() + ROUNDING) - ROUNDING;
-      b.drift_share[j] = decay(time_between_readings() / b.drift_time[j]);
-      b.motor_share[j] = lag > 0.0 ? 1.0 - decay(period() / lag) : 1.0;
-      // The drift begins in its stationary distribution.
-      auto [first, second] = normals(word_of(key, 0.0, 6));
-      b.drift_of_theta[j] = b.theta_drift[j] * first, b.drift_of_theta_dot[j] = b.theta_dot_drift[j] * second;
-      b.drift_of_x_dot[j] = b.x_dot_drift[j] * normals(word_of(key, 0.0, 7)).first;
-      b.read_x[j] = b.x[j];
-      for (int i = 0; i < (int)q.history; i++)
-        store_record<double, N>(entry(i), j, load_record<State<double>, double, N>(FROM(theta), j));
-    }
-  }
+// The motor's torque after one period, of which it makes up the share `share` of its distance to the command.
+template <class T> INLINE T follow_command(const Disturbances<T>& d, T motor, T command, T share) {
+  return motor + share * (rounded(command, d.torque_resolution) - motor);
+}
 
-  // The motor's torque in N m for a command, and the push on the platform, from now on.
-  template <class M> INLINE T drive(int j, T command, M going) {
-    T motor = GET(motor);
-    motor = motor + select(going, GET(motor_share), T(0.0)) * (rounded(command, GET(torque_resolution)) - motor);
-    PUT(motor, motor);
-    if (any(GET(push) != 0.0)) {
-      T time = GET(duration) + ROUNDING_OF_TIME, second = floor(time);
-      auto [begins, size] = uniforms(scramble(bits_of(GET(key)) + 0x5851F42D4C957F2DULL * bits_of(second + WHOLE)));
-      T since = time - second - (1.0 - PUSH_TIME) * (begins - 1.0);
-      PUT(plant_push, select((since >= 0.0) & (since < PUSH_TIME), GET(push) * (2.0 * size - 3.0), T(0.0)));
-    }
-    return motor;
-  }
-
-  // Takes a reading of every sensor of the environments that take part, where law or agent need it. `begins`: whether
-  // episodes begin, whose history `begin` has filled; `last`: whether the agent's step ends.
-  NOINLINE void measure(bool begins, bool last) {
-    if (!begins) {
-      int next = (int)b.cursor[0] + 1;
-      b.cursor[0] = next < (int)q.history ? next : 0;
-      EACH store_record<T, N>(entry((int)b.cursor[0]), j, load_record<State<T>, T, N>(FROM(theta), j));
-    }
-    if (!begins && !last && q.with_reference == 0.0) return;
-    for (int j = 0; j < n; j++) {
-      int place = (int)b.cursor[0] - (int)b.delay[j];
-      const double* state = entry(place < 0 ? place + (int)q.history : place);
-      store_record<double, N>(FROM(late_theta), j, load_record<State<double>, double, N>(state, j));
-    }
-    double pause = time_between_readings();
-    EACH {
-      auto active = GET(active) != 0.0;
-      // The law is not called any more where the step has ended early.
-      if (q.with_reference != 0.0) active = active & (GET(halt) != HALTED);
-      T key = GET(key), count = GET(readings);
-      auto [white_0, white_1] = normals(word_of(key, count, 0));
-      auto [white_2, slow_2] = normals(word_of(key, count, 1));
-      auto [slow_0, slow_1] = normals(word_of(key, count, 2));
-      T kept = GET(drift_share), fresh = sqrt(1.0 - kept * kept);
-#define SENSOR(name, white, slow)                                                                  \
-  {                                                                                                \
-    T drift = kept * GET(drift_of_##name) + fresh * slow * GET(name##_drift);                      \
-    T error = GET(name##_bias) + drift + white * GET(name##_noise);                                \
-    T reading = rounded(GET(late_##name) + error, GET(name##_resolution));                         \
-    PUT(drift_of_##name, select(active, drift, GET(drift_of_##name)));                             \
-    PUT(read_##name, select(active, q.with_##name != 0.0 ? reading : T(0.0), GET(read_##name)));   \
-  }
-      SENSOR(theta, white_0, slow_0) SENSOR(theta_dot, white_1, slow_1) SENSOR(x_dot, white_2, slow_2)
-#undef SENSOR
-      T x = GET(read_x) + min(count, T(1.0)) * pause * GET(read_x_dot);
-      if (q.with_x != 0.0) x = GET(late_x) + q.x_noise * normals(word_of(key, count, 3)).first;
-      PUT(read_x, select(active, x, GET(read_x)));
-      PUT(readings, select(active, count + 1.0, count));
-    }
-  }
-};
+// The force on the platform at this time of the episode: in every second one of random size, at a random time.
+template <class T> INLINE T pushing_force(const Disturbances<T>& d, T key, T duration) {
+  T time = duration + ROUNDING_OF_TIME, second = floor(time);
+  auto [begins, size] = uniforms(scramble(bits_of(key) + 0x5851F42D4C957F2DULL * bits_of(second + WHOLE)));
+  T since = time - second - (1.0 - PUSH_TIME) * (begins - 1.0);
+  return select((since >= 0.0) & (since < PUSH_TIME), d.push * (2.0 * size - 3.0), T(0.0));
+}
 }  // namespace LEVEL

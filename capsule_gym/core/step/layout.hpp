@@ -3,6 +3,7 @@
 #pragma once
 #include "../estimator.hpp"
 #include "../physics/plant.hpp"
+#include "disturbances.hpp"
 
 // The quantities of an environment; SI units. `info` shows the first ones under these names.
 #define CAPSULE_ROWS                                                                                                   \
@@ -29,10 +30,7 @@
   /* Down to the end only for varied plants. The constants of `Plant`, those that the episode has drawn, its           \
      disturbances as in `Disturbances`, and the key of its noise. */                                                   \
   CAPSULE_PLANT(PLANT_ROW) CAPSULE_CONSTANTS(DRAWN)                                                                    \
-  ROW(theta_noise) ROW(theta_dot_noise) ROW(x_dot_noise) ROW(theta_bias) ROW(theta_dot_bias) ROW(x_dot_bias)           \
-  ROW(theta_drift) ROW(theta_dot_drift) ROW(x_dot_drift) ROW(drift_time) ROW(theta_resolution)                         \
-  ROW(theta_dot_resolution) ROW(x_dot_resolution) ROW(latency) ROW(lag) ROW(motor_friction) ROW(torque_resolution)     \
-  ROW(push) ROW(key)                                                                                                   \
+  CAPSULE_DISTURBANCES(ROW) ROW(key)                                                                                   \
   /* Derived: the latency in periods, the shares of drift and of motor lag after one period. */                        \
   ROW(delay) ROW(drift_share) ROW(motor_share)                                                                         \
   /* In the first lane: the entry of the history that was written last. */                                             \
@@ -59,6 +57,15 @@ template <int N> struct Block {
 #undef ROW
 };
 
+// The number of a row, and that of all rows above.
+#define ROW_OF(name) ((long long)(__builtin_offsetof(Block<1>, name) / sizeof(double)))
+constexpr long long NUM_ROWS = sizeof(Block<1>) / sizeof(double);
+
+// Reasons for the termination of an episode: the ball meets the platform, the platform leaves the floor, the integrator
+// cannot resolve the motion.
+#define CAPSULE_TERMINATIONS "none pendulum contact diverged "
+enum Termination { NONE, PENDULUM, CONTACT, DIVERGED };
+
 // For blocks: a loop over their lanes, a register at a time, and reads and writes of a row at the lanes from j on.
 #define EACH for (int j = 0; j < n; j += WIDTH<T>)
 #define GET(row) load<T>(b.row + j)
@@ -76,10 +83,15 @@ constexpr int ESTIMATOR_CELLS = LEVEL::WIDTH<LEVEL::Estimator<double>>;  // only
   FIELD(torque_limit) FIELD(residual_limit) FIELD(total_torque) FIELD(physics_dt) FIELD(physics_steps)                 \
   FIELD(law_steps) FIELD(energy_weight) FIELD(termination_penalty) FIELD(with_reference) FIELD(with_parameters)        \
   FIELD(with_estimates) FIELD(with_task) FIELD(stack_size)                                                             \
+  /* Bounds of the observed M, kg, and mu. */                                                                          \
+  FIELD(M_bound) FIELD(mu_bound)                                                                                       \
+  /* Period of the law, s; without a law that of the agent, or of the integrator where plants vary. */                 \
+  FIELD(law_dt)                                                                                                        \
   /* Disturbances: number of states in the history, whether law and agent observe the sensors, the sensors that exist, \
-     the noise of that of x, and the measured speed up to which the platform counts as at rest. */                     \
-  FIELD(history) FIELD(law_reads) FIELD(agent_reads) FIELD(with_theta) FIELD(with_theta_dot) FIELD(with_x_dot)         \
-  FIELD(with_x) FIELD(x_noise) FIELD(stick_threshold)                                                                  \
+     the noise of that of x, the measured speed up to which the platform counts as at rest, and the latency up to      \
+     which the history reaches. */                                                                                     \
+  FIELD(history_states) FIELD(law_reads) FIELD(agent_reads) FIELD(with_theta) FIELD(with_theta_dot) FIELD(with_x_dot)         \
+  FIELD(with_x) FIELD(x_noise) FIELD(stick_threshold) FIELD(longest_latency)                                           \
   /* The plant: whether it is extended, and differs in more than M and mu; and its constants. */                       \
   FIELD(extended) FIELD(varied) FIELD(pivot_torque_on_contact) CAPSULE_PLANT(FIELD)
 
@@ -90,36 +102,56 @@ struct Settings {
   double control_dt() const { return law_steps * physics_steps * physics_dt; }
 };
 
+// The first rows of the parts of an environment behind its quantities, and the sizes that follow from its options.
+#define CAPSULE_LAYOUT(FIELD)                                                                                          \
+  /* The law's memory, its line of the reference, and one past its end. A law of a task reads the memory there. */     \
+  FIELD(law_memory) FIELD(reference) FIELD(reference_end)                                                              \
+  /* The task's memory with true values, one past its end, and for varied plants that with measured values, which      \
+     comes first where the law observes the sensors. */                                                                \
+  FIELD(task) FIELD(task_end) FIELD(read_task)                                                                         \
+  /* The last states of a varied plant, the estimator, and the number of all rows. */                                  \
+  FIELD(history) FIELD(estimator) FIELD(rows)                                                                          \
+  /* Entries of the observation. Lines of the draw table: all of them, the first one of the task, of the constants and \
+     of the disturbances. */                                                                                           \
+  FIELD(entries) FIELD(draws) FIELD(task_draws) FIELD(constant_draws) FIELD(disturbance_draws)
+#define CAPSULE_WHOLE(name) long long name;
+struct Layout {
+  CAPSULE_LAYOUT(CAPSULE_WHOLE)
+
+  long long memory_size() const { return reference - law_memory; }
+  long long reference_size() const { return reference_end - reference; }
+};
+
 // Calls a law that is not part of the core for n environments of a block whose rows begin at `block`: replaces their
 // memory and the torques, which are NaN, but for environments where the law raises an exception. Where the law observes
 // the sensors, its state is the rows from read_theta on.
 typedef void (*UserLaw)(void* data, double* block, double* torques, long long n);
 
+// The purposes of random numbers. Each has its own stream, so that draws for one do not shift another.
+#define CAPSULE_STREAMS(STREAM) STREAM(parameters) STREAM(initial_state) STREAM(disturbances) STREAM(task) STREAM(variation)
+#define STREAM_PLACE(name) name,
+enum class Stream { CAPSULE_STREAMS(STREAM_PLACE) };
+
 // A number that an episode draws: its row in the world, the stream and the place of its share in [0, 1) there, and its
-// distribution: uniform in [low, low + range]; the same with a random sign; uniform within range of low; or low e^z with
-// z uniform in [0, range].
+// distribution.
 struct Draw { double row, stream, place, low, range, distribution; };
-constexpr double UNIFORM = 0.0, SIGNED = 1.0, CENTRED = 2.0, LOGARITHMIC = 3.0;
 
 // Everything that belongs to the environments of a simulation: arrays, by their addresses, and their sizes. Python
 // passes the address of an array of these numbers.
 #define CAPSULE_BATCH(FIELD)                                                                                           \
-  /* The blocks, each with the law's memory, its line of the reference, the task's memory, the history and the         \
-     estimator behind it. A varied plant has two memories of the task, with true and with measured values; the law     \
-     observes the first. `block_rows` includes them; `lanes` is LANES or 1. */                                         \
-  FIELD(double*, world) FIELD(long long, block_rows) FIELD(long long, num_envs) FIELD(long long, lanes)                \
-  /* Shape (num_envs, entries). */                                                                                     \
-  FIELD(float*, observations) FIELD(long long, entries)                                                                \
-  FIELD(const Settings*, settings)                                                                                     \
+  /* The blocks, of `layout.rows` rows; `lanes` is LANES or 1. */                                                      \
+  FIELD(double*, world) FIELD(long long, num_envs) FIELD(long long, lanes)                                             \
+  FIELD(float*, observations)                                                                                          \
+  FIELD(const Settings*, settings) FIELD(const Layout*, layout)                                                        \
   /* Numbers of the task and of the law in their lists. */                                                             \
-  FIELD(long long, task) FIELD(long long, task_size)                                                                   \
+  FIELD(long long, task)                                                                                               \
   FIELD(long long, law) FIELD(const double*, law_constants) FIELD(UserLaw, user_law) FIELD(void*, user_data)           \
-  FIELD(const double*, memory) FIELD(long long, memory_size)                                                           \
-  FIELD(const double*, reference) FIELD(long long, reference_rows) FIELD(long long, reference_size)                    \
+  /* The law's memory at the start of an episode, and its reference. */                                                \
+  FIELD(const double*, memory) FIELD(const double*, reference) FIELD(long long, reference_rows)                        \
   /* Resets: keys (num_envs, 2), episodes since the seeding, the environments that begin (count,), what they draw, and \
-     the values (lines, num_envs). */                                                                                  \
+     the values (layout.draws, num_envs). */                                                                           \
   FIELD(const unsigned long long*, keys) FIELD(long long*, episodes) FIELD(const long long*, rows)                     \
-  FIELD(const Draw*, draw_table) FIELD(long long, draw_lines) FIELD(double*, drawn)                                    \
+  FIELD(const Draw*, draw_table) FIELD(double*, drawn)                                                                 \
   /* Rows of environment, time (s), M (kg) and mu, in order of environment and time. */                                \
   FIELD(const double*, changes) FIELD(long long, num_changes)
 
@@ -131,5 +163,5 @@ struct Batch {
 
 // The block of N environments that holds environment i.
 template <int N> INLINE Block<N>& block_of(const Batch& batch, long long i) {
-  return *(Block<N>*)(batch.world + i / N * batch.block_rows * N);
+  return *(Block<N>*)(batch.world + i / N * batch.layout->rows * N);
 }

@@ -14,23 +14,42 @@ template <class T> struct Observed { OBSERVED(CAPSULE_NUMBER) };
 struct Pendulum { double m, l, g, dt; };
 INLINE Pendulum assumed_pendulum(const Settings& q) { return {q.m, q.l, q.g, q.control_dt()}; }
 
-// Puts the entries in the order of `observation_entries`; `estimate` returns the estimator of M and mu after this
-// observation.
+// Puts the entries in their order, each as put(name, low, high, value) with the bounds to which it is clipped. `estimate`
+// returns the estimator of M and mu after this observation.
 template <class Task, class T, class Put, class Estimate>
 INLINE void put_entries(const Settings& q, const Observed<T>& o, const typename Task::template Memory<T>& memory,
                         Put put, Estimate estimate) {
-  put(clip(o.theta, T(THETA_LIMIT))), put(clip(o.theta_dot, T(THETA_DOT_BOUND))), put(clip(o.x_dot, T(X_DOT_BOUND)));
+  auto put_angle = [&](const char* name, T value) {
+    put(name, -THETA_LIMIT, THETA_LIMIT, clip(value, T(THETA_LIMIT)));
+  };
+  auto put_rate = [&](const char* name, T value) {
+    put(name, -THETA_DOT_BOUND, THETA_DOT_BOUND, clip(value, T(THETA_DOT_BOUND)));
+  };
+  put_angle("theta", o.theta);
+  put_rate("theta_dot", o.theta_dot);
+  put("x_dot", -X_DOT_BOUND, X_DOT_BOUND, clip(o.x_dot, T(X_DOT_BOUND)));
   double rest = q.agent_reads != 0.0 ? q.stick_threshold : 0.0;
-  put(select(abs(o.x_dot) <= rest, T(1.0), T(0.0))), put(o.action);
+  put("stick", 0.0, 1.0, select(abs(o.x_dot) <= rest, T(1.0), T(0.0)));
+  put("last_action", -1.0, 1.0, o.action);
   if (q.with_reference != 0.0) {
+    put_angle("theta_d", o.theta_d);
+    put_rate("theta_d_dot", o.theta_d_dot);
     auto [sin, cos] = sincos(2.0 * PI * o.phase);
-    put(clip(o.theta_d, T(THETA_LIMIT))), put(clip(o.theta_d_dot, T(THETA_DOT_BOUND)));
-    put(sin), put(cos), put(o.law_torque);
+    put("sin_phase", -1.0, 1.0, sin);
+    put("cos_phase", -1.0, 1.0, cos);
+    put("law_torque", -q.torque_limit, q.torque_limit, o.law_torque);
   }
-  if (q.with_parameters != 0.0) put(o.M), put(o.mu);
+  if (q.with_parameters != 0.0) {
+    put("M", 0.0, q.M_bound, o.M);
+    put("mu", 0.0, q.mu_bound, o.mu);
+  }
   if (q.with_estimates != 0.0) {
+    using E = Estimator<double>;
     Estimator<T> e = estimate();
-    put(e.M), put(e.log_mu), put(deviation(e.P_MM)), put(deviation(e.P_ff));
+    put("M_estimate", E::LOW_M, E::HIGH_M, e.M);
+    put("log_mu_estimate", E::LOW_LOG_MU, E::HIGH_LOG_MU, e.log_mu);
+    put("M_deviation", 0.0, E::DEVIATION_M, deviation(e.P_MM));
+    put("log_mu_deviation", 0.0, E::DEVIATION_LOG_MU, deviation(e.P_ff));
   }
   if (q.with_task != 0.0) Task::observe(memory, put);
 }
@@ -41,11 +60,11 @@ template <class Task, int N>
 NOINLINE void observe(const Batch& batch, const Block<N>& b, int n, const double* line, const double* task,
                       double* estimators, float* observations, bool begin) {
   const Settings& q = *batch.settings;
-  int entries = (int)batch.entries / (int)q.stack_size, all = (int)batch.entries;
+  int all = (int)batch.layout->entries, entries = all / (int)q.stack_size;
   bool reads = q.agent_reads != 0.0;
   for (int j = 0; j < n; j++) {
     if (b.active[j] == 0.0) continue;
-    float* out = observations + j * batch.entries;
+    float* out = observations + j * all;
     // Shifts the stacked observations; at the start of an episode all of them are the first.
     for (int entry = all - 1; entry >= entries; entry--) out[entry] = out[entry - entries];
     Observed<double> seen = {reads ? b.read_theta[j] : b.theta[j], reads ? b.read_theta_dot[j] : b.theta_dot[j],
@@ -54,7 +73,7 @@ NOINLINE void observe(const Batch& batch, const Block<N>& b, int n, const double
     float* next = out;
     put_entries<Task>(
         q, seen, load_record<typename Task::template Memory<double>, double, N>(task, j),
-        [&](double entry) { *next++ = (float)entry; },
+        [&](const char*, double, double, double entry) { *next++ = (float)entry; },
         [&]() __attribute__((noinline)) {
           auto e = load_record<Estimator<double>, double, N>(estimators, j);
           update_estimator<double>(e, out[0], out[1], out[2], assumed_pendulum(q));

@@ -1,6 +1,7 @@
 // The start of an episode: random draws and initial values.
 #pragma once
 #include "../numbers/random.hpp"
+#include "../tasks/task.hpp"
 #include "layout.hpp"
 
 namespace LEVEL {
@@ -20,7 +21,7 @@ inline long long draw_episodes(const Batch& b, long long count) {
   for (long long n = 0; n < count; n++) {
     long long i = b.rows[n];
     if (i < 0 || i >= b.num_envs) return n;
-    for (long long k = 0; k < b.draw_lines; k++) {
+    for (long long k = 0; k < b.layout->draws; k++) {
       const Draw& line = b.draw_table[k];
       // Most lines are constants.
       bool varies = line.range != 0.0 || line.distribution == SIGNED;
@@ -41,11 +42,11 @@ template <int N> void begin_episodes(const Batch& b, long long count) {
     double* lane = (double*)&block + j;
     // The constants of varied plants are derived when their episode begins.
     long long plant = (block.plant_m - (double*)&block) / N, readings = (block.readings - (double*)&block) / N;
-    long long memory = sizeof block / sizeof block.theta;
     for (long long row = 0; row < plant; row++) lane[row * N] = 0.0;
-    for (long long row = readings; row < b.block_rows; row++) lane[row * N] = 0.0;
-    for (long long cell = 0; cell < b.memory_size; cell++) lane[(memory + cell) * N] = b.memory[cell];
-    for (long long k = 0; k < b.draw_lines; k++)
+    for (long long row = readings; row < b.layout->rows; row++) lane[row * N] = 0.0;
+    for (long long cell = 0; cell < b.layout->memory_size(); cell++)
+      lane[(b.layout->law_memory + cell) * N] = b.memory[cell];
+    for (long long k = 0; k < b.layout->draws; k++)
       lane[(long long)b.draw_table[k].row * N] = b.drawn[k * b.num_envs + n];
     block.start_x[j] = block.x[j];
     block.smallest_normal_ratio[j] = INFINITE;

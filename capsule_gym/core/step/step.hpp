@@ -5,18 +5,14 @@
 #pragma once
 #include "../laws/laws.hpp"
 #include "../physics/events.hpp"
-#include "disturbances.hpp"
 #include "observation.hpp"
+#include "sensing.hpp"
 
 namespace LEVEL {
 // |theta_dot| + |x_dot| (rad/s, m/s) after a substep with an event beyond which the motion counts as lost.
 constexpr double RATE_LIMIT = 1e4;
 // The cost of a step is 1 where less than this share of the weight presses on the floor, or of pi/2 remains.
 constexpr double MARGIN = 0.1;
-
-// Reasons for the termination of an episode: the ball meets the platform, the platform leaves the floor, the integrator
-// cannot resolve the motion.
-enum Termination { PENDULUM = 1, CONTACT = 2, DIVERGED = 3 };
 
 // Whether the episode goes on and both are numbers. This check finds every step that overflows: within the limits of
 // plant and torque, accelerations that overflow grow so fast from stage to stage that none cancels another in theta.
@@ -52,11 +48,11 @@ template <class T, int N> struct Step {
 
   Step(const Batch& batch, Block<N>& block, int n, float* observations)
       : batch(batch), q(*batch.settings), b(block), n(n), observations(observations),
-        seen(q.law_reads != 0.0 ? FROM(read_theta) : FROM(theta)), memory((double*)(&block + 1)),
-        line(memory + batch.memory_size * N),
-        task(line + (batch.reference_size + (q.law_reads != 0.0 ? batch.task_size : 0)) * N),
-        read_task(task + (q.law_reads != 0.0 ? -1 : 1) * batch.task_size * N),
-        disturbed{q, block, line + (batch.reference_size + (varied ? 2 : 1) * batch.task_size) * N, n} {}
+        seen(q.law_reads != 0.0 ? FROM(read_theta) : FROM(theta)), memory(row(batch.layout->law_memory)),
+        line(row(batch.layout->reference)), task(row(batch.layout->task)), read_task(row(batch.layout->read_task)),
+        disturbed{q, block, row(batch.layout->history), n} {}
+
+  double* row(long long number) const { return (double*)&b + number * N; }
 
   // One agent step, or with `begin` the first call of the law in an episode.
   template <class Task> void run(bool begin) {
@@ -71,7 +67,7 @@ template <class T, int N> struct Step {
       call_law(begin ? 0.0 : 1.0);
     }
     if (!begin) finish_step<Task>();
-    observe<Task>(batch, b, n, line, q.agent_reads != 0.0 ? read_task : task, disturbed.entry((int)q.history),
+    observe<Task>(batch, b, n, line, q.agent_reads != 0.0 ? read_task : task, row(batch.layout->estimator),
                   observations, begin);
   }
 
@@ -239,7 +235,7 @@ template <class T, int N> struct Step {
   // Writes the present lines of the reference, `tick` rows further on.
   INLINE void read_reference(double tick) {
     double cycle = (double)batch.reference_rows;
-    long long size = batch.reference_size;
+    long long size = batch.layout->reference_size();
     bool same = true;
     for (int j = 0; j < n; j++) {
       double clock = b.clock[j] + (b.halt[j] != HALTED ? tick : 0.0);
@@ -270,7 +266,7 @@ template <class T, int N> struct Step {
   }
 
   NOINLINE void evaluate_user_law(double tick) {
-    long long size = batch.memory_size * N;
+    long long size = batch.layout->memory_size() * N;
     // It writes the memory of every lane. Lanes that have halted get theirs back, and those whose law has failed, so
     // that it can be called again with the same arguments.
     double torques[N], kept[MOST_CELLS * N];
@@ -370,7 +366,7 @@ template <class T, int N> long long advance_blocks(const Batch& batch, long long
     int n = last - at < N ? (int)(last - at) : N, width = (n + WIDTH<T> - 1) / WIDTH<T> * WIDTH<T>;
     for (int j = n; j < width; j++) block.active[j] = 0.0;
     if (!begin) changes = apply_changes(batch, changes, block, at, n);
-    Step<T, N> step(batch, block, width, batch.observations + at * batch.entries);
+    Step<T, N> step(batch, block, width, batch.observations + at * batch.layout->entries);
     with_type(Tasks(), batch.task, [&]<class Task>() { step.template run<Task>(begin); });
     for (int j = 0; j < n; j++)
       if (block.active[j] != 0.0 && !(abs(block.law_torque[j]) < INFINITE)) broken = at + j;

@@ -12,8 +12,12 @@ struct Goal {
   // Position of the goal, and that minus the platform's, m; times since the start, at rest within the tolerance, and at
   // which the goal was reached (0 before), s; the drawn displacement of the goal, m.
 #define GOAL_MEMORY(FIELD) FIELD(goal) FIELD(error) FIELD(time) FIELD(held) FIELD(reached) FIELD(displacement)
-  static constexpr const char* FIELDS = GOAL_MEMORY(CAPSULE_NAME);
+  static constexpr const char *FIELDS = GOAL_MEMORY(CAPSULE_NAME), *SHOWN = "goal error held ", *TERM = "reward_goal";
+  static constexpr int STEPS = 750;
   template <class T> struct Memory { GOAL_MEMORY(CAPSULE_NUMBER) };
+
+  // The displacement, m.
+  template <class Put> static void draws(Range, Put put) { put("goal", 0.05, 0.5, SIGNED); }
 
   // Places the goal at the drawn displacement from the platform.
   template <class T> static INLINE void begin(T x, T observed_x, Memory<T>& memory) {
@@ -42,9 +46,16 @@ struct Goal {
   }
 
   template <class T, class Put> static INLINE void observe(const Memory<T>& memory, Put put) {
-    put(clip(memory.error, T(ERROR_BOUND)));
-    put(tanh(memory.error / 0.02));
-    put(min(memory.held, T(HOLD)));
+    put("goal_error", -ERROR_BOUND, ERROR_BOUND, clip(memory.error, T(ERROR_BOUND)));
+    put("near_goal_error", -1.0, 1.0, tanh(memory.error / 0.02));
+    put("held", 0.0, HOLD, min(memory.held, T(HOLD)));
+  }
+
+  template <class Put> static void metrics(const Memory<double>& memory, double whole, Put put) {
+    bool success = memory.reached > 0.0;
+    put("success", "1 if the goal was reached, else 0", success ? 1.0 : 0.0);
+    put("goal_time", "time to the goal, or without success the length of a whole episode, s",
+        success ? memory.reached : whole);
   }
 };
 }  // namespace LEVEL

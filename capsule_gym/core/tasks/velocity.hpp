@@ -9,6 +9,8 @@ constexpr double LEAD = 0.3, FILTER = 0.25, SPEED_BOUND = 2.0;
 // from the target within which a command is settled, m.
 constexpr double SETTLING = 1.5, MEASURED = 1.0, SETTLED = 0.02;
 constexpr int COMMANDS = 8;
+// Largest accepted and largest drawn command, m/s, and the range of its duration, s.
+constexpr double LARGEST_COMMAND = 0.2, DRAWN_COMMAND = 0.1, SHORTEST_COMMAND = 4.0, LONGEST_COMMAND = 8.0;
 
 struct Velocity {
   static constexpr const char* NAME = "velocity";
@@ -22,10 +24,19 @@ struct Velocity {
   FIELD(unsettled)
   static constexpr const char* FIELDS = VELOCITY_MEMORY(CAPSULE_NAME)
       "v_0 v_1 v_2 v_3 v_4 v_5 v_6 v_7 lasts_0 lasts_1 lasts_2 lasts_3 lasts_4 lasts_5 lasts_6 lasts_7";
+  static constexpr const char *SHOWN = "command target error ", *TERM = "reward_tracking";
+  static constexpr int STEPS = 1000;
   template <class T> struct Memory {
     VELOCITY_MEMORY(CAPSULE_NUMBER)
     T v[COMMANDS], lasts_for[COMMANDS];
   };
+
+  // The velocities, and how long each lasts.
+  template <class Put> static void draws(Range given, Put put) {
+    Range velocities = given.low == given.low ? given : Range{-DRAWN_COMMAND, DRAWN_COMMAND};
+    for (int i = 0; i < COMMANDS; i++) put("commands", velocities.low, velocities.high, UNIFORM);
+    for (int i = 0; i < COMMANDS; i++) put("commands", SHORTEST_COMMAND, LONGEST_COMMAND, UNIFORM);
+  }
 
   // Sets the first command, with the target at the platform.
   template <class T> static INLINE void begin(T, T observed_x, Memory<T>& m) {
@@ -69,10 +80,25 @@ struct Velocity {
   }
 
   template <class T, class Put> static INLINE void observe(const Memory<T>& memory, Put put) {
-    put(memory.command);
-    put(tanh(memory.error / 0.05));
-    put(tanh(memory.error / 0.2));
-    put(clip(memory.speed, T(SPEED_BOUND)));
+    put("command", -LARGEST_COMMAND, LARGEST_COMMAND, memory.command);
+    put("near_error", -1.0, 1.0, tanh(memory.error / 0.05));
+    put("far_error", -1.0, 1.0, tanh(memory.error / 0.2));
+    put("mean_x_dot", -SPEED_BOUND, SPEED_BOUND, clip(memory.speed, T(SPEED_BOUND)));
+  }
+
+  // The sums over the previous commands, with the present one where it has been measured for long enough.
+  template <class Put> static void metrics(const Memory<double>& m, double, Put put) {
+    double duration = m.measured_from > 0.0 ? m.since - m.measured_from : 0.0;
+    bool counts = duration >= MEASURED - TIME_TOLERANCE;
+    double moved = m.target - m.error - m.measured_x;
+    double missed = m.missed + (counts ? abs(moved - m.command * duration) : 0.0);
+    double commanded = m.commanded + (counts ? abs(m.command) * duration : 0.0);
+    double measured = m.measured + (counts ? 1.0 : 0.0);
+    double unsettled = m.unsettled + (counts ? 1.0 - m.settled : 0.0);
+    put("velocity_error", "error of the mean velocity, percent of the commands; 100 without a measured command",
+        100.0 * (commanded > 0.0 ? missed / commanded : 1.0));
+    put("unsettled", "share of the measured commands that were never settled; 1 without a measured command",
+        measured > 0.0 ? unsettled / measured : 1.0);
   }
 };
 }  // namespace LEVEL

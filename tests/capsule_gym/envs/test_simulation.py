@@ -10,8 +10,8 @@ import pytest
 from capsule_gym import Capsule, Controller, Randomization
 from capsule_gym.core.layout import LANES, Row
 from capsule_gym.envs.config import EnvConfig
-from capsule_gym.envs.resets import Stream, draw_plant, random_stream
-from capsule_gym.envs.settings import STABLE
+from capsule_gym.envs.contract import STABLE, draw_plant
+from capsule_gym.envs.resets import random_stream
 from capsule_gym.envs.simulation import MOST_ENVS, Simulation
 from capsule_gym.tasks.task import START_THETA, Termination
 from tests.capsule_gym.fakes import picky_controller  # noqa: F401 (named by a pickle)
@@ -104,9 +104,9 @@ def test_what_is_drawn_are_the_numbers_of_numpys_philox_bit_for_bit(randomizatio
     for episode in range(10):
         simulation.reset(rows)
         for i, seed in enumerate(SEEDS):
-            stream = random_stream(seed, episode, Stream.parameters)
+            stream = random_stream(seed, episode, "parameters")
             plant = draw_plant(simulation.randomization, simulation.capsule, stream)
-            noise = random_stream(seed, episode, Stream.initial_state).uniform(-1.0, 1.0, 2)
+            noise = random_stream(seed, episode, "initial_state").uniform(-1.0, 1.0, 2)
             column = simulation.columns(rows)[:, i]
             assert (column[Row.M], column[Row.mu]) == plant
             ranged = "initial_range" in start
@@ -121,12 +121,12 @@ def test_what_is_drawn_are_the_numbers_of_numpys_philox_bit_for_bit(randomizatio
 def test_a_range_is_drawn_as_its_formula_says():
     wide, uniform = Randomization.named("wide"), Randomization(mu=(0.1, 0.4))
     for seed in range(100):
-        shares = random_stream(seed, 0, Stream.parameters).random(2).tolist()
-        M, mu = draw_plant(wide, Capsule(), random_stream(seed, 0, Stream.parameters))
+        shares = random_stream(seed, 0, "parameters").random(2).tolist()
+        M, mu = draw_plant(wide, Capsule(), random_stream(seed, 0, "parameters"))
         assert M == 0.35 + (0.75 - 0.35) * shares[0]
         assert mu == pytest.approx(0.005 * (0.3 / 0.005) ** shares[1], rel=1e-15)
         # Ranges do not shift the stream, and a constant without a range is the capsule's own.
-        found = draw_plant(uniform, Capsule(M=0.7), random_stream(seed, 0, Stream.parameters))
+        found = draw_plant(uniform, Capsule(M=0.7), random_stream(seed, 0, "parameters"))
         assert found == (0.7, 0.1 + (0.4 - 0.1) * shares[1])
     assert draw_plant(wide, Capsule(), SimpleNamespace(random=np.zeros)) == (0.35, 0.005)
     middle = SimpleNamespace(random=lambda count: np.full(count, 0.5))
