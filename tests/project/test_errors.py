@@ -26,7 +26,6 @@ from capsule_gym.control.laws.gait import gait
 from capsule_gym.control.laws.profiles import TABLE_1, seven_phases, six_phases
 from capsule_gym.core import native
 from capsule_gym.demo import main as demo
-from capsule_gym.envs.settings import divide
 from capsule_gym.envs.simulation import Simulation
 from capsule_gym.evaluation.candidates import find_candidate
 from capsule_gym.evaluation.episodes import evaluate, summarise
@@ -61,6 +60,7 @@ KNOWN = {name: getattr(NOMINAL, name) for name in PLANT} | dict.fromkeys(OTHERS,
 GAIT = known_parameters("gait")
 MODEL = SimpleNamespace(predict=len, observation_space=CapsuleEnv(task="goal", goal_env=True).observation_space)
 GOALS, REAL = CapsuleEnv(task="goal", goal_env=True), CapsuleEnv(disturbances="real")
+SLOW = Controller("slow", lambda *numbers: (0.0, numbers[4]), np.zeros((1, 2)), dt=2000.0)
 ORIGIN = (0.0, 0.0, 0.0, 0.0)
 NO_SETS = [(n, f"^set must be one of .* got '{n!s:.4}") for n in ("x" * 10_000, "/dev/null", "a\0b", None)]
 CALLS = [
@@ -91,7 +91,11 @@ CALLS = [
     (lambda: CoreLaw("oscillator", **OSCILLATOR, K=1.0), TypeError, "the constants omega, .*, got .*, K$"),
     (lambda: CoreLaw("none")(*ORIGIN, (0.0, 0.0), (0.0, 0.0)), ValueError, "must have the shapes"),
     (lambda: native.address(np.zeros((2, 2))[:, 0]), ValueError, "array must be C-contiguous"),
-    (lambda: divide("control_dt", 0.02, "physics_dt", 1e-9), ValueError, "dt must be control_dt=0.02 s over a whole"),
+    (
+        lambda: CapsuleEnv(controller=SLOW),
+        ValueError,
+        r"^physics_dt must be the law's step=2000.0 s over .* most 1000000",
+    ),
     (lambda: sensitivity(ORIGIN, [0.1], capsule="paper"), TypeError, "capsule must be a Capsule, got 'paper'"),
     (lambda: sensitivity(ORIGIN, [0.1], "mu"), TypeError, "wrt must be a sequence of names"),
     (lambda: sensitivity(ORIGIN, [0.1], iter(["mu"])), TypeError, "wrt must be a sequence of names"),
@@ -165,7 +169,7 @@ CALLS = [
     (lambda: CapsuleEnv(physics_dt=1e-25), ValueError, r"^physics_dt must be .*>= 1e-09 \(s\).*, got 1e-25"),
     (lambda: CapsuleEnv(control_dt=1e6), ValueError, r"^control_dt must be at most 1000000 times physics_dt=0\.002 s,"),
     (lambda: CapsuleEnv(physics_dt=1e-9, controller=adaptive), ValueError, "^control_dt must be at most 1000000 times"),
-    (lambda: CapsuleEnv(task=Task(name="run", term="reward")), ValueError, r"task\.name must be .*'speed'.*got 'run'"),
+    (lambda: CapsuleEnv(task=Task(name="run")), ValueError, r"task\.name must be .*'speed'.*got 'run'"),
     (lambda: Randomization(M=(0.2, 0.1)), ValueError, r"^Randomization\.M.* a pair \(low, high\) of"),
     (lambda: Randomization(mu=(True, 2.0)), TypeError, r"^Randomization\.mu.* a pair \(low, high\)"),
     # Zero is a friction coefficient, but no mass, and has no logarithm.

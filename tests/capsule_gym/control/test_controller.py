@@ -137,7 +137,7 @@ def test_a_zero_residual_gives_the_torques_of_the_law_alone_bit_for_bit(name):
     made = find_controller(f"baselines:{name}")
     env = CapsuleEnv(controller=made, task=made.task or "speed", control_dt=1e-3, residual_limit=3.0)
     simulation, memory, (_, info) = env.simulation, made.memory, env.reset(seed=0)
-    task_memory = simulation.world[0, simulation.task_row : simulation.task_end, 0]
+    task_memory = simulation.world[0, simulation.layout.task : simulation.layout.task_end, 0]
     own = task_memory.copy()
     for n in range(800):
         torque, memory = made.law(*info["state"], memory, (*made.reference[n % len(made.reference)], *own))

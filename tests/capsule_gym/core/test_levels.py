@@ -36,7 +36,9 @@ def episode(n, threads, **kwargs):
     shown = []
     for t in range(STEPS):
         observations, rewards, terminated, _, _ = env.step(actions[:, t : t + 1])
-        world = env.simulation.columns(np.arange(n))[[*EPISODE_ROWS, *range(NUM_ROWS, env.simulation.task_end)]].T
+        world = env.simulation.columns(np.arange(n))[
+            [*EPISODE_ROWS, *range(NUM_ROWS, env.simulation.layout.task_end)]
+        ].T
         shown.append(np.concatenate([observations, rewards[:, None], terminated[:, None], world], axis=1))
     return [np.array(shown)[:, i].tobytes() for i in range(n)]
 

@@ -1,10 +1,12 @@
 import math
+import sys
 
 import numpy as np
 import pytest
 
 from capsule_gym import CapsuleEnv, CapsuleVectorEnv, Controller
-from capsule_gym.envs.resets import Stream, random_stream
+from capsule_gym.core import _core
+from capsule_gym.envs.resets import random_stream
 from capsule_gym.tasks.registry import TASKS, find_task
 from capsule_gym.tasks.velocity import with_commands
 
@@ -19,22 +21,25 @@ GIVEN = {
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_what_an_episode_draws_are_numpys_numbers_and_a_reset_may_set_it(name):
-    own = find_task(name)
+    own, all_draws = find_task(name), _core.TASKS[name].draws
     batch = CapsuleVectorEnv(5, task=name)
+    end = batch.simulation.layout.task_end
     for episode in range(3):
         batch.reset(seed=[2**64 + 3, 1, 2, 3, 4] if episode == 0 else None)
-        drawn = batch.simulation.rows(batch.simulation.world.shape[1] - len(own.draws), batch.simulation.world.shape[1])
+        drawn = batch.simulation.rows(end - len(all_draws), end)
         for i, seed in enumerate((2**64 + 3, 1, 2, 3, 4)):
-            shares = random_stream(seed, episode, Stream.task).random(len(own.draws))
-            for draw, share, value in zip(own.draws, shares, drawn[:, i], strict=True):
-                signed = math.copysign(draw.low + (draw.high - draw.low) * abs(2 * share - 1), share - 0.5)
-                assert value == pytest.approx(signed if draw.signed else draw.low + (draw.high - draw.low) * share)
-                assert draw.low <= (abs(value) if draw.signed else value) <= draw.high
+            shares = random_stream(seed, episode, "task").random(len(all_draws))
+            for (_, low, high, signed), share, value in zip(all_draws, shares, drawn[:, i], strict=True):
+                either = math.copysign(low + (high - low) * abs(2 * share - 1), share - 0.5)
+                assert value == pytest.approx(either if signed else low + (high - low) * share)
+                assert low <= (abs(value) if signed else value) <= high
     options, shown, value, draws = GIVEN[name]
     ranges = str(own.defaults["randomization"]).replace("M in", "M uniform in")
     weights = "`energy_weight={energy_weight:g}` and `termination_penalty={termination_penalty:g}`"
     said = f"Capsule(static_ratio={own.defaults['capsule'].static_ratio})`, {ranges}, {weights.format(**own.defaults)}"
-    assert set(own.draws) == draws and said in " ".join(own.metrics.__globals__["__doc__"].split())
+    page = sys.modules[f"capsule_gym.tasks.{name}"].__doc__
+    assert {(low, high, bool(signed)) for _, low, high, signed in all_draws} == draws
+    assert said in " ".join(page.split())
     assert CapsuleEnv(task=name).reset(seed=0, options=options)[1][shown] == value
     assert (batch.reset(options={key: [given] * 5 for key, given in options.items()})[1][shown] == value).all()
     # The plant and the first angle are the same draws as those of the speed task.
