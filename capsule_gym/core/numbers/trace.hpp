@@ -13,7 +13,8 @@ inline Condition branch = {-1};  // the condition of the present branch; its pla
 Condition append_constant(double value);
 Condition append_row(const char* operation, int count, const long long* operands);
 
-template <class... Operands> Condition append_operation(const char* operation, const Operands&... operands) {
+// Not inlined: the recorded functions are thousands of these calls.
+template <class... Operands> NOINLINE Condition append_operation(const char* operation, const Operands&... operands) {
   const long long places[3] = {operands.place...};
   return append_row(operation, sizeof...(operands), places);
 }
