@@ -56,7 +56,10 @@ class Exported:
             found = self.options.controller or "a policy without a control law"
             raise ValueError(f"--law needs a control law of the core, such as baselines:adaptive, got {found}")
         simulation = Simulation(1, self.options)
-        self.task, self.settings, self.constants = simulation.task, simulation.settings, simulation.fields["settings"]
+        self.task = simulation.task
+        self.settings = simulation.settings
+        self.layout = simulation.layout
+        self.constants = simulation.fields["settings"]
         self.entries = [f"observation[{n}]" for n in range(len(simulation.entries) // self.options.stack_size)]
         self.reading = ["theta", "theta_dot", "x", "x_dot", "action"]
         self.reading += ["theta_d", "theta_d_dot", "phase", "law_torque"] if self.controller else []

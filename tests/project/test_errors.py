@@ -94,7 +94,7 @@ CALLS = [
     (
         lambda: CapsuleEnv(controller=SLOW),
         ValueError,
-        r"^physics_dt must be the law's step=2000.0 s over .* most 1000000",
+        r"^physics_dt must be the law's step=2000.0 s over ",
     ),
     (lambda: sensitivity(ORIGIN, [0.1], capsule="paper"), TypeError, "capsule must be a Capsule, got 'paper'"),
     (lambda: sensitivity(ORIGIN, [0.1], "mu"), TypeError, "wrt must be a sequence of names"),

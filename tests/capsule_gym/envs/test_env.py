@@ -43,7 +43,7 @@ def test_the_checkers_are_silent_and_every_info_has_the_form_of_the_first(kwargs
     expected = layout(env.reset(seed=0)[1])
     assert all(np.issubdtype(dtype, np.number) or dtype == np.bool_ for _, dtype, _ in flatten(expected))
     assert (expected["state"][1:], expected["termination"][1:]) == ((np.float64, (4,)), (np.int64, ()))
-    assert {*task.reward_terms, *task.shown} <= set(expected)
+    assert {*task.reward_terms, *dict(task.places)} <= set(expected)
     # Full torque in long stretches reaches the extremes of the state space.
     signs = np.sign(np.random.default_rng(0).uniform(-1.0, 1.0, 200))
     for action in np.repeat(signs, 5).astype(np.float32):
