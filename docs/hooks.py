@@ -13,6 +13,9 @@ from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File
 from mkdocs.utils import get_relative_url
 
+from capsule_gym.tasks.registry import TASKS
+from capsule_gym.tasks.task import METRICS
+
 ROOT = Path(__file__).resolve().parents[1]
 # `make web` writes into this folder after mkdocs.
 LIVE = "live/"
@@ -33,6 +36,8 @@ EXPONENTIAL = re.compile(r"\b\d(?:\.\d+)?e-\d+\b")
 LONGEST_WHOLE = 20
 # On GitHub such a link leads to the page about the live page; on the site it leads to the scene.
 SCENE = re.compile(r"\[(?P<text>[^\]]+)\]\(live\.md#(?P<scene>driver=[^)\s]+)\)")
+# In a page: where the table of metrics is inserted.
+METRICS_MARK = "<!-- metrics -->"
 COLAB = "https://colab.research.google.com/github/"
 
 
@@ -98,8 +103,19 @@ def notebook_files(path: Path, repository: str) -> dict[str, str | bytes]:
     return {f"{path.stem}.md": "\n\n".join(parts) + "\n", **pictures}
 
 
+def metrics_table() -> str:
+    """The metrics of an episode, which the core defines, as a Markdown table."""
+    lines = ["|metric|description|", "|---|---|"]
+    for task in TASKS.values():
+        metrics = {**METRICS, **task.metrics} if task.name == "speed" else task.metrics
+        # A bar would end a cell.
+        lines += [f"|`{name}`|{text.replace('|', '&#124;')}|" for name, text in metrics.items()]
+    return "\n".join(lines)
+
+
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Links live.md#driver=.. to that scene of the live page."""
+    """Links live.md#driver=.. to that scene of the live page, and inserts the table of metrics."""
+    markdown = markdown.replace(METRICS_MARK, metrics_table())
     return SCENE.sub(lambda match: _link(page, match["scene"], match["text"], {}), markdown)
 
 
