@@ -1,4 +1,4 @@
-// Disturbances of sensors, motor and platform; `Disturbances` in parameters.py documents them. Random numbers are
+// Disturbances of sensors, motor and platform; `capsule_gym.Disturbances` documents them. Random numbers are
 // hashes of the episode's key and a counter, so that a reading is the same alone and in a batch.
 #pragma once
 #include "../numbers/random.hpp"
