@@ -3,7 +3,7 @@
 #include "../network.hpp"
 #include "../step/resets.hpp"
 #include "../step/step.hpp"
-#include "levels.hpp"
+#include "instruction_levels.hpp"
 
 namespace LEVEL {
 // The most general plant: one compiled function serves all.
