@@ -1,4 +1,4 @@
-"""The control laws by name, under their public name."""
+"""The control laws by name, under the former name of the module."""
 
 from capsule_gym.control.laws import LAWS, find_law
 

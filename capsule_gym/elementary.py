@@ -1,4 +1,4 @@
-"""Elementary functions with the same bits on every machine, under their public name."""
+"""Elementary functions with the same bits on every machine, under the former name of the module."""
 
 from capsule_gym.core.elementary import arccos, log, sincos
 

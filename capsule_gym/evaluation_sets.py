@@ -1,4 +1,4 @@
-"""Evaluation sets, under their public name."""
+"""Evaluation sets, under the former name of the module."""
 
 from capsule_gym.evaluation.sets import EvaluationSet, PlantSpec, load_set, parse_set
 

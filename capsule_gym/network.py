@@ -1,4 +1,4 @@
-"""Whole episodes of a policy inside the core, under their public name."""
+"""Whole episodes of a policy inside the core, under the former name of the module."""
 
 from capsule_gym.policies.rollout import rollout
 

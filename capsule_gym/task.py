@@ -1,4 +1,4 @@
-"""The metrics and the terminations of an episode, under their public name."""
+"""The metrics and the terminations of an episode, under the former name of the module."""
 
 from capsule_gym.tasks.task import METRICS, Termination
 

@@ -1,1 +1,1 @@
-"""The evaluation of policies, which is in `capsule_gym.evaluation`."""
+"""The evaluation of policies, under its former name: it is in `capsule_gym.evaluation`."""

@@ -1,4 +1,4 @@
-"""Evaluation of policies, under its public name."""
+"""Evaluation of policies, under the former name of the module."""
 
 from capsule_gym.evaluation.episodes import evaluate, summarise, validation_set
 

@@ -1,4 +1,4 @@
-"""Policies by name or path, under their public name."""
+"""Policies by name or path, under the former name of the module."""
 
 from capsule_gym.evaluation.candidates import find_candidate, wrap_policy
 

@@ -1,7 +1,8 @@
 """Access to the compiled core, `_core`, which takes arrays by their addresses.
 
 The core contains the same code for several levels of instructions, which give the same bits. The best level that the
-processor runs is chosen at import; the environment variable CAPSULE_GYM_LEVEL chooses another one.
+processor runs is chosen at import (`core/bindings/instruction_levels.hpp`); the environment variable CAPSULE_GYM_LEVEL
+chooses another one.
 """
 
 import math

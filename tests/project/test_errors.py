@@ -2,6 +2,7 @@
 
 import importlib
 import re
+import shutil
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -274,7 +275,12 @@ MISSING = [
     ("scipy.linalg", lambda: importlib.reload(importlib.import_module(SHOOTING)), "identify needs scipy"),
     ("scipy.special", lambda: estimate(np.arange(12.0).reshape(3, 4)), "intervals need scipy"),
 ]
-EXTRAS = {"capsule_gym.demo": "render", "capsule_gym.export.__main__": "export", "baselines.tuning": "paper"}
+EXTRAS = {
+    "baselines.tuning": "paper",
+    "capsule_gym.demo": "render",
+    "capsule_gym.export.__main__": "export",
+    "capsule_gym.identification.__main__": "identify",
+}
 
 
 @pytest.mark.parametrize(("library", "call", "message"), MISSING, ids=[library for library, *_ in MISSING])
@@ -290,6 +296,15 @@ def test_a_command_without_tyro_names_the_extra_of_all_that_it_needs(name, extra
     monkeypatch.setitem(sys.modules, "__main__", SimpleNamespace(__spec__=SimpleNamespace(name=name)))
     with pytest.raises(ImportError, match=rf"needs tyro: pip install \"capsule-gym\[{extra}\]\"$"):
         importlib.reload(sys.modules["capsule_gym.command_line"])
+
+
+def test_sources_that_are_not_compiled_are_named(tmp_path, monkeypatch):
+    """A clone in whose folder Python finds them before an installed package."""
+    (tmp_path / "sources").mkdir()
+    shutil.copy(Path(native.__file__).with_name("__init__.py"), tmp_path / "sources")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ImportError, match=r"sources contains no compiled core: .* pip install -e \.$"):
+        importlib.import_module("sources")
 
 
 def test_the_first_cause_of_an_error_is_one_line():

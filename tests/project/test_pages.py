@@ -16,11 +16,13 @@ from types import SimpleNamespace
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("agents/**/*.md")])
+PAGES = sorted(
+    path for folder in ("*.md", "docs/**/*.md", "capsule_gym/**/*.md", "agents/**/*.md") for path in ROOT.glob(folder)
+)
 MODULES = sorted(path for package in ("capsule_gym", "baselines", "agents") for path in (ROOT / package).rglob("*.py"))
 FENCE = re.compile(r"^( *)```(\w+)\b[^\n]*\n(.*?)^\1```\s*$", re.DOTALL | re.MULTILINE)
 SHELL = ("bash", "sh", "shell", "console")
-# The JavaScript of docs/live.md runs in tests/web, the C of docs/export.md in tests/capsule_gym/test_export.py.
+# The JavaScript of docs/live.md runs in tests/web, the C of docs/export.md in tests/capsule_gym/export/test_export.py.
 KNOWN = {"python", "c", "text", "js", *SHELL}
 # Programs of other projects.
 ELSEWHERE = {"gcc", "git", "bash", "cd", "tensorboard", "pre-commit", "pip", "venv", "uvx"}

@@ -1,6 +1,7 @@
 import dataclasses
 import importlib
 import pkgutil
+import re
 import subprocess
 import sys
 from graphlib import TopologicalSorter
@@ -16,6 +17,9 @@ from tests.project.test_pages import MODULES, ROOT
 PACKAGES = ("capsule_gym", "baselines", "agents", "benchmarks", "web", "examples")
 # What imports a module by a name that is computed.
 IMPORTING = ("import_module", "resolve_name", "__import__", "entry_points")
+# Paths from the project's folder; texts of `capsule_gym` name its core without that.
+PATHS = re.compile(r"(?<![\w./*+-])(?:agents|baselines|benchmarks|capsule_gym|core|examples|tests|web)(?:/[\w.-]*\w)+")
+FORMER_PATH = re.compile(r"`[^`]+` of revision")
 # Names under which the documentation has shown objects, and where they are.
 FORMER_NAMES = {
     "baselines.adaptive": "capsule_gym.control.laws.adaptive:adaptive",
@@ -81,14 +85,28 @@ def test_settings_and_results_cannot_be_changed():
     assert {name for _, name in changing} == {"Archive", "Progress", "ShootingProblem"} and len(changing) == 3
 
 
-def test_no_tracked_file_is_large_or_names_a_path_of_a_machine():
+def read_texts():
+    """The content of every text file, by its path; fails if any file is large."""
     if not (ROOT / ".git").exists():
         pytest.skip("not a git checkout")
     command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
     listing = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
     files = [path for name in listing.split("\0") if name and (path := ROOT / name).is_file()]
     assert [path for path in files if path.stat().st_size > 5_000_000] == []
+    return {path: text for path in files if b"\0" not in (text := path.read_bytes())}
+
+
+def test_no_tracked_file_is_large_or_names_a_path_of_a_machine():
     # The strings are joined here, so that this file does not contain them.
     paths = [("/work/" + "main").encode(), ("/ro" + "ot/").encode()]
-    texts = {path: text for path in files if b"\0" not in (text := path.read_bytes())}
-    assert [str(path) for path, text in texts.items() if any(each in text for each in paths)] == []
+    assert [str(path) for path, text in read_texts().items() if any(each in text for each in paths)] == []
+
+
+def test_paths_that_texts_name_exist():
+    """Comments, docstrings and pages; the changelog names files of earlier versions, and NAME stands for several."""
+    texts = {path: text.decode() for path, text in read_texts().items() if path.name != "CHANGELOG.md"}
+    named = {(path, each) for path, text in texts.items() for each in PATHS.findall(FORMER_PATH.sub("", text))}
+    named = {(str(path), each) for path, each in named if "NAME" not in each}
+    assert {
+        each for each in named if not any((root / each[1]).exists() for root in (ROOT, ROOT / "capsule_gym"))
+    } == set()

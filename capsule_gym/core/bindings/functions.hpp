@@ -4,7 +4,7 @@
 #include "../step/resets.hpp"
 #include "../step/contract.hpp"
 #include "../step/step.hpp"
-#include "levels.hpp"
+#include "instruction_levels.hpp"
 
 namespace LEVEL {
 // The most general plant: one compiled function serves all.

@@ -1,7 +1,7 @@
 // The core at one level of instructions: compiled once for each, with -DLEVEL=name and its -march.
 #include "../physics/trajectory.hpp"
 #include "functions.hpp"
-#include "levels.hpp"
+#include "instruction_levels.hpp"
 
 namespace LEVEL {
 long long call(const char* function, const Argument* a) {

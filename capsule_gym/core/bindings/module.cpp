@@ -8,7 +8,7 @@
 
 #include "../physics/trajectory.hpp"
 #include "functions.hpp"
-#include "levels.hpp"
+#include "instruction_levels.hpp"
 #include "recorded_functions.hpp"
 
 namespace {

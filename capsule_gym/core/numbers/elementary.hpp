@@ -3,7 +3,7 @@
 // The results of the standard libraries differ in the last digit between versions and instruction sets, and no loop
 // that calls them is vectorised. The functions here are straight-line arithmetic, and one environment gives the bits of
 // a batch. The multiplications and additions of the polynomials are fused explicitly: a compiler that may fuse freely
-// decides differently in different loops. tests/capsule_gym/test_elementary.py derives the coefficients.
+// decides differently in different loops. tests/capsule_gym/core/test_elementary.py derives the coefficients.
 #pragma once
 #include "number.hpp"
 
