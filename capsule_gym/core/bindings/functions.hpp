@@ -66,10 +66,15 @@ inline void law_torques(long long number, const double* constants, const State<d
 }
 
 // The motion of the platform while the pendulum follows a prescribed motion: the second row of Eq. (1). The pendulum's
-// angle, velocity and acceleration are given at every h seconds, n times; the force and the friction are constant in
-// between. Writes x, x' and x'', shape (3, n), from rest at x = 0; x' is exactly 0.0 in stick.
+// angle, velocity and acceleration are given at every h seconds, n times. Writes x, x' and x'', shape (3, n), from rest
+// at x = 0; x' is exactly 0.0 in stick.
+//
+// The step is not used, only its functions for the forces: with theta'' given, nothing is left to solve. The forces are
+// constant over an interval; viscous friction and the Stribeck curve, which depend on x', are left out.
 inline void platform_motion(const double* angle, const double* velocity, const double* acceleration, long long n,
-                            double h, const AnyPlant& p, double* motion) {
+                            double h, const AnyPlant& plant, double* motion) {
+  AnyPlant p = plant;
+  p.stribeck_excess = 0.0;  // without the Stribeck curve
   double x = 0.0, x_dot = 0.0;
   for (long long i = 0; i < n; i++) {
     double force = p.driving_force(angle[i], velocity[i], acceleration[i]), remaining = h;
@@ -77,10 +82,10 @@ inline void platform_motion(const double* angle, const double* velocity, const d
     motion[i] = x, motion[n + i] = x_dot, motion[2 * n + i] = 0.0;
     // At most two parts: the slide until the platform stops, and the motion from rest.
     for (int part = 0; part < 2; part++) {
-      bool forward = x_dot == 0.0 ? force > 0.0 : x_dot > 0.0;
-      double friction = p.kinetic_friction(forward ? 1.0 : -1.0) * normal;
-      if (x_dot == 0.0 && abs(force) <= p.static_ratio * friction) break;
-      double x_ddot = (forward ? force - friction : force + friction) / (p.M + p.m);
+      if (x_dot == 0.0 && abs(force) <= p.static_friction_limit(force, normal)) break;
+      double direction = x_dot == 0.0 ? force : x_dot;
+      double slip = direction > 0.0 ? 1.0 : -1.0;
+      double x_ddot = (force - p.friction_force(slip, x_dot, normal)) / (p.M + p.m);
       if (part == 0) motion[2 * n + i] = x_ddot;
       double after = x_dot + remaining * x_ddot;
       if (x_dot * after >= 0.0) {
