@@ -109,7 +109,7 @@ def stick_margin(theta: Numbers, theta_dot: Numbers, u: Numbers, plant: Plant) -
 
 def contact_phase(theta: Numbers, theta_dot: Numbers, x_dot: Numbers, u: Numbers, plant: Plant) -> np.ndarray:
     """The phase of the contact: the direction of motion; at rest 0.0 below the static limit, else the load's sign."""
-    return _evaluate("contact_phase", plant, theta, theta_dot, x_dot, u)[0]
+    return _evaluate("contact_phase", plant, theta, theta_dot, 0.0, x_dot, u)[0]
 
 
 def step(
