@@ -1,10 +1,15 @@
-"""The physics of the plant, over arrays: the functions of the core that the environment's step calls.
+"""The physics of the plant, over arrays: functions of the core.
 
-`capsule_gym/core/physics/plant.hpp` and `events.hpp` contain and derive the equations. Arguments are numbers or arrays,
-which are broadcast, also M and mu of the plant; results are float64 arrays of the common shape. Everything is in SI
-units: `theta` is the angle from the upright (rad), `theta_dot` and `theta_ddot` are its derivatives, `x_dot` is the
-velocity of the platform, `u` the motor torque. `slip` names the phase of contact: +1.0 forwards, -1.0 backwards, 0.0
-stick.
+`capsule_gym/core/physics/plant.hpp` and `events.hpp` contain and derive the equations. The environment's step calls
+`contact_phase` and `stick_margin`, which call `driving_force` and `normal_force`. It solves Eq. (1) by the function
+whose normal force `accelerations` clamps. This solution contains `driving_force` and `friction_force`, but does not
+call them, since both depend on the unknown theta''; it takes the friction coefficient and Newton's normal force from
+the same functions of the core. `step` has the bits of an integrator step of the environment.
+
+Arguments are numbers or arrays, which are broadcast, also M and mu of the plant; results are float64 arrays of the
+common shape. Everything is in SI units: `theta` is the angle from the upright (rad), `theta_dot` and `theta_ddot` are
+its derivatives, `x_dot` is the velocity of the platform, `u` the motor torque. `slip` names the phase of contact: +1.0
+forwards, -1.0 backwards, 0.0 stick.
 
 Examples:
     >>> from capsule_gym import Capsule, dynamics
@@ -71,7 +76,10 @@ def _evaluate(name: str, plant: Plant, *arguments: Numbers) -> tuple[np.ndarray,
 def accelerations(
     theta: Numbers, theta_dot: Numbers, x_dot: Numbers, slip: Numbers, u: Numbers, plant: Plant
 ) -> Accelerations:
-    """The accelerations of Eq. (1) and the normal force, clamped at zero: a floor does not pull."""
+    """The accelerations of Eq. (1) and the normal force, clamped at zero: a floor does not pull.
+
+    The normal force is that of `normal_force`, with fused multiply-adds: the last digits can differ.
+    """
     return Accelerations(*_evaluate("accelerations", plant, theta, theta_dot, x_dot, slip, u))
 
 
@@ -86,7 +94,10 @@ def driving_force(theta: Numbers, theta_dot: Numbers, theta_ddot: Numbers, plant
 
 
 def friction_force(slip: Numbers, x_dot: Numbers, normal: Numbers, plant: Plant) -> np.ndarray:
-    """Coulomb friction on a sliding platform in N, in the direction of `slip`, which it opposes in Eq. (1)."""
+    """Coulomb friction on a sliding platform in N, in the direction of `slip`, which it opposes in Eq. (1).
+
+    `normal` must not be negative. The result includes the Stribeck curve, but not viscous friction.
+    """
     return _evaluate("friction_force", plant, slip, x_dot, normal)[0]
 
 
@@ -98,7 +109,7 @@ def stick_margin(theta: Numbers, theta_dot: Numbers, u: Numbers, plant: Plant) -
 
 def contact_phase(theta: Numbers, theta_dot: Numbers, x_dot: Numbers, u: Numbers, plant: Plant) -> np.ndarray:
     """The phase of the contact: the direction of motion; at rest 0.0 below the static limit, else the load's sign."""
-    return _evaluate("contact_phase", plant, theta, theta_dot, x_dot, u)[0]
+    return _evaluate("contact_phase", plant, theta, theta_dot, 0.0, x_dot, u)[0]
 
 
 def step(

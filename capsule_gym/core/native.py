@@ -49,7 +49,13 @@ def addressed(values: Iterable[Any]) -> list[float]:
 
 
 def call(name: str, *values: np.ndarray | float) -> int:
-    """Calls a function of `core/bindings/level.cpp` with numbers and arrays, and returns what it returns."""
+    """Calls a function of `core/bindings/level.cpp` with numbers and arrays, and returns what it returns.
+
+    Raises:
+        TypeError: if the number of arguments or the type of one is not that of the C++ function. An int is converted
+            where a real number is due.
+        ValueError: if there is no such function, or an array is not contiguous.
+    """
     return _core.call(name, *addressed(values))
 
 
@@ -68,6 +74,10 @@ def evaluate(name: str, *arguments: np.ndarray | float, plant: np.ndarray | None
 
     Returns:
         The results, float64 arrays of the common shape.
+
+    Raises:
+        TypeError: if the function takes another number of arguments, or needs a plant, or none.
+        ValueError: if there is no such function.
     """
     # `np.broadcast_arrays` takes several times as long as a function of a few numbers.
     shape = np.broadcast_shapes(*map(np.shape, arguments))

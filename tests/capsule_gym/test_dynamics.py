@@ -114,6 +114,67 @@ def test_accelerations_satisfy_both_rows_of_equation_1():
     assert len(phases) == 12
 
 
+FLOORS = {
+    "Coulomb": {},
+    "paper": {"normal_force": "paper"},
+    "slope": {"slope": 0.05},
+    "viscous": {"viscous": 0.4},
+    "Stribeck": {"stribeck_speed": 0.05},
+    "all": {"stribeck_speed": 0.05, "viscous": 0.4, "slope": -0.05, "motor_friction": 0.1, "normal_force": "paper"},
+}
+
+
+def random_states(seed, count=2000):
+    """Angles and rates of the pendulum, velocities of the platform, phases of slip and torques, SI units."""
+    rng = np.random.default_rng(seed)
+    slip = rng.choice([-1.0, 1.0], count)
+    x_dot = slip * rng.uniform(0.0, 0.5, count)
+    return rng.uniform(-3.0, 3.0, count), rng.uniform(-12.0, 12.0, count), x_dot, slip, rng.uniform(-2.0, 2.0, count)
+
+
+@pytest.mark.parametrize("floor", FLOORS.values(), ids=FLOORS)
+def test_accelerations_in_slip_follow_from_the_driving_force_and_the_friction_force(floor):
+    capsule = Capsule(mu=0.3, static_ratio=1.5, backward_ratio=0.7, **floor)
+    p = capsule.plant()
+    theta, theta_dot, x_dot, slip, u = random_states(2)
+    theta_ddot, x_ddot, normal = dynamics.accelerations(theta, theta_dot, x_dot, slip, u, p)
+    friction = dynamics.friction_force(slip, x_dot, normal, p)
+    driving = dynamics.driving_force(theta, theta_dot, theta_ddot, p)
+    weight = (p.M + p.m) * p.g
+    scale = weight + np.abs(driving) + p.m * p.l * (np.abs(theta_ddot) + theta_dot**2)
+    residual = (p.M + p.m) * x_ddot - (driving - friction - capsule.viscous * x_dot)
+    assert (np.abs(residual) < 1e-13 * scale).all()
+    assert np.abs(friction).max() > 0.3 * weight
+    # The same normal force with other roundings, and its clamp.
+    unclamped = dynamics.normal_force(theta, theta_dot, theta_ddot, p)
+    assert (np.abs(normal - np.maximum(unclamped, 0.0)) < 1e-14 * scale).all()
+    assert (normal == 0.0).any()
+
+
+@pytest.mark.parametrize("floor", FLOORS.values(), ids=FLOORS)
+def test_the_stick_margin_has_the_bits_of_the_forces(floor):
+    p = Capsule(mu=0.3, static_ratio=1.5, backward_ratio=0.7, **floor).plant()
+    theta, theta_dot, _, _, u = random_states(3)
+    theta_ddot, x_ddot, _ = dynamics.accelerations(theta, theta_dot, 0.0, 0.0, u, p)
+    assert not x_ddot.any()
+    force = dynamics.driving_force(theta, theta_dot, theta_ddot, p)
+    normal = np.maximum(dynamics.normal_force(theta, theta_dot, theta_ddot, p), 0.0)
+    limit = p.static_ratio * np.where(force < 0.0, p.mu * p.backward_ratio, p.mu) * normal
+    margin, load = dynamics.stick_margin(theta, theta_dot, u, p)
+    assert np.array_equal(margin, limit - np.abs(force))
+    assert np.array_equal(load, force)
+    sticks = dynamics.contact_phase(theta, theta_dot, 0.0, u, p) == 0.0
+    assert np.array_equal(sticks, margin >= 0.0)
+    assert 0 < np.count_nonzero(sticks) < len(sticks)
+
+
+def test_the_friction_force_follows_the_stribeck_curve():
+    p = Capsule(mu=0.3, static_ratio=1.5, stribeck_speed=0.05).plant()
+    _, _, x_dot, slip, _ = random_states(4)
+    expected = slip * 0.3 * (1.0 + 0.5 / (1.0 + (x_dot / 0.05) ** 2)) * 2.0
+    np.testing.assert_allclose(dynamics.friction_force(slip, x_dot, 2.0, p), expected, rtol=1e-14)
+
+
 @pytest.mark.parametrize(("capsule", "torques"), BALANCED.values(), ids=BALANCED)
 def test_energy_and_momentum_balance_over_ten_seconds(capsule, torques):
     p, h, u = capsule.plant(), HOLD / 40, np.repeat(torques, 40)

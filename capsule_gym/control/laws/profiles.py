@@ -184,7 +184,9 @@ def platform_motion(
 ) -> np.ndarray:
     """x, x' and x'' of the platform while the pendulum follows a prescribed motion: the second row of Eq. (1).
 
-    The pendulum's angle (rad), velocity and acceleration are given at every h seconds, shape (n,).
+    The pendulum's angle (rad), velocity and acceleration are given at every h seconds, shape (n,). The environment's
+    step is not used, only its functions for the forces, which are constant over h. Viscous friction and the Stribeck
+    curve are left out.
 
     Returns:
         Shape (3, n), from rest at x = 0: m, m/s, m/s^2.

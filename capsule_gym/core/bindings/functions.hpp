@@ -11,47 +11,72 @@ namespace LEVEL {
 using AnyPlant = Plant<double, Kind::extended>;
 constexpr int MOST_RESULTS = WIDTH<AnyPlant>;  // of a function that `evaluate` knows
 
-// Evaluates f(a, p) with the arguments a[0], a[1], .. and the plant p at n places: `in`, shape (n, arguments), begins
-// with M and mu where a plant is given; `out` has the shape (results, n). Returns the number of results.
-template <class F>
-long long evaluate_each(const double* in, long long arguments, double* out, long long n, const AnyPlant* plant, F f) {
-  using Results = decltype(f(in, *plant));
-  static_assert(WIDTH<Results> <= MOST_RESULTS);
-  for (long long i = 0; i < n; i++) {
-    const double* a = in + i * arguments;
-    AnyPlant p = {};
-    if (plant) p = *plant, p.M = *a++, p.mu = *a++, p.mass_ratio = p.m / (p.M + p.m);
-    Results found = f(a, p);
-    for (int k = 0; k < WIDTH<Results>; k++) out[k * n + i] = ((const double*)&found)[k];
+// How a parameter of a function that is evaluated is given: by numbers of a row, or as the plant.
+template <class T> struct Given {
+  static constexpr int NUMBERS = WIDTH<T>;
+  static constexpr bool PLANT = false;
+  static T read(const double*& row, const AnyPlant&) {
+    T value = load<T>(row);
+    row += NUMBERS;
+    return value;
   }
-  return WIDTH<Results>;
+};
+template <class T> struct Given<const T&> : Given<T> {};
+template <> struct Given<const AnyPlant&> {
+  static constexpr int NUMBERS = 0;
+  static constexpr bool PLANT = true;
+  static const AnyPlant& read(const double*&, const AnyPlant& p) { return p; }
+};
+template <class... Parameters> constexpr bool OF_PLANT = (Given<Parameters>::PLANT || ...);
+// Of a row, which begins with M and mu where there is a plant.
+template <class... Parameters>
+constexpr int NUMBERS = (Given<Parameters>::NUMBERS + ...) + (OF_PLANT<Parameters...> ? 2 : 0);
+
+// Evaluates a function at n places: `in` has the shape (n, numbers), `out` (results, n). Returns the number of results.
+// module.cpp has checked `numbers`, and whether there is a plant.
+template <auto function, class Result, class... Parameters>
+long long evaluate(const double* in, long long numbers, double* out, long long n, const AnyPlant* plant) {
+  struct Call {
+    Result result;
+    explicit Call(Parameters... given) : result(function(given...)) {}
+  };
+  for (long long i = 0; i < n; i++) {
+    const double* row = in + i * numbers;
+    AnyPlant p = {};
+    if constexpr (OF_PLANT<Parameters...>) {
+      p = *plant;
+      p.M = *row++;
+      p.mu = *row++;
+      p.mass_ratio = p.m / (p.M + p.m);
+    }
+    // Braces read the numbers in their order.
+    Result found = Call{Given<Parameters>::read(row, p)...}.result;
+    for (int k = 0; k < WIDTH<Result>; k++) out[k * n + i] = ((const double*)&found)[k];
+  }
+  return WIDTH<Result>;
 }
 
-// Evaluates a function by its name; returns UNKNOWN if there is none.
-inline long long evaluate(const char* name, const double* in, long long arguments, double* out, long long n,
-                          const AnyPlant* plant) {
-#define FUNCTION(function, call)                                                                                 \
-  if (!__builtin_strcmp(name, #function))                                                                        \
-    return evaluate_each(in, arguments, out, n, plant, []([[maybe_unused]] const double* a,                      \
-                                                          [[maybe_unused]] const AnyPlant& p) { return call; });
-  FUNCTION(accelerations, p.accelerations(a[0], a[1], a[2], a[3], a[4]))
-  FUNCTION(normal_force, p.normal_force(a[0], a[1], a[2]))
-  FUNCTION(driving_force, p.driving_force(a[0], a[1], a[2]))
-  FUNCTION(friction_force, p.friction_force(a[0], a[1], a[2]))
-  FUNCTION(stick_margin, p.stick_margin(a[0], a[1], a[2]))
-  FUNCTION(contact_phase, p.contact_phase(State<double>{a[0], a[1], 0.0, a[2]}, a[3]))
-  FUNCTION(step, plant_step(State<double>{a[0], a[1], a[2], a[3]}, a[4], p, a[5]))
-  FUNCTION(sincos, sincos(a[0]))
-  FUNCTION(exp, exp(a[0]))
-  FUNCTION(tanh, tanh(a[0]))
-  FUNCTION(log, log(a[0]))
-  FUNCTION(derive, derive(*(const Constants<double>*)a))
-  FUNCTION(normals, normals(scramble(bits_of(a[0]))))
-  FUNCTION(number_at, number_at(a[0], a[1], a[2], a[3]))
-  FUNCTION(goal_rate, Goal::rate(a[0], a[1]))
-#undef FUNCTION
-  return UNKNOWN;
+template <auto function, class Result, class... Parameters>
+constexpr Function evaluated(const char* name, Result (*)(Parameters...)) {
+  static_assert(WIDTH<Result> <= MOST_RESULTS);
+  Function found = named<evaluate<function, Result, Parameters...>>(name);
+  found.numbers = NUMBERS<Parameters...>;
+  found.of_plant = OF_PLANT<Parameters...>;
+  return found;
 }
+template <auto method, class Result, class... Parameters> Result call_method(const AnyPlant& p, Parameters... given) {
+  return (p.*method)(given...);
+}
+template <auto method, class Result, class... Parameters>
+constexpr Function evaluated(const char* name, Result (AnyPlant::*)(Parameters...) const) {
+  constexpr auto function = call_method<method, Result, Parameters...>;
+  return evaluated<function>(name, function);
+}
+// A function, or a method of the plant, that `evaluate` evaluates, by the name that Python uses.
+template <auto function> constexpr Function evaluated(const char* name) { return evaluated<function>(name, function); }
+
+// Two normal numbers from the bits of a number.
+inline Two<double> normals_from(double number) { return normals(scramble(bits_of(number))); }
 
 // The torques of n calls of a law of the core, from arrays of shape (n, numbers): the state, the memory, which is
 // replaced, and the row of the reference with the task's memory.
@@ -66,10 +91,15 @@ inline void law_torques(long long number, const double* constants, const State<d
 }
 
 // The motion of the platform while the pendulum follows a prescribed motion: the second row of Eq. (1). The pendulum's
-// angle, velocity and acceleration are given at every h seconds, n times; the force and the friction are constant in
-// between. Writes x, x' and x'', shape (3, n), from rest at x = 0; x' is exactly 0.0 in stick.
+// angle, velocity and acceleration are given at every h seconds, n times. Writes x, x' and x'', shape (3, n), from rest
+// at x = 0; x' is exactly 0.0 in stick.
+//
+// The step is not used, only its functions for the forces: with theta'' given, nothing is left to solve. The forces are
+// constant over an interval; viscous friction and the Stribeck curve, which depend on x', are left out.
 inline void platform_motion(const double* angle, const double* velocity, const double* acceleration, long long n,
-                            double h, const AnyPlant& p, double* motion) {
+                            double h, const AnyPlant& plant, double* motion) {
+  AnyPlant p = plant;
+  p.stribeck_excess = 0.0;  // without the Stribeck curve
   double x = 0.0, x_dot = 0.0;
   for (long long i = 0; i < n; i++) {
     double force = p.driving_force(angle[i], velocity[i], acceleration[i]), remaining = h;
@@ -77,10 +107,10 @@ inline void platform_motion(const double* angle, const double* velocity, const d
     motion[i] = x, motion[n + i] = x_dot, motion[2 * n + i] = 0.0;
     // At most two parts: the slide until the platform stops, and the motion from rest.
     for (int part = 0; part < 2; part++) {
-      bool forward = x_dot == 0.0 ? force > 0.0 : x_dot > 0.0;
-      double friction = p.kinetic_friction(forward ? 1.0 : -1.0) * normal;
-      if (x_dot == 0.0 && abs(force) <= p.static_ratio * friction) break;
-      double x_ddot = (forward ? force - friction : force + friction) / (p.M + p.m);
+      if (x_dot == 0.0 && abs(force) <= p.static_friction_limit(force, normal)) break;
+      double direction = x_dot == 0.0 ? force : x_dot;
+      double slip = direction > 0.0 ? 1.0 : -1.0;
+      double x_ddot = (force - p.friction_force(slip, x_dot, normal)) / (p.M + p.m);
       if (part == 0) motion[2 * n + i] = x_ddot;
       double after = x_dot + remaining * x_ddot;
       if (x_dot * after >= 0.0) {

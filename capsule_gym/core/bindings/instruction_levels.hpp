@@ -6,30 +6,21 @@
 #if defined(__x86_64__)
 #include <cpuid.h>
 #endif
+#include "signatures.hpp"
 
-// An argument of a function of level.cpp: a whole or real number, or an address.
-struct Argument {
-  long long bits;
-  operator long long() const { return bits; }
-  operator double() const { return __builtin_bit_cast(double, bits); }
-  template <class T> operator T*() const { return (T*)bits; }
-};
-constexpr int MOST_ARGUMENTS = 7;
-// Calls a function by its name. Returns the index of an environment whose law has failed, -1, or UNKNOWN.
-typedef long long Call(const char* function, const Argument* arguments);
-constexpr long long UNKNOWN = -2;  // there is no function of this name
-
-namespace portable { Call call; }
-namespace v3 { Call call; }
-namespace v4 { Call call; }
+// The function of a level with this name, or null.
+typedef const Function* Find(const char* name);
+namespace portable { Find find; }
+namespace v3 { Find find; }
+namespace v4 { Find find; }
 
 struct Level {
   const char* name;
-  Call* call;
+  Find* find;
 };
 // The best first.
 #if defined(__x86_64__)
-constexpr Level LEVELS[] = {{"v4", v4::call}, {"v3", v3::call}, {"portable", portable::call}};
+constexpr Level LEVELS[] = {{"v4", v4::find}, {"v3", v3::find}, {"portable", portable::find}};
 
 // The place of the best level that the processor runs. The processor itself answers: zig's runtime lacks what
 // `__builtin_cpu_supports` reads, and says no to everything. `static`, so that the linker cannot take a copy from
@@ -47,6 +38,6 @@ static inline int best_level() {
   return (enabled & 0xe6) == 0xe6 && (b & V4) == V4 ? 0 : 1;
 }
 #else
-constexpr Level LEVELS[] = {{"portable", portable::call}};
+constexpr Level LEVELS[] = {{"portable", portable::find}};
 static inline int best_level() { return 0; }
 #endif

@@ -4,22 +4,53 @@
 #include "instruction_levels.hpp"
 
 namespace LEVEL {
-long long call(const char* function, const Argument* a) {
-  auto is = [&](const char* name) { return !__builtin_strcmp(function, name); };
-  const Batch* batch = a[0];  // not of all functions
-  if (is("advance")) return advance(*batch, a[1], a[2], (long long)a[3] != 0);
-  if (is("step_one")) return step_one(*batch, a[1]);
-  if (is("draw_episodes")) return draw_episodes(*batch, a[1]);
-  if (is("begin_episodes")) return (batch->lanes == 1 ? begin_episodes<1> : begin_episodes<LANES>)(*batch, a[1]), -1;
-  if (is("episode_metrics"))
-    return (batch->lanes == 1 ? episode_metrics<1> : episode_metrics<LANES>)(*batch, a[1], a[2], a[3], a[4]), -1;
-  if (is("run_episodes"))
-    return (batch->lanes == 1 ? run_episodes<1> : run_episodes<LANES>)(*batch, a[1], a[2], a[3], a[4]);
-  if (is("trajectory"))
-    return ((const double*)a[1] ? trajectory<Dual> : trajectory<double>)(a[0], a[1], a[2], a[3], a[4], a[5], a[6]);
-  if (is("law_torques")) return law_torques(a[0], a[1], a[2], a[3], a[4], a[5], a[6]), -1;
-  if (is("platform_motion")) return platform_motion(a[0], a[1], a[2], a[3], a[4], *(const AnyPlant*)a[5], a[6]), -1;
-  if (is("act")) return act(a[0], a[1], a[2], a[3]), -1;
-  return evaluate(function, a[0], a[1], a[2], a[3], a[4]);
+// Templates with the choices that their arguments make.
+static void begin_any(const Batch& batch, long long count) {
+  (batch.lanes == 1 ? begin_episodes<1> : begin_episodes<LANES>)(batch, count);
+}
+static void metrics_any(const Batch& batch, const long long* rows, long long count, double horizon, double* out) {
+  (batch.lanes == 1 ? episode_metrics<1> : episode_metrics<LANES>)(batch, rows, count, horizon, out);
+}
+static long long run_any(const Batch& batch, long long first, long long last, long long steps, const double* network) {
+  return (batch.lanes == 1 ? run_episodes<1> : run_episodes<LANES>)(batch, first, last, steps, network);
+}
+static long long trajectory_any(const double* values, const double* partials, long long n, long long steps, double h,
+                                double* states, double* slopes) {
+  return (partials ? trajectory<Dual> : trajectory<double>)(values, partials, n, steps, h, states, slopes);
+}
+
+constexpr Function FUNCTIONS[] = {
+    // First what a step of one environment calls: the search for a name takes part of its time.
+    named<step_one>("step_one"),
+    named<advance>("advance"),
+    named<draw_episodes>("draw_episodes"),
+    named<begin_any>("begin_episodes"),
+    named<metrics_any>("episode_metrics"),
+    named<run_any>("run_episodes"),
+    named<trajectory_any>("trajectory"),
+    named<law_torques>("law_torques"),
+    named<platform_motion>("platform_motion"),
+    named<act>("act"),
+    evaluated<&AnyPlant::accelerations>("accelerations"),
+    evaluated<&AnyPlant::normal_force>("normal_force"),
+    evaluated<&AnyPlant::driving_force>("driving_force"),
+    evaluated<&AnyPlant::friction_force>("friction_force"),
+    evaluated<&AnyPlant::stick_margin>("stick_margin"),
+    evaluated<&AnyPlant::contact_phase>("contact_phase"),
+    evaluated<plant_step<AnyPlant, double>>("step"),
+    evaluated<sincos<double>>("sincos"),
+    evaluated<exp<double>>("exp"),
+    evaluated<tanh<double>>("tanh"),
+    evaluated<log>("log"),
+    evaluated<derive<double>>("derive"),
+    evaluated<normals_from>("normals"),
+    evaluated<number_at>("number_at"),
+    evaluated<Goal::rate<double>>("goal_rate"),
+};
+
+const Function* find(const char* name) {
+  for (const Function& function : FUNCTIONS)
+    if (!__builtin_strcmp(function.name, name)) return &function;
+  return nullptr;
 }
 }  // namespace LEVEL

@@ -27,22 +27,82 @@ PyObject* select_level(PyObject*, PyObject* place) {
 
 // --- functions ---
 
+// Reads an argument of a function, whose place counts from 1; otherwise sets an exception and returns false.
+bool read_argument(const Function& function, Py_ssize_t place, PyObject* given, Argument& argument) {
+  constexpr const char* ACCEPTED[] = {"a float or an int", "an int of 64 bits", "the address of an array (int)",
+                                      "a str"};
+  Due due = function.due[place - 1];
+  // Faster than PyLong_Check, which calls a function that reads the flags of the type.
+  bool is_int = PyObject_TypeCheck(given, &PyLong_Type);
+  bool accepted = true;
+  if (due == Due::TEXT) argument.bits = (long long)PyUnicode_AsUTF8AndSize(given, nullptr);
+  else if (due != Due::REAL && is_int) argument.bits = PyLong_AsLongLong(given);
+  else if (due == Due::REAL && (PyFloat_Check(given) || is_int))
+    argument.bits = __builtin_bit_cast(long long, PyFloat_AsDouble(given));
+  else accepted = false;
+  // A number that is too large, or a str that is no text, sets an exception.
+  if (accepted && !PyErr_Occurred()) return true;
+  PyErr_Clear();
+  PyErr_Format(PyExc_TypeError, "argument %zd of %s must be %s, got %.100R", place, function.name, ACCEPTED[(int)due],
+               given);
+  return false;
+}
+
+// Whether the arguments of `evaluate` are those of the function that it evaluates; otherwise sets an exception.
+bool check_evaluated(const Function& function, const Argument* arguments) {
+  long long numbers = arguments[1].bits;
+  long long plant = arguments[4].bits;
+  if (numbers != function.numbers) {
+    PyErr_Format(PyExc_TypeError, "argument 2 of %s must be %d, the count of its numbers, got %lld", function.name,
+                 function.numbers, numbers);
+    return false;
+  }
+  if (function.of_plant != (plant != 0)) {
+    PyErr_Format(PyExc_TypeError, "argument 5 of %s must be %s, got %lld", function.name,
+                 function.of_plant ? "the address of a plant" : "0, since it needs no plant", plant);
+    return false;
+  }
+  return true;
+}
+
+// Reads all arguments of a function; otherwise sets an exception and returns false.
+bool read_arguments(const Function& function, PyObject* const* given, Py_ssize_t count, Argument* arguments) {
+  if (count != function.count) {
+    PyErr_Format(PyExc_TypeError, "%s takes %d arguments, got %zd", function.name, function.count, count);
+    return false;
+  }
+  for (Py_ssize_t i = 0; i < count; i++)
+    if (!read_argument(function, i + 1, given[i], arguments[i])) return false;
+  return function.numbers == 0 || check_evaluated(function, arguments);
+}
+
 // call(name, *arguments) -> index of an environment whose law has failed, or -1: a function of level.cpp with whole and
 // real numbers and addresses. To release the lock takes longer than a step of one environment.
 template <bool releases> PyObject* call(PyObject*, PyObject* const* args, Py_ssize_t count) {
-  if (count < 1 || count > 1 + MOST_ARGUMENTS) return PyErr_Format(PyExc_TypeError, "call got %zd arguments", count);
-  const char* name = PyUnicode_AsUTF8AndSize(args[0], nullptr);
-  Argument arguments[MOST_ARGUMENTS] = {};
-  for (Py_ssize_t i = 1; i < count; i++)
-    arguments[i - 1].bits =
-        PyFloat_Check(args[i]) ? __builtin_bit_cast(long long, PyFloat_AsDouble(args[i])) : PyLong_AsLongLong(args[i]);
-  if (PyErr_Occurred()) return nullptr;
+  const char* name = count > 0 ? PyUnicode_AsUTF8AndSize(args[0], nullptr) : nullptr;
+  if (!name) return PyErr_Format(PyExc_TypeError, "call takes the name of a function (str) and its arguments");
+  const Function* function = level->find(name);
+  if (!function) return PyErr_Format(PyExc_ValueError, "the core has no function '%s'", name);
+  Argument arguments[MOST_ARGUMENTS];
+  if (!read_arguments(*function, args + 1, count - 1, arguments)) return nullptr;
   PyThreadState* state = releases ? PyEval_SaveThread() : nullptr;
-  long long broken = level->call(name, arguments);
+  long long found = function->invoke(arguments);
   if (releases) PyEval_RestoreThread(state);
-  if (broken == UNKNOWN) return PyErr_Format(PyExc_ValueError, "the core has no function '%s'", name);
   // The exception is that of a law that Python calls.
-  return PyErr_Occurred() ? nullptr : PyLong_FromLongLong(broken);
+  return PyErr_Occurred() ? nullptr : PyLong_FromLongLong(found);
+}
+
+// trace(function, number, constants) -> list of rows: a function of recorded_functions.hpp.
+PyObject* trace(PyObject*, PyObject* const* args, Py_ssize_t count) {
+  constexpr Function TRACE = portable::named<portable::record>("trace");
+  Argument arguments[MOST_ARGUMENTS];
+  if (!read_arguments(TRACE, args, count, arguments)) return nullptr;
+  portable::recording = PyList_New(0);
+  portable::branch = {-1};
+  bool known = TRACE.invoke(arguments);
+  if (!known) PyErr_Format(PyExc_ValueError, "the core records no function %R with the number %R", args[0], args[1]);
+  if (PyErr_Occurred()) Py_CLEAR(portable::recording);
+  return portable::recording;
 }
 
 // A law that Python calls: a function of theta, theta_dot, x, x_dot, the cells of the memory, and the numbers of the
@@ -263,7 +323,7 @@ PyMethodDef METHODS[] = {
     {"call", (PyCFunction)(void*)call<true>, METH_FASTCALL, nullptr},
     {"call_locked", (PyCFunction)(void*)call<false>, METH_FASTCALL, nullptr},
     {"describe", describe, METH_O, nullptr},
-    {"trace", portable::trace, METH_VARARGS, nullptr},
+    {"trace", (PyCFunction)(void*)trace, METH_FASTCALL, nullptr},
     {nullptr, nullptr, 0, nullptr}};
 PyModuleDef_Slot SLOTS[] = {{Py_mod_exec, (void*)fill}, {0, nullptr}};
 PyModuleDef MODULE = {PyModuleDef_HEAD_INIT, "_core", nullptr, 0, METHODS, SLOTS, nullptr, nullptr, nullptr};

@@ -180,6 +180,11 @@ template <class T> INLINE T max(T a, T b) { return select(b > a, b, a); }
 template <class T> INLINE T clip(T value, T limit) {
   return select(value > limit, limit, select(value < -limit, -limit, value));
 }
+// a b + c, rounded once if `fused`, else twice.
+template <bool fused, class T> INLINE T multiply_add(const T& a, const T& b, const T& c) {
+  if constexpr (fused) return fma(a, b, c);
+  else return a * b + c;
+}
 template <class T> INLINE T sign_of(T x) { return select(x > 0.0, T(1.0), select(x < 0.0, T(-1.0), T(0.0))); }
 
 // Types, each of which has its place as its number.

@@ -87,18 +87,37 @@ template <class T, Kind kind_> struct Plant {
   // Friction coefficient while sliding fast in the direction of `slip` (+1.0 or -1.0).
   INLINE T kinetic_friction(T slip) const { return select(slip < 0.0, mu * backward_ratio, mu); }
 
-  // Friction coefficient at a velocity over the one at high speed: the Stribeck curve of Hess and Soom (1990).
-  INLINE T stribeck(T x_dot) const {
-    auto ratio = x_dot * stribeck_rate;
-    return 1.0 + stribeck_excess / (1.0 + ratio * ratio);
+  // The friction coefficient at a velocity, from the one at high speed, `fast`: the Stribeck curve of Hess and Soom
+  // (1990). The sign of `fast` is kept.
+  INLINE T friction_coefficient(T fast, T x_dot) const {
+    if constexpr (extended) {
+      // Most floors have no Stribeck curve, which saves a division.
+      if (acts(stribeck_excess)) {
+        auto ratio = x_dot * stribeck_rate;
+        return fast * (1.0 + stribeck_excess / (1.0 + ratio * ratio));
+      }
+    }
+    return fast;
   }
 
-  // Force of the floor on the platform in N, before the clamp at zero: Newton's law on the vertical. With the paper's
-  // option the pivot's torque is subtracted as (7) prints it.
+  // What the paper's option subtracts from the normal force, N: Eq. (7).
+  INLINE T pivot_force(T theta, T theta_dot, T sin) const {
+    return pivot_torque_on_contact * (k * theta + c * theta_dot) * sin;
+  }
+
+  // Newton's law on the vertical: the force of the floor on a platform with this weight in N; `squared` is theta_dot^2.
+  // `pressed_accelerations` fuses the multiply-adds, which saves time, `normal_force` does not: the bits of episodes
+  // depend on both.
+  template <bool fused> INLINE T pressing_force(T weight, T theta_ddot, T sin, T cos, T squared) const {
+    T fall = multiply_add<fused, T>(squared, cos, theta_ddot * sin);  // downward acceleration of the ball over l
+    return multiply_add<fused, T>(-(m * l), fall, weight);
+  }
+
+  // Force of the floor on the platform in N, before the clamp at zero.
   INLINE T normal_force(T theta, T theta_dot, T theta_ddot) const {
     auto [sin, cos] = sincos(theta);
-    auto newton = (M + m) * g - m * l * (theta_ddot * sin + theta_dot * theta_dot * cos);
-    if (pivot_on_contact()) return newton - pivot_torque_on_contact * (k * theta + c * theta_dot) * sin;  // Eq. (7)
+    T newton = pressing_force<false>((M + m) * g, theta_ddot, sin, cos, theta_dot * theta_dot);
+    if (pivot_on_contact()) return newton - pivot_force(theta, theta_dot, sin);
     return newton;
   }
 
@@ -111,11 +130,13 @@ template <class T, Kind kind_> struct Plant {
   }
 
   // The force of Coulomb friction on a sliding platform, N, against the direction of `slip`; `normal` is not negative.
+  // `pressed_accelerations` contains the same force, but cannot call this function: N depends on the unknown theta''.
   INLINE T friction_force(T slip, T x_dot, T normal) const {
-    auto mu = kinetic_friction(slip);
-    if constexpr (extended) mu = mu * stribeck(x_dot);
-    return slip * mu * normal;
+    return friction_coefficient(slip * kinetic_friction(slip), x_dot) * normal;
   }
+
+  // The largest friction force on a platform at rest under a load in the direction of `force`, N.
+  INLINE T static_friction_limit(T force, T normal) const { return static_ratio * kinetic_friction(force) * normal; }
 
   // Torque in N m with which the motor's own friction opposes its motion: from MOTOR_WIDTH on Coulomb's. It is three
   // times continuously differentiable, which preserves the integrator's order, without a root or a division.
@@ -135,25 +156,25 @@ template <class T, Kind kind_> struct Plant {
     return fma(g / l, sin, free);
   }
 
-  // theta'', x'' and N of Eq. (1) with f = slip mu N, one formula for slip and stick (slip = 0 pins x'' = 0); N is not
-  // clamped and can be below zero.
+  // theta'', x'' and N of Eq. (1), one formula for slip and stick (slip = 0 pins x'' = 0); N is not clamped and can be
+  // below zero. `mu` is the friction coefficient at high speed.
+  //
+  // In slip the second row is (M + m) x'' = driving_force - friction_force - b x'. Both forces depend on theta'': the
+  // solution contains them, but cannot call them. A test puts the solution into both functions.
   INLINE Accelerations<T> pressed_accelerations(T theta, T theta_dot, T x_dot, T slip, T mu, T u) const {
     auto [sin, cos] = sincos(theta);
     T share = slip * slip * mass_ratio;
-    T slip_mu = slip * mu;
-    // Most floors have no Stribeck curve, and are level without viscous friction, which saves divisions.
-    if constexpr (extended) {
-      if (acts(stribeck_excess)) slip_mu = slip_mu * stribeck(x_dot);
-    }
+    T slip_mu = friction_coefficient(slip * mu, x_dot);
     T squared = theta_dot * theta_dot;
     T weight = (M + m) * g;
     T brake = slip_mu * g;
     if (pivot_on_contact()) {
-      T pivot = pivot_torque_on_contact * (k * theta + c * theta_dot) * sin;  // Eq. (7)
+      T pivot = pivot_force(theta, theta_dot, sin);
       weight = weight - pivot;
       brake = brake - slip_mu * pivot / (M + m);
     }
     if constexpr (extended) {
+      // Most floors are level without viscous friction, which saves a division.
       if (acts(downhill) || acts(viscous) || acts(push))
         brake = brake + slip * slip * (downhill + (viscous * x_dot - push) / (M + m));
     }
@@ -165,7 +186,7 @@ template <class T, Kind kind_> struct Plant {
     // A product with the reciprocal, so that the division need not wait for the numerator.
     T theta_ddot = fma(cos * (1.0 / l), rest, free) * (1.0 / fma(-share * cos, tilted, 1.0));
     T x_ddot = fma(share * l * tilted, theta_ddot, rest);
-    return {theta_ddot, x_ddot, fma(-(m * l), fma(squared, cos, theta_ddot * sin), weight)};
+    return {theta_ddot, x_ddot, pressing_force<true>(weight, theta_ddot, sin, cos, squared)};
   }
 
   // The same with N clamped at zero: a floor does not pull. For one environment.
@@ -182,7 +203,7 @@ template <class T, Kind kind_> struct Plant {
   INLINE Margin<T> stick_margin(T theta, T theta_dot, T u) const {
     T theta_ddot = stick_acceleration(theta, theta_dot, u);
     T force = driving_force(theta, theta_dot, theta_ddot);
-    T limit = static_ratio * kinetic_friction(force) * max(T(0.0), normal_force(theta, theta_dot, theta_ddot));
+    T limit = static_friction_limit(force, max(T(0.0), normal_force(theta, theta_dot, theta_ddot)));
     return {limit - abs(force), force};
   }
 

@@ -66,9 +66,3 @@ def test_an_unknown_level_is_named():
 @pytest.mark.parametrize("n", [1, 65])
 def test_the_world_begins_a_cache_line(n):
     assert CapsuleVectorEnv(n).simulation.world.ctypes.data % 64 == 0
-
-
-@pytest.mark.parametrize("arguments", [(), ("sincos", *range(8))])
-def test_a_call_of_the_core_takes_as_many_arguments_as_its_functions(arguments):
-    with pytest.raises(TypeError, match=f"^call got {len(arguments)} arguments$"):
-        _core.call(*arguments)

@@ -6,8 +6,8 @@ from scipy.integrate import quad
 
 from capsule_gym import dynamics
 from capsule_gym.control.laws.feedback_linearisation import feedback_linearising
-from capsule_gym.control.laws.profiles import COLUMNS, EPC, PROPOSED, reference_table
-from capsule_gym.parameters import NOMINAL
+from capsule_gym.control.laws.profiles import COLUMNS, EPC, PROPOSED, platform_motion, reference_table
+from capsule_gym.parameters import NOMINAL, Capsule
 
 
 @pytest.mark.parametrize("profile", [PROPOSED, EPC])
@@ -55,6 +55,26 @@ def test_reference_platform_obeys_the_second_row():
     assert table["cycle_start"].tolist() == [1.0] + [0.0] * (len(rows) - 1)
     # Laws share the table.
     assert not rows.flags.writeable
+
+
+@pytest.mark.parametrize("normal_force", ["newton", "paper"])
+def test_the_reference_platform_has_the_bits_of_the_forces(normal_force):
+    options = {"mu": 0.05, "backward_ratio": 1.5, "slope": 0.01, "normal_force": normal_force}
+    p = Capsule(**options).plant()
+    h = 1e-3
+    pendulum = EPC.evaluate(h * np.arange(2000))
+    _, x_dot, x_ddot = platform_motion(*pendulum, h, p)
+    slides = x_dot != 0.0
+    assert np.count_nonzero(x_dot > 0.0) > 50
+    assert np.count_nonzero(x_dot < 0.0) > 50
+    normal = np.maximum(dynamics.normal_force(*pendulum, p), 0.0)
+    friction = dynamics.friction_force(np.sign(x_dot), x_dot, normal, p)
+    expected = (dynamics.driving_force(*pendulum, p) - friction) / (p.M + p.m)
+    assert np.array_equal(x_ddot[slides], expected[slides])
+    # Friction that depends on the speed is left out.
+    dependent = Capsule(**options, viscous=0.3, static_ratio=1.2, stribeck_speed=0.1).plant()
+    constant = Capsule(**options, static_ratio=1.2).plant()
+    assert np.array_equal(platform_motion(*pendulum, h, dependent), platform_motion(*pendulum, h, constant))
 
 
 @pytest.mark.parametrize(("theta", "theta_dot", "x_dot"), [(0.3, 1, 0.2), (-0.9, 3, -0.1), (0.5, 0.01, 0), (0.5, 6, 0)])
