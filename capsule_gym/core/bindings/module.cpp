@@ -7,6 +7,7 @@
 #include <Python.h>
 
 #include "../physics/trajectory.hpp"
+#include "description.hpp"
 #include "functions.hpp"
 #include "instruction_levels.hpp"
 #include "recorded_functions.hpp"
@@ -206,33 +207,28 @@ PyObject* describe(PyObject*, PyObject* options) {
 #undef READ_RANGE
   if (PyErr_Occurred()) return nullptr;
   if (found != PyDict_Size(options)) return PyErr_Format(PyExc_TypeError, "the core has no option of a name in %R", options);
-  auto q = make_settings(o);
-  PyObject* description = nullptr;
-  bool known = with_type(Tasks(), (long long)o.task, [&]<class Task>() {
-    auto l = make_layout<Task>(o, q);
-    PyObject *entries = PyList_New(0), *draws = PyList_New(0);
-    describe_entries<Task>(q, [&](const char* name, int age, double low, double high) {
-      PyObject* whole = age ? PyUnicode_FromFormat("%s %d", name, age) : PyUnicode_FromString(name);
-      append(entries, Py_BuildValue("Ndd", whole, low, high));
-    });
-    auto* lines = (Draw*)PyMem_Malloc(l.draws * sizeof(Draw));
-    if (!lines) {
-      PyErr_NoMemory();
-      return;
-    }
-    make_draws<Task>(o, q, l, lines);
-    for (long long k = 0; k < l.draws; k++) {
-      const auto& [row, stream, place, low, range, distribution] = lines[k];
-      append(draws, Py_BuildValue("dddddd", row, stream, place, low, range, distribution));
-    }
-    PyMem_Free(lines);
-    description = PyStructSequence_New(description_type);
-    PyStructSequence_SetItem(description, 0, named_tuple(settings_type, (const double*)&q, COUNT<decltype(SETTINGS_FIELDS)>));
-    PyStructSequence_SetItem(description, 1, named_tuple(layout_type, (const long long*)&l, COUNT<decltype(LAYOUT_FIELDS)>));
-    PyStructSequence_SetItem(description, 2, entries);
-    PyStructSequence_SetItem(description, 3, draws);
-  });
+  Description d;
+  bool known = describe_environment(o, d, [](size_t bytes) { return PyMem_Malloc(bytes); });
   if (!known) return PyErr_Format(PyExc_ValueError, "the core has no task of this number");
+  if (!d.entries) return PyErr_NoMemory();
+  PyObject *entries = PyList_New(0), *draws = PyList_New(0), *description = PyStructSequence_New(description_type);
+  for (long long k = 0; k < d.layout.entries; k++) {
+    const auto& [name, age, low, high] = d.entries[k];
+    PyObject* whole = age ? PyUnicode_FromFormat("%s %d", name, (int)age) : PyUnicode_FromString(name);
+    append(entries, Py_BuildValue("Ndd", whole, low, high));
+  }
+  for (long long k = 0; k < d.layout.draws; k++) {
+    const auto& [row, stream, place, low, range, distribution] = d.draws[k];
+    append(draws, Py_BuildValue("dddddd", row, stream, place, low, range, distribution));
+  }
+  PyMem_Free(d.entries);
+  constexpr int NUM_SETTINGS = COUNT<decltype(SETTINGS_FIELDS)>, NUM_SIZES = COUNT<decltype(LAYOUT_FIELDS)>;
+  PyObject* settings = named_tuple(settings_type, (const double*)&d.settings, NUM_SETTINGS);
+  PyObject* layout = named_tuple(layout_type, (const long long*)&d.layout, NUM_SIZES);
+  PyStructSequence_SetItem(description, 0, settings);
+  PyStructSequence_SetItem(description, 1, layout);
+  PyStructSequence_SetItem(description, 2, entries);
+  PyStructSequence_SetItem(description, 3, draws);
   if (PyErr_Occurred()) Py_CLEAR(description);
   return description;
 }
@@ -241,17 +237,10 @@ PyObject* describe(PyObject*, PyObject* options) {
 template <class Task> PyObject* describe_task(PyObject* shared_metrics) {
   using namespace portable;
   PyObject *found = PyStructSequence_New(task_type), *draws = PyList_New(0), *metrics = PyDict_New();
-  double nan = __builtin_nan("");
-  Task::draws(Range{nan, nan}, [&](const char* option, double low, double high, double distribution) {
+  Task::draws(NOT_GIVEN, [&](const char* option, double low, double high, double distribution) {
     append(draws, Py_BuildValue("sddd", option, low, high, distribution));
   });
-  // An environment of zeros, for the names of its metrics.
-  struct { Block<1> block; typename Task::template Memory<double> memory; double end; } world = {};
-  Layout layout = {};
-  layout.rows = layout.task = NUM_ROWS;
-  Batch batch = {};
-  batch.world = (double*)&world, batch.layout = &layout, batch.lanes = 1;
-  put_metrics<Task, 1>(batch, 0, nan, [&](const char* name, const char* description, double) {
+  describe_metrics<Task>([&](const char* name, const char* description) {
     if (!PyDict_GetItemString(shared_metrics, name)) put_item(metrics, name, PyUnicode_FromString(description));
   });
   PyStructSequence_SetItem(found, 0, names_in(Task::FIELDS));
@@ -297,20 +286,17 @@ int fill(PyObject* module) {
   CAPSULE_ROWS
 #undef ROW
   put("Row", PyObject_CallFunction((PyObject*)&PyType_Type, "s()O", "Row", rows));
-  put("ROW_NAMES", PyDict_Keys(rows));
   Py_DecRef(rows);
   char levels[64] = "";
   for (int i = BEST; i < NUM_LEVELS; i++) __builtin_strcat(__builtin_strcat(levels, LEVELS[i].name), " ");
-#define FIELD(type, name) CAPSULE_NAME(name)
-#define NAMES(name, text) put(#name, names_in(text));
-  NAMES(LEVELS, levels) NAMES(BATCH, CAPSULE_BATCH(FIELD)) NAMES(OPTIONS, CAPSULE_OPTIONS(CAPSULE_NAME, CAPSULE_RANGE_NAMES, CAPSULE_DISTURBANCE_NAMES))
-  NAMES(PLANT, NOMINAL_CONSTANTS(CAPSULE_NAME)) NAMES(TRAJECTORY, CAPSULE_TRAJECTORY(CAPSULE_NAME))
-  NAMES(CONSTANTS, CAPSULE_CONSTANTS(CAPSULE_NAME)) NAMES(DISTURBANCES, CAPSULE_DISTURBANCES(CAPSULE_NAME))
-  NAMES(OBSERVED, OBSERVED(CAPSULE_NAME)) NAMES(TERMINATIONS, CAPSULE_TERMINATIONS)
-  NAMES(STREAMS, CAPSULE_STREAMS(CAPSULE_NAME))
+  for (auto [list, names] : NAME_LISTS) put(list, names_in(names));
+#define NAMES(list, names) put(#list, names_in(names));
+  NAMES(LEVELS, levels) NAMES(PLANT, NOMINAL_CONSTANTS(CAPSULE_NAME)) NAMES(OBSERVED, OBSERVED(CAPSULE_NAME))
+  NAMES(TRAJECTORY, CAPSULE_TRAJECTORY(CAPSULE_NAME)) NAMES(STREAMS, CAPSULE_STREAMS(CAPSULE_NAME))
 #define REAL(name) put(#name, PyFloat_FromDouble(name));
   REAL(THETA_LIMIT) REAL(THETA_DOT_BOUND) REAL(MOTOR_WIDTH) REAL(MOTOR_SLOPE) REAL(ROUNDING)
-  REAL(LARGEST_COMMAND) REAL(START_THETA) REAL(M_BOUND) REAL(MU_BOUND) REAL(DIRECT_PHYSICS_DT) REAL(LAW_PHYSICS_DT)
+  REAL(LARGEST_COMMAND) REAL(START_THETA) REAL(M_BOUND) REAL(MU_BOUND)
+  REAL(DIRECT_PHYSICS_DT) REAL(LAW_PHYSICS_DT)
 #define WHOLE(name) put(#name, PyLong_FromLongLong(name));
   WHOLE(LANES) WHOLE(MOST_CELLS) WHOLE(PADDING) WHOLE(COMMANDS) WHOLE(ESTIMATOR_CELLS) WHOLE(DIRECTIONS)
   WHOLE(MOST_RESULTS) WHOLE(MOST_SUBSTEPS)
