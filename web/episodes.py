@@ -23,12 +23,11 @@ import capsule_gym
 from baselines.dynamic_programming.policy import TORQUES
 from baselines.policies import ALL_SCRIPTED
 from capsule_gym.command_line import command
-from capsule_gym.core.layout import NUM_ROWS, Row
+from capsule_gym.core.layout import Row
 from capsule_gym.evaluation.sets import SET_NAMES, PlantSpec, load_set
 from capsule_gym.files import replacing, write_atomically
 from capsule_gym.policies.policy import policy_names
-from capsule_gym.tasks.registry import TASKS
-from capsule_gym.tasks.task import CONTROL_DT, EPISODE_STEPS
+from capsule_gym.tasks.task import EPISODE_STEPS
 
 # Number of plants of each frozen set in the module; their seeds are 0, 1, ..
 SEEDS = 100
@@ -57,13 +56,14 @@ def compute(episode: dict[str, Any]) -> dict[str, Any]:
     plant, kwargs = found.plants[episode["plant"]], {**policy.env_kwargs, **found.env_kwargs}
     env = capsule_gym.CapsuleEnv(**kwargs)
     observation, _ = env.reset(seed=plant.seed, options=plant.reset_options())
-    # The rows that `info` shows, the memories of law and task, and a disturbed plant's last reading.
-    rows = [*range(Row.clock + 1), *range(NUM_ROWS, env.simulation.task_end)]
-    rows += range(Row.read_theta, Row.read_x_dot + 1) if env.simulation.settings.history else ()
+    layout = env.simulation.layout
+    # The rows that `info` shows, the memories of law and task, and a varied plant's last reading.
+    rows = [*range(Row.clock + 1), *range(layout.law_memory, layout.task_end)]
+    if env.simulation.settings.varied:
+        rows += range(Row.read_theta, Row.read_x_dot + 1)
     act = policy.start([plant.seed])
     digest, terminated, step = hashlib.sha256(), False, 0
-    horizon = round(TASKS[found.task].episode_steps * CONTROL_DT / kwargs.get("control_dt", CONTROL_DT))
-    while not terminated and step < horizon:
+    while not terminated and step < layout.steps:
         if "actions" in episode:
             action = np.array([episode["actions"][step // episode["hold"] % len(episode["actions"])]], np.float32)
         else:

@@ -18,7 +18,7 @@ from capsule_gym.parameters import Capsule, Randomization
 
 ENV_ID = "CapsuleStickSlip-v0"
 EPISODE_STEPS = _core.TASKS["speed"].steps
-CONTROL_DT = 0.02
+CONTROL_DT = _core.CONTROL_DT
 HORIZON = EPISODE_STEPS * CONTROL_DT
 TORQUE_LIMIT = 1.5
 # Weight of a joule, and penalty of a failure, in centimetres of progress.

@@ -27,7 +27,8 @@ namespace LEVEL {
 #define CAPSULE_DISTURBANCE_NAMES(name) "disturbances_" #name "_low disturbances_" #name "_high "
 struct Options { CAPSULE_OPTIONS(CAPSULE_DOUBLE, CAPSULE_RANGE, CAPSULE_DISTURBANCE) };
 
-// s: the integrator's step without and with a law.
+// s: the agent's step for which a task counts the steps of an episode; the integrator's step without and with a law.
+constexpr double CONTROL_DT = 2e-2;
 constexpr double DIRECT_PHYSICS_DT = 2e-3, LAW_PHYSICS_DT = 1e-3;
 constexpr double MOST_SUBSTEPS = 1e6;  // integrator steps per agent step, which take a tenth of a second
 constexpr double START_THETA = -PI / 3.0;
@@ -126,6 +127,7 @@ template <class Task> Layout make_layout(const Options& o, const Settings& q) {
   Task::draws(o.task_range, [&](const char*, double, double, double) { l.constant_draws++; });
   l.disturbance_draws = l.constant_draws + (q.varied != 0.0 ? NUM_CONSTANTS : 0);
   l.draws = l.disturbance_draws + (q.varied != 0.0 ? NUM_DISTURBANCES + 1 : 0);
+  l.steps = (long long)rounded(Task::STEPS * CONTROL_DT / o.control_dt, 1.0);
   return l;
 }
 

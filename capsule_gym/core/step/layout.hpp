@@ -112,8 +112,8 @@ struct Settings {
   /* The last states of a varied plant, the estimator, and the number of all rows. */                                  \
   FIELD(history) FIELD(estimator) FIELD(rows)                                                                          \
   /* Entries of the observation. Lines of the draw table: all of them, the first one of the task, of the constants and \
-     of the disturbances. */                                                                                           \
-  FIELD(entries) FIELD(draws) FIELD(task_draws) FIELD(constant_draws) FIELD(disturbance_draws)
+     of the disturbances. Agent steps of a whole episode. */                                                           \
+  FIELD(entries) FIELD(draws) FIELD(task_draws) FIELD(constant_draws) FIELD(disturbance_draws) FIELD(steps)
 #define CAPSULE_WHOLE(name) long long name;
 struct Layout {
   CAPSULE_LAYOUT(CAPSULE_WHOLE)
