@@ -47,48 +47,68 @@ def describe(options: EnvConfig, controller: Controller | None) -> Description:
         options: options of the environment.
         controller: the law inside the step. Entries depend only on whether there is one.
     """
+    return _core.describe(core_options(options, controller))
+
+
+def core_options(options: EnvConfig, controller: Controller | None) -> dict[str, float | None]:
+    """The options by the names of the core, `_core.OPTIONS`; those that are not given are missing or None."""
     task = find_task(options.task)
-    acting = controller or NO_CONTROLLER
     given: dict[str, float | None] = {name: getattr(options, name) for name in NUMBERS}
     given["task"] = task.number
     if task.draw_range is not None:
         given["task_low"], given["task_high"] = task.draw_range
     if options.initial_range is not None:
         given["initial_theta"], given["initial_theta_dot"] = options.initial_range
-    given["controller"] = controller is not None
-    given["law_dt"] = acting.dt
-    given["memory_size"] = len(acting.memory)
-    given["reference_size"] = acting.reference.shape[1]
-    _add_plant(given, options.capsule or NOMINAL, Randomization.named(options.randomization))
-    _add_disturbances(given, Disturbances.named(options.disturbances))
-    return _core.describe(given)
+    return {
+        **given,
+        **controller_options(controller),
+        **plant_options(options.capsule or NOMINAL, Randomization.named(options.randomization)),
+        **disturbance_options(Disturbances.named(options.disturbances)),
+    }
 
 
-def _add_plant(given: dict[str, float | None], capsule: Capsule, randomization: Randomization) -> None:
-    """Adds the constants of the plant and the ranges from which episodes draw them."""
-    given["paper_normal_force"] = capsule.normal_force == "paper"
-    given["log_mu"] = randomization.log_mu
+def controller_options(controller: Controller | None) -> dict[str, float | None]:
+    """The options of the core that follow from the controller."""
+    acting = controller or NO_CONTROLLER
+    return {
+        "controller": controller is not None,
+        "law_dt": acting.dt,
+        "memory_size": len(acting.memory),
+        "reference_size": acting.reference.shape[1],
+    }
+
+
+def plant_options(capsule: Capsule, randomization: Randomization) -> dict[str, float | None]:
+    """The constants of the plant and the ranges from which episodes draw them, as options of the core."""
+    given: dict[str, float | None] = {
+        "paper_normal_force": capsule.normal_force == "paper",
+        "log_mu": randomization.log_mu,
+    }
     for name in ("M", "mu", *CONSTANTS):
         given[name] = getattr(capsule, name)
         drawn = getattr(randomization, name)
         if drawn is not None:
             given[f"{name}_low"], given[f"{name}_high"] = drawn
+    return given
 
 
-def _add_disturbances(given: dict[str, float | None], disturbances: Disturbances | None) -> None:
-    """Adds the disturbances; plants that vary draw those of an ideal environment, too."""
+def disturbance_options(disturbances: Disturbances | None) -> dict[str, float | None]:
+    """The disturbances as options of the core; plants that vary draw those of an ideal environment, too."""
     found = disturbances or Disturbances()
-    given["disturbed"] = disturbances is not None
-    given["law_observes"] = found.controls != "agent"
-    given["agent_observes"] = found.controls != "law"
-    given["stick_threshold"] = found.stick_threshold
-    given["x_noise"] = found.x_noise
+    given: dict[str, float | None] = {
+        "disturbed": disturbances is not None,
+        "law_observes": found.controls != "agent",
+        "agent_observes": found.controls != "law",
+        "stick_threshold": found.stick_threshold,
+        "x_noise": found.x_noise,
+    }
     for name in SENSORS:
         given[f"with_{name}"] = name not in found.unmeasured
     for name in DISTURBANCES:
         low, high = ends(getattr(found, name))
         given[f"disturbances_{name}_low"] = low
         given[f"disturbances_{name}_high"] = high
+    return given
 
 
 def ends(value: float | tuple[float, float]) -> tuple[float, float]:
