@@ -47,6 +47,24 @@ export interface Disturbances {
   [name: string]: number | [number, number] | string | string[] | null | undefined;
 }
 
+/**
+ * Options of an environment by the names of the core; null for one that is not given. `core_options` of
+ * `capsule_gym.envs.contract` returns them in Python. What follows from controller and task has no effect.
+ */
+export type Options = Record<string, number | null>;
+
+/** What follows from the options of an environment. */
+export interface Description {
+  /** The settings of the step, SI units. */
+  settings: Record<string, number>;
+  /** The first rows of the parts of `world` behind the `quantities`, and sizes. */
+  layout: Record<string, number>;
+  /** The entries of the observation in order: name, lowest and highest value. */
+  entries: [string, number, number][];
+  /** What an episode draws: row of `world`, stream, place in the stream, low, range, and distribution. */
+  draws: [number, number, number, number, number, number][];
+}
+
 /** Initial conditions of an episode; omitted values are drawn or nominal. */
 export interface Start extends Partial<Plant>, Partial<State> {
   changes?: Change[];
@@ -186,6 +204,7 @@ export class Capsule {
   readonly observation: Float32Array;
   readonly info: Info;
   readonly metrics: Metrics;
+  readonly description: Description;
   /** The `quantities`, the law's memory, its row of the reference table, the task's memory, and the history. */
   readonly world: Float64Array;
   /** What `check` compares: the rows of `info`, the memories of law and task, the last reading, and the observation. */
@@ -208,7 +227,7 @@ export class Episode extends Capsule {
 
 export function load(
   controller: string,
-  options?: { task?: string; disturbances?: "none" | "real" | Disturbances } | { set: string },
+  options?: { task?: string; disturbances?: "none" | "real" | Disturbances; options?: Options } | { set: string },
 ): Promise<Capsule>;
 export function drive(driver: string, options?: (Start | Frozen) & Told): Promise<Episode>;
 /** A trained policy of your own: the result of `web.data.describe_policy` in Python as JSON. */
@@ -222,16 +241,7 @@ export interface OwnDriver {
   /** One of `controllers`. */
   controller: string;
   seed?: number;
-  /** The step's settings in the order of the core, for ideal and for disturbed plants; control_dt in s. */
-  settings: {
-    ideal: number[];
-    disturbed: number[];
-    capsule: number[];
-    disturbances: "none" | "real" | Disturbances;
-    entries: number;
-    control_dt: number;
-    steps: number;
-  };
+  options: Options;
   /** The network as the core takes it. */
   network: number[];
 }

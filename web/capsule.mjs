@@ -20,30 +20,101 @@ async function unpack(text) {
 }
 
 const [HEADER, CONTENT] = await unpack(ARCHIVE);
-const { core: CORE, tasks: TASKS, controllers: CONTROLLERS, drivers: DRIVERS, variation: VARIATION } = HEADER;
-const { constants: CONSTANTS, disturbances: DISTURBANCES } = VARIATION;
+const { accepted: ACCEPTED, controllers: CONTROLLERS, drivers: DRIVERS } = HEADER;
 const MODULE = await WebAssembly.compile(CONTENT.slice(HEADER.module.at, HEADER.module.at + HEADER.module.size));
-const SENSORS = ["theta", "theta_dot", "x_dot"];
-const ROW = numbered(CORE.row_names);
-const SETTING = numbered(CORE.settings);
+/** An instance of the core that describes environments; every capsule has an instance of its own. */
+const { exports: CORE } = await WebAssembly.instantiate(MODULE, {});
+const { TASKS, ...NAMES } = readNames(CORE);
+const { CONSTANTS, DISTURBANCES } = NAMES;
+const ROW = named(NAMES.ROW_NAMES, [...NAMES.ROW_NAMES.keys()]);
 const STATE = Object.keys(HEADER.constants.start);
-const GIVEN = [...STATE, "M", "mu"].map((name) => [ROW[name], 0, 0, 0, 0, 0]);
 /** The quantities that are meaningful between two steps. */
-const SHOWN = CORE.row_names.slice(0, ROW.clock + 1);
+const SHOWN = NAMES.ROW_NAMES.slice(0, ROW.clock + 1);
+/** Sizes of an entry of the observation and of a draw in the core's memory, bytes. */
+const [ENTRY_SIZE, DRAW_SIZE] = [32, 48];
+/** Largest number of rows of an environment, 128 MB. */
+const MOST_ROWS = 2 ** 24;
+const LOAD_OPTIONS = ["set", "task", "disturbances", "options"];
+const DRIVER_FIELDS = ["name", "description", "kind", "task", "controller", "seed", "options", "network"];
 
-/** Returns the place of each name. */
-function numbered(names) {
-  return Object.fromEntries(names.map((name, place) => [name, place]));
+/** Returns values by their names. */
+function named(names, values) {
+  return Object.fromEntries(names.map((name, place) => [name, values[place]]));
 }
 
-/** Returns the public fields of a driver. */
-function describe({ settings, network, recordings, ...shown }) {
-  const own = { controlDt: settings.control_dt, steps: settings.steps };
-  return { ...shown, ...own, ...(recordings && { recorded: Object.keys(recordings) }) };
+/** Reads a string of the core. */
+function readText(buffer, at) {
+  const bytes = new Uint8Array(buffer, at);
+  return new TextDecoder().decode(bytes.subarray(0, bytes.indexOf(0)));
 }
 
-/** All drivers with their public fields. */
-export const drivers = DRIVERS.map(describe);
+/** Reads the lists of names of the core, and in `TASKS` those of each task. */
+function readNames({ memory: { buffer }, name_lists }) {
+  const [lists, tasks] = [{}, {}];
+  const pairs = new Uint32Array(buffer, name_lists());
+  let present = lists;
+  for (let n = 0; pairs[n] !== 0; n += 2) {
+    const list = readText(buffer, pairs[n]);
+    const names = readText(buffer, pairs[n + 1]).split(" ").filter(Boolean);
+    if (list === "TASK") present = tasks[names[0]] = {};
+    else (present[list] ??= []).push(...names);
+  }
+  return { ...lists, TASKS: tasks };
+}
+
+/** Describes an environment with options of the core. */
+function describe(core, options) {
+  const { memory } = core;
+  const given = NAMES.OPTIONS.map((name) => options[name] ?? NaN);
+  new Float64Array(memory.buffer, core.options(), given.length).set(given);
+  const at = core.describe();
+  const { buffer } = memory;
+  const settings = new Float64Array(buffer, at, NAMES.SETTINGS.length);
+  const layout = new BigInt64Array(buffer, at + settings.byteLength, NAMES.LAYOUT.length);
+  const [entries, draws] = new Uint32Array(buffer, layout.byteOffset + layout.byteLength, 2);
+  const description = {
+    settings: named(NAMES.SETTINGS, settings),
+    layout: named(NAMES.LAYOUT, Array.from(layout, Number)),
+    entries: [],
+    draws: [],
+  };
+  checkSizes(options, description);
+  for (let n = 0; n < description.layout.entries; n++) {
+    description.entries.push(readEntry(buffer, entries + ENTRY_SIZE * n));
+  }
+  for (let n = 0; n < description.layout.draws; n++) {
+    description.draws.push(Array.from(new Float64Array(buffer, draws + DRAW_SIZE * n, 6)));
+  }
+  return description;
+}
+
+/** Reads an entry of the observation: its name, and its bounds. */
+function readEntry(buffer, at) {
+  const name = readText(buffer, new Uint32Array(buffer, at)[0]);
+  const [age, low, high] = new Float64Array(buffer, at + 8);
+  return [age > 0 ? `${name} ${age}` : name, low, high];
+}
+
+/** Throws an error for periods that do not divide each other, or for too long a history. */
+function checkSizes({ control_dt }, { settings, layout }) {
+  const { law_dt, law_steps, physics_dt, physics_steps } = settings;
+  const divides = (part, count, whole) => count >= 1 && Math.abs(count * part - whole) <= 1e-9 * whole;
+  const few = control_dt / physics_dt <= ACCEPTED.substeps;
+  if (!(few && divides(physics_dt, physics_steps, law_dt) && divides(law_dt, law_steps, control_dt))) {
+    const accepted = `a multiple of the law's ${law_dt} s, which is one of physics_dt=${physics_dt}`;
+    throw new RangeError(`options.control_dt must be ${accepted}, at most ${ACCEPTED.substeps} of these, got ${control_dt}`);
+  }
+  if (!(layout.rows <= MOST_ROWS)) {
+    throw new RangeError(`options.disturbances_latency_high must need at most ${MOST_ROWS} rows, got ${layout.rows}`);
+  }
+}
+
+/** Merges options of the core: those of the task, given ones, and those that follow from controller and task. */
+function mergeOptions(task, controller, ...given) {
+  const own = { ...CONTROLLERS[controller].options, task: tasks.indexOf(task) };
+  return Object.assign({}, HEADER.tasks[task], ...given, own);
+}
+
 /** The frozen evaluation sets: hash and plants. */
 export const sets = HEADER.sets;
 /** Numbers of the task and of the plant, in SI units. */
@@ -51,11 +122,16 @@ export const constants = HEADER.constants;
 /** Names of the controllers and of the tasks that `load` accepts. */
 export const controllers = Object.keys(CONTROLLERS);
 export const tasks = Object.keys(TASKS);
-/**
- * Names of the rows of `world`, in their order. The law's memory, its row of the reference table, the task's memory,
- * the history of a disturbed plant, and the filter of observed estimates follow.
- */
-export const quantities = CORE.row_names;
+/** All drivers with their public fields. */
+export const drivers = DRIVERS.map(publicFields);
+/** Names of the first rows of `world`, in their order; the `layout` of a capsule's description names those behind them. */
+export const quantities = NAMES.ROW_NAMES;
+
+/** Returns the public fields of a driver. */
+function publicFields({ options, network, recordings, ...shown }) {
+  const { steps } = describe(CORE, mergeOptions(shown.task, shown.controller, options)).layout;
+  return { ...shown, controlDt: options.control_dt, steps, ...(recordings && { recorded: Object.keys(recordings) }) };
+}
 
 /** Reads a float64 array from the archive, which stores its bytes by column and significance. */
 function readArray({ at, rows, columns }) {
@@ -69,16 +145,6 @@ function readArray({ at, rows, columns }) {
   return new Float64Array(bytes.buffer);
 }
 
-/** Starts the core with arrays in its memory; returns their addresses, the core's functions, and the views. */
-async function place(sizes) {
-  const { exports: call } = await WebAssembly.instantiate(MODULE, {});
-  const entries = Object.entries(sizes);
-  const places = entries.map(([name, [Kind, length]]) => [name, call.allocate(length * Kind.BYTES_PER_ELEMENT)]);
-  const address = Object.fromEntries(places);
-  const views = entries.map(([name, [Kind, length]]) => [name, new Kind(call.memory.buffer, address[name], length)]);
-  return { address, call, view: Object.fromEntries(views) };
-}
-
 /** Returns a number, or throws an error that names the argument. */
 function checkNumber(name, value, low = -Infinity, high = Infinity) {
   const accepted = `a finite number${Number.isFinite(high) ? ` in [${low}, ${high}]` : ""}`;
@@ -89,11 +155,10 @@ function checkNumber(name, value, low = -Infinity, high = Infinity) {
   return value;
 }
 
-/** Returns the entry by its name, or throws an error that lists the names. */
-function find(what, name, entries) {
-  const found = entries.find((entry) => entry.name === name);
-  if (!found) throw new RangeError(`${what} must be one of ${entries.map((e) => e.name).join(", ")}, got ${name}`);
-  return found;
+/** Returns a name, or throws an error that lists the accepted ones. */
+function checkChoice(what, name, names) {
+  if (!names.includes(name)) throw new RangeError(`${what} must be one of ${names.join(", ")}, got ${String(name)}`);
+  return name;
 }
 
 /** Returns an index, or throws an error with the accepted values. */
@@ -113,76 +178,81 @@ function checkFields(name, value, names) {
   return value;
 }
 
-/** Returns the fields of `capsule_gym.Disturbances` for a name or an object; null for none. */
-function checkDisturbances(given) {
-  if (given === "none") return null;
-  if (given === "real") return constants.real;
-  if (typeof given === "string") throw new RangeError(`disturbances must be none, real or an object, got ${given}`);
-  checkFields("disturbances", given, Object.keys(VARIATION.ideal));
-  const found = { ...VARIATION.ideal, ...given };
-  for (const name of DISTURBANCES) {
-    const ends = [found[name]].flat().map((end) => checkNumber(`disturbances.${name}`, end, ...VARIATION.limits[name]));
-    if (ends.length < 1 || ends.length > 2 || ends[0] > ends.at(-1)) {
-      throw new RangeError(`disturbances.${name} must be a number or [low, high], got ${found[name]}`);
+/** Returns options of the core, or throws an error that names a wrong one. */
+function checkOptions(given, task) {
+  checkFields("options", given, NAMES.OPTIONS);
+  const usual = HEADER.tasks[task];
+  const options = { ...usual, ...given };
+  for (const [name, value] of Object.entries(options)) {
+    // An option that the task leaves out may be left out.
+    if (value !== null || usual[name] !== null) checkNumber(`options.${name}`, value, ...ACCEPTED.options[name]);
+    const high = options[name.replace(/_low$/, "_high")];
+    if (value > high || (value === null) !== (high === null)) {
+      throw new RangeError(`options.${name} must be the low end of a range up to ${high}, got ${value}`);
     }
   }
-  if (!["both", "law", "agent"].includes(found.controls)) {
-    throw new RangeError(`disturbances.controls must be both, law or agent, got ${found.controls}`);
+  checkCount("options.stack_size", options.stack_size, ACCEPTED.options.stack_size[1] + 1);
+  if ((options.initial_theta === null) !== (options.initial_theta_dot === null)) {
+    throw new RangeError("options.initial_theta and options.initial_theta_dot must be given together");
   }
-  if (!Array.isArray(found.unmeasured) || !found.unmeasured.every((name) => SENSORS.includes(name))) {
-    throw new RangeError(`disturbances.unmeasured must be an array out of ${SENSORS.join(", ")}, got ${found.unmeasured}`);
+  return options;
+}
+
+/** Returns the options of the core for the fields of `capsule_gym.Disturbances`, "real" or "none". */
+function disturbanceOptions(given) {
+  const known = { none: {}, real: constants.real };
+  if (typeof given === "string" && !Object.hasOwn(known, given)) {
+    throw new RangeError(`disturbances must be none, real or an object, got ${given}`);
   }
-  checkNumber("disturbances.stick_threshold", found.stick_threshold, 0, 1e3);
-  if (found.x_noise !== null) checkNumber("disturbances.x_noise", found.x_noise, 0, 1e3);
-  return found;
-}
-
-/** Rounds to the nearest whole number, halves to even. */
-function rounded(value) {
-  return value + 1.5 * 2 ** 52 - 1.5 * 2 ** 52;
-}
-
-/** Time between two calls of the law or, without a law, of the integrator, s. */
-function periodOf(packed) {
-  return packed[SETTING.physics_steps] * packed[SETTING.physics_dt];
-}
-
-/** Packs plant and settings for the step, for an ideal or a disturbed plant. */
-function packSettings(settings, capsule, disturbed) {
-  const packed = Float64Array.from(disturbed ? settings.disturbed : settings.ideal);
-  CONSTANTS.forEach((name, n) => { if (name in SETTING) packed[SETTING[name]] = capsule[n]; });
-  if (!disturbed) return packed;
-  const { controls, unmeasured, latency, x_noise, stick_threshold } = disturbed;
-  packed[SETTING.history] = rounded([latency].flat().at(-1) / periodOf(packed)) + 1;
-  packed[SETTING.law_reads] = packed[SETTING.with_reference] && controls !== "agent";
-  packed[SETTING.agent_reads] = controls !== "law";
-  [packed[SETTING.with_x], packed[SETTING.x_noise]] = [x_noise !== null, x_noise ?? 0];
-  packed[SETTING.stick_threshold] = stick_threshold;
-  for (const name of SENSORS) packed[SETTING[`with_${name}`]] = !unmeasured.includes(name);
-  return packed;
-}
-
-/** The table of draws for the core: given values, the task's, whose memory begins at row `first`, and a varied plant's. */
-function drawTable(task, first, capsule, disturbed) {
-  const table = GIVEN.concat(TASKS[task].table.map(([row, ...line]) => [row + first, ...line]));
-  if (!disturbed) return table;
-  const ranges = [...capsule, ...DISTURBANCES.map((name) => disturbed[name])].map((range) => [range].flat());
-  return table.concat(VARIATION.table.map((line, n) => {
-    const [low, high = low] = ranges[n] ?? [];
-    return n < ranges.length ? [...line.slice(0, 3), low, high - low, 0] : line;
-  }));
-}
-
-/** Packs the commands of an episode as in the task's memory: their velocities, then their durations. */
-function packCommands(commands, count) {
-  if (!Array.isArray(commands) || commands.length < 1 || commands.length > count) {
-    throw new RangeError(`commands must be an array of 1 to ${count} of {t, v}, got ${String(commands)}`);
+  const fields = checkFields("disturbances", known[given] ?? given, Object.keys(HEADER.ideal));
+  const { controls, unmeasured, stick_threshold, x_noise, ...drawn } = { ...HEADER.ideal, ...fields };
+  checkChoice("disturbances.controls", controls, ["both", "law", "agent"]);
+  const { sensors, options: limits } = ACCEPTED;
+  if (!Array.isArray(unmeasured) || !unmeasured.every((name) => sensors.includes(name))) {
+    throw new RangeError(`disturbances.unmeasured must be an array out of ${sensors.join(", ")}, got ${unmeasured}`);
   }
-  const v = commands.map((command, n) => checkNumber(`commands[${n}].v`, command.v, -0.2, 0.2));
+  checkNumber("disturbances.stick_threshold", stick_threshold, ...limits.stick_threshold);
+  if (x_noise !== null) checkNumber("disturbances.x_noise", x_noise, ...limits.x_noise);
+  const options = {
+    disturbed: given === "none" ? 0 : 1,
+    law_observes: controls === "agent" ? 0 : 1,
+    agent_observes: controls === "law" ? 0 : 1,
+    stick_threshold,
+    x_noise,
+  };
+  for (const name of sensors) options[`with_${name}`] = unmeasured.includes(name) ? 0 : 1;
+  for (const name of DISTURBANCES) {
+    const limit = limits[`disturbances_${name}_low`];
+    const ends = [drawn[name]].flat().map((end) => checkNumber(`disturbances.${name}`, end, ...limit));
+    const [low, high = low] = ends;
+    if (ends.length < 1 || ends.length > 2 || low > high) {
+      throw new RangeError(`disturbances.${name} must be a number or [low, high], got ${drawn[name]}`);
+    }
+    options[`disturbances_${name}_low`] = low;
+    options[`disturbances_${name}_high`] = high;
+  }
+  return options;
+}
+
+/** Returns the numbers of a reset option of the task, as an array. */
+function parseNumbers(name, value, count) {
+  const { x } = constants.largest_state;
+  const numbers = [value].flat().map((number) => checkNumber(name, number, -x, x));
+  if (numbers.length !== count) throw new RangeError(`${name} must be ${count} numbers, got ${numbers.length}`);
+  return numbers;
+}
+
+/** Returns the velocities of the commands of an episode, and how long each lasts. */
+function parseCommands(commands) {
+  const { commands: most, command: largest } = ACCEPTED;
+  if (!Array.isArray(commands) || commands.length < 1 || commands.length > most) {
+    throw new RangeError(`commands must be an array of 1 to ${most} of {t, v}, got ${String(commands)}`);
+  }
+  const v = commands.map((command, n) => checkNumber(`commands[${n}].v`, command.v, -largest, largest));
   const t = commands.map((command, n) => checkNumber(`commands[${n}].t`, command.t, 0, n ? Infinity : 0));
   if (t.some((time, n) => n > 0 && time <= t[n - 1])) throw new RangeError("commands must be in the order of their t");
   const lasts = t.map((time, n) => (t[n + 1] ?? Infinity) - time);
-  const rest = count - v.length;
+  const rest = most - v.length;
   return [...v, ...Array(rest).fill(v.at(-1)), ...lasts, ...Array(rest).fill(Infinity)];
 }
 
@@ -204,96 +274,98 @@ function checkChanges(changes) {
   });
 }
 
+/** Starts the core with an environment; returns its functions, and its arrays with their addresses. */
+async function startCore(task, controller, options, network = new Float64Array(0)) {
+  const { exports: core } = await WebAssembly.instantiate(MODULE, {});
+  const description = describe(core, options);
+  const { layout } = description;
+  const { law, constants: numbers, memory, table } = CONTROLLERS[controller];
+  const arrays = {
+    world: new Float64Array(layout.rows),
+    observations: new Float32Array(layout.entries),
+    law_constants: readArray(numbers),
+    memory: Float64Array.from(memory),
+    reference: readArray(table),
+    keys: new BigUint64Array(2),
+    episodes: new BigInt64Array(1),
+    rows: new BigInt64Array(1),
+    drawn: new Float64Array(layout.draws),
+    metrics: new Float64Array(TASKS[task].metrics.length),
+    fields: new Float64Array(NAMES.BATCH.length),
+    network,
+  };
+  const address = {};
+  for (const [name, { byteLength }] of Object.entries(arrays)) address[name] = core.allocate(byteLength);
+  const view = {};
+  for (const [name, array] of Object.entries(arrays)) {
+    view[name] = new array.constructor(core.memory.buffer, address[name], array.length);
+    view[name].set(array);
+  }
+  const fields = { ...address, num_envs: 1, lanes: 1, task: options.task, reference_rows: table.rows };
+  fields.law = NAMES.LAWS.indexOf(law);
+  view.fields.set(NAMES.BATCH.map((name) => fields[name] ?? 0));
+  core.bind(address.fields);
+  return { core, address, view, description, task, options };
+}
+
 /** One capsule, with or without a control law inside its step. `load` creates it. */
 export class Capsule {
-  #place;
-  #settings;
-  #kind;
+  #started;
   #changes = [];
   #due = 0;
 
-  /** Called by `load` and `drive`. */
-  constructor(placed, kind, settings) {
-    this.#place = placed;
-    this.#kind = kind;
-    this.#settings = settings;
-    const { address, call, view } = placed;
-    view.settings.set(kind.settings);
-    view.reference.set(kind.reference);
-    view.law_constants.set(kind.constants);
-    view.memory.set(kind.memory);
-    view.draw_table.set(kind.table.flat());
-    const fields = {
-      ...address, block_rows: view.world.length, num_envs: 1, lanes: 1, entries: settings.entries,
-      task: tasks.indexOf(kind.task), law: kind.law,
-      task_size: TASKS[kind.task].memory.length, memory_size: kind.memory.length, draw_lines: kind.table.length,
-      reference_rows: kind.reference.length / kind.columns, reference_size: kind.columns,
-    };
-    view.fields.set(CORE.batch.map((name) => fields[name] ?? 0));
-    call.bind(address.fields);
+  /** Called by `load` and `drive` with the result of `startCore`. */
+  constructor(started) {
+    this.#started = started;
+  }
+
+  /** What the core says of the environment: settings of the step, layout of `world`, entries of the observation, draws. */
+  get description() {
+    return this.#started.description;
   }
 
   /** Whether an episode draws values and accepts a seed. */
   get draws() {
-    return this.#kind.table.length > GIVEN.length;
+    return this.description.draws.some(([, , , , range]) => range !== 0);
   }
 
   /** Name of the task. */
   get task() {
-    return this.#kind.task;
+    return this.#started.task;
   }
 
   /** Length of a step, s. */
   get controlDt() {
-    return this.#settings.control_dt;
+    return this.#started.options.control_dt;
   }
 
   /** Steps of a whole episode. */
   get horizon() {
-    return this.#settings.steps;
+    return this.description.layout.steps;
   }
 
   /**
    * Begins an episode. The seed determines the drawn values; without one, the last seed and the number of episodes
    * since then do. By default, M and mu are nominal, and the state is `constants.start`.
    */
-  reset({ M = constants.nominal.M, mu = constants.nominal.mu, changes = [], seed, ...others } = {}) {
-    const { task, table, disturbed } = this.#kind;
-    const plant = checkPlant("", { M, mu });
+  reset({ changes = [], seed, ...given } = {}) {
     const schedule = checkChanges(changes);
-    const [start, given] = [{ ...constants.start }, {}];
-    const { options } = TASKS[task];
-    for (const [name, value] of Object.entries(others)) {
-      if (STATE.includes(name)) start[name] = value;
-      else if (options.includes(name) || (disturbed && ["capsule", "disturbances"].includes(name))) given[name] = value;
-      else {
-        const more = disturbed ? ["capsule", "disturbances"] : [];
-        const names = ["M", "mu", "changes", "seed", ...STATE, ...options, ...more];
-        throw new RangeError(`reset takes ${names.join(", ")}, got ${name}`);
-      }
-    }
-    for (const [name, value] of Object.entries(start)) {
-      const largest = constants.largest_state[name];
-      checkNumber(name, value, -largest, largest);
-    }
-    if (Math.abs(start.theta) === constants.theta_limit) {
-      throw new RangeError(`theta must be a number within +-${constants.theta_limit}, got ${start.theta}`);
-    }
+    const numbers = this.#givenNumbers(given);
     if (seed !== undefined) {
       if (!this.draws) throw new RangeError("seed must be left out: nothing is drawn");
       checkCount("seed", seed, 2 ** 53);
     }
-    const overrides = this.#overrides(given);
-    const { call, view } = this.#place;
+    const { core, view } = this.#started;
     if (seed !== undefined) {
       view.keys.set([BigInt(seed), 0n]);
       view.episodes[0] = 0n;
     }
-    call.draw_episode();
-    table.forEach(([row], n) => (view.drawn[n] = overrides.get(row) ?? view.drawn[n]));
-    view.drawn.set([...STATE.map((name) => start[name]), plant.M, plant.mu]);
+    core.draw_episode();
+    this.description.draws.forEach(([row], line) => {
+      if (numbers.has(row)) view.drawn[line] = numbers.get(row);
+    });
     [this.#changes, this.#due] = [schedule, 0];
-    call.begin_episode();
+    core.begin_episode();
     this.#advance(true);
     return { observation: this.observation, info: this.info };
   }
@@ -306,7 +378,7 @@ export class Capsule {
     while (this.#due < this.#changes.length && this.#changes[this.#due].t <= now) {
       this.#setPlant(this.#changes[this.#due++]);
     }
-    this.#place.view.world[ROW.action] = Math.fround(action);
+    this.#started.view.world[ROW.action] = Math.fround(action);
     this.#advance(false);
     const terminated = this.#get(ROW.termination) !== 0;
     return {
@@ -325,12 +397,12 @@ export class Capsule {
 
   /** theta (rad), theta_dot (rad/s), x (m) and x_dot (m/s). */
   get state() {
-    return Object.fromEntries(STATE.map((name) => [name, this.#get(ROW[name])]));
+    return this.#read(STATE);
   }
 
   /** The current observation, as in Python. */
   get observation() {
-    return this.#place.view.observations.slice();
+    return this.#started.view.observations.slice();
   }
 
   /**
@@ -338,86 +410,47 @@ export class Capsule {
    * A disturbed plant adds the sensor readings and the values that the episode has drawn.
    */
   get info() {
-    const shown = Object.fromEntries(SHOWN.map((name) => [name, this.#get(ROW[name])]));
-    const { task, disturbed } = this.#kind;
-    for (const name of TASKS[task].shown) shown[name] = this.#remembered(name);
-    if (disturbed) {
-      const read = (names, prefix) => Object.fromEntries(names.map((name) => [name, this.#get(ROW[prefix + name])]));
-      shown.reading = read(STATE, "read_");
-      shown.capsule = read(CONSTANTS, "drawn_");
-      shown.disturbances = read(DISTURBANCES, "");
+    const shown = this.#read(SHOWN);
+    const { fields, shown: names } = TASKS[this.task];
+    for (const name of names) shown[name] = this.#get(this.description.layout.task + fields.indexOf(name));
+    if (this.description.settings.varied) {
+      shown.reading = this.#read(STATE, "read_");
+      shown.capsule = this.#read(CONSTANTS, "drawn_");
+      shown.disturbances = this.#read(DISTURBANCES);
     }
-    return { ...shown, termination: CORE.terminations[shown.termination] };
+    return { ...shown, termination: NAMES.TERMINATIONS[shown.termination] };
   }
 
   /** The metrics of the episode so far; a failed episode's mean speed is over the length of a whole episode. */
   get metrics() {
-    const is = this.info;
-    const failed = is.termination !== CORE.terminations[0];
-    const elapsed = is.duration > 0 ? is.duration : 1;
-    const distance = is.x - is.start_x;
-    const nowhere = is.backward > 0 ? Infinity : 0;
-    return {
-      mean_speed: (100 * distance) / (failed ? this.horizon * this.controlDt : elapsed),
-      cost_of_transport: is.weight_distance > 0 ? is.episode_energy / is.weight_distance : Infinity,
-      peak_torque: is.peak_torque,
-      rms_torque: Math.sqrt(is.torque_squared / elapsed),
-      backward_ratio: is.forward > 0 ? is.backward / is.forward : nowhere,
-      stuck_fraction: is.stuck / elapsed,
-      smallest_normal_ratio: is.smallest_normal_ratio,
-      largest_theta: is.largest_theta,
-      largest_theta_dot: is.largest_theta_dot,
-      distance,
-      energy: is.episode_energy,
-      duration: is.duration,
-      failed: failed ? 1 : 0,
-      ...this.#taskMetrics(failed ? this.horizon * this.controlDt : elapsed),
-    };
-  }
-
-  /** The task's own metrics, for an episode of length `whole`, s. */
-  #taskMetrics(whole) {
-    if (this.task === "goal") {
-      const reached = this.#remembered("reached");
-      return { success: reached > 0 ? 1 : 0, goal_time: reached > 0 ? reached : whole };
-    }
-    if (this.task !== "velocity") return {};
-    const is = Object.fromEntries(TASKS.velocity.memory.map((name) => [name, this.#remembered(name)]));
-    const duration = is.measured_from > 0 ? is.since - is.measured_from : 0;
-    // A command counts if it was measured for a second.
-    const counts = duration >= 1 - 1e-9 ? 1 : 0;
-    const moved = is.target - is.error - is.measured_x;
-    const missed = is.missed + counts * Math.abs(moved - is.command * duration);
-    const commanded = is.commanded + counts * Math.abs(is.command) * duration;
-    const [measured, unsettled] = [is.measured + counts, is.unsettled + counts * (1 - is.settled)];
-    const error = 100 * (commanded > 0 ? missed / commanded : 1);
-    return { velocity_error: error, unsettled: measured > 0 ? unsettled / measured : 1 };
+    const { core, address, view } = this.#started;
+    core.metrics(this.horizon * this.controlDt, address.metrics);
+    return named(TASKS[this.task].metrics, view.metrics);
   }
 
   /** A copy of the step's whole memory, in the order of `quantities`. */
   get world() {
-    return this.#place.view.world.slice();
+    return this.#started.view.world.slice();
   }
 
   /** Copies of what `check` compares: the rows of `info`, the memories of law and task, the last reading. */
   get compared() {
-    const { view } = this.#place;
-    const rows = CORE.row_names.length;
-    const end = this.#kind.memoryRow + TASKS[this.task].memory.length;
-    const reading = this.#kind.disturbed ? [view.world.slice(ROW.read_theta, ROW.read_x_dot + 1)] : [];
-    return [view.world.slice(0, SHOWN.length), view.world.slice(rows, end), ...reading, this.observation];
+    const { settings, layout } = this.description;
+    const { world } = this;
+    const reading = settings.varied ? [world.slice(ROW.read_theta, ROW.read_x_dot + 1)] : [];
+    return [world.slice(0, SHOWN.length), world.slice(layout.law_memory, layout.task_end), ...reading, this.observation];
   }
 
   /** The whole state, for `restore`. */
   snapshot() {
     const [changes, due] = [this.#changes, this.#due];
-    const { episodes, keys } = this.#place.view;
+    const { episodes, keys } = this.#started.view;
     return { world: this.world, observation: this.observation, changes, due, drawn: [episodes[0], ...keys] };
   }
 
   /** Restores the state from a snapshot of this capsule. */
   restore({ world, observation, changes, due, drawn: [episodes, ...key] }) {
-    const { view } = this.#place;
+    const { view } = this.#started;
     if (world.length !== view.world.length) throw new RangeError("snapshot must be one of a capsule of the same kind");
     view.world.set(world);
     view.observations.set(observation);
@@ -427,59 +460,69 @@ export class Capsule {
   }
 
   #get(row) {
-    return this.#place.view.world[row];
+    return this.#started.view.world[row];
   }
 
-  /** A value in the task's memory. */
-  #remembered(name) {
-    return this.#get(this.#kind.memoryRow + TASKS[this.task].memory.indexOf(name));
+  /** Values of rows by their names without the prefix. */
+  #read(names, prefix = "") {
+    return Object.fromEntries(names.map((name) => [name, this.#get(ROW[prefix + name])]));
   }
 
   /** Values passed to `reset` that replace drawn ones, by row of the world. */
-  #overrides({ capsule = {}, disturbances = {}, goal, commands }) {
-    const { settings, memoryRow, task } = this.#kind;
-    const { memory, table } = TASKS[task];
+  #givenNumbers(given) {
+    const { settings, layout, draws } = this.description;
+    const { limits, largest_state: largest } = constants;
+    const options = TASKS[this.task].draws;
+    const more = settings.varied ? ["capsule", "disturbances"] : [];
+    const names = ["M", "mu", ...STATE, ...new Set(options), ...more];
     const found = new Map();
-    checkFields("capsule", capsule, CONSTANTS);
-    for (const [name, value] of Object.entries(capsule)) {
-      found.set(ROW[`drawn_${name}`], checkNumber(`capsule.${name}`, value, ...constants.limits[name]));
+    const put = (row, name, value, [low, high]) => found.set(ROW[row], checkNumber(name, value, low, high));
+    for (const [name, value] of Object.entries(given).filter(([, value]) => value !== undefined)) {
+      if (!names.includes(name)) {
+        throw new RangeError(`reset takes ${[...names, "changes", "seed"].join(", ")}, got ${name}`);
+      } else if (STATE.includes(name)) {
+        put(name, name, value, [-largest[name], largest[name]]);
+      } else if (name === "capsule") {
+        const fields = Object.entries(checkFields(name, value, CONSTANTS));
+        for (const [field, number] of fields) put(`drawn_${field}`, `capsule.${field}`, number, limits[field]);
+      } else if (name === "disturbances") {
+        for (const [field, number] of Object.entries(checkFields(name, value, DISTURBANCES))) {
+          const [low, high] = ACCEPTED.options[`disturbances_${field}_low`];
+          put(field, `disturbances.${field}`, number, [low, field === "latency" ? settings.longest_latency : high]);
+        }
+      } else if (options.includes(name)) {
+        const lines = draws.slice(layout.task_draws).filter((_, n) => options[n] === name);
+        const numbers = name === "commands" ? parseCommands(value) : parseNumbers(name, value, lines.length);
+        lines.forEach(([row], n) => found.set(row, numbers[n]));
+      } else put(name, name, value, limits[name]);
     }
-    checkFields("disturbances", disturbances, DISTURBANCES);
-    for (const [name, value] of Object.entries(disturbances)) {
-      const [low, high] = VARIATION.limits[name];
-      const longest = name === "latency" ? (settings[SETTING.history] - 1) * periodOf(settings) : high;
-      found.set(ROW[name], checkNumber(`disturbances.${name}`, value, low, longest));
+    if (Math.abs(given.theta) === constants.theta_limit) {
+      throw new RangeError(`theta must be a number within +-${constants.theta_limit}, got ${given.theta}`);
     }
-    const drawn = [];
-    if (goal !== undefined) drawn.push(checkNumber("goal", goal, -1e6, 1e6));
-    if (commands !== undefined) drawn.push(...packCommands(commands, table.length / 2));
-    drawn.forEach((value, n) => found.set(memoryRow + memory.length - table.length + n, value));
     return found;
   }
 
   #setPlant({ M, mu }) {
-    this.#place.view.world[ROW.M] = M;
-    this.#place.view.world[ROW.mu] = mu;
+    this.#started.view.world[ROW.M] = M;
+    this.#started.view.world[ROW.mu] = mu;
   }
 
   #advance(begin) {
-    if (!this.#place.call.advance(begin)) throw new Error("the control law returned a torque that is not finite");
+    if (!this.#started.core.advance(begin)) throw new Error("the control law returned a torque that is not finite");
   }
 }
 
 /** A capsule and its driver in closed loop. `drive` creates it. */
 export class Episode extends Capsule {
   #driver;
-  #place;
-  #set;
+  #started;
   #recording = null;
   #action = 0;
 
   /** Called by `drive`. */
-  constructor(placed, kind, driver) {
-    super(placed, kind, driver.settings);
-    this.#place = placed;
-    this.#set = kind.set;
+  constructor(started, driver) {
+    super(started);
+    this.#started = started;
     this.#driver = driver;
   }
 
@@ -500,9 +543,9 @@ export class Episode extends Capsule {
     if (set !== undefined || plant !== undefined) {
       const { changes, ...others } = options;
       if (Object.keys(others).length > 0) throw new RangeError("set and plant must stand without M, mu and a start");
-      const known = Object.keys(recordings ?? sets);
-      if (!known.includes(set)) throw new RangeError(`set must be one of ${known.join(", ")}, got ${set}`);
-      if (kindOf(sets[set]) !== this.#set) {
+      checkChoice("set", set, Object.keys(recordings ?? sets));
+      const wanted = optionsOf(this.#driver, sets[set].options);
+      if (sets[set].task !== this.task || !sameOptions(wanted, this.#started.options)) {
         throw new RangeError(`set must be one with the disturbances that drive() was given, got ${set}`);
       }
       start = { ...sets[set].plants[checkCount("plant", plant, sets[set].plants.length)], ...(changes && { changes }) };
@@ -535,17 +578,16 @@ export class Episode extends Capsule {
   }
 
   #choose() {
-    const { address, call } = this.#place;
-    if (this.#driver.network) return call.act(address.network);
+    const { address, core } = this.#started;
+    if (this.#driver.network) return core.act(address.network);
     if (this.#recording) return HEADER.torques[this.#recording[this.info.steps]];
     return 0;
   }
 }
 
-/** Returns a driver's network, from the archive if the module contains the driver. */
-function networkOf(driver) {
-  const network = driver?.network ?? new Float64Array(0);
-  return network instanceof Float64Array ? network : readArray(network);
+/** Returns a driver's network, from the archive if the module contains the driver; undefined if there is none. */
+function networkOf({ network }) {
+  return network === undefined || network instanceof Float64Array ? network : readArray(network);
 }
 
 /** Returns the index in `HEADER.torques` of each action on a plant. */
@@ -554,70 +596,34 @@ function recordingOf({ at, steps }, plant) {
   return CONTENT.subarray(begin, begin + steps[plant]);
 }
 
-/** Returns the common settings of a set's environments, as text. */
-function kindOf({ task, capsule, disturbances }) {
-  return JSON.stringify([task, capsule, disturbances]);
+/** Returns the options of the core for a driver's environment, some of them replaced. */
+function optionsOf({ task, controller, options }, given) {
+  return mergeOptions(task, controller, options, given);
 }
 
-/** Allocates the arrays that a controller, a task and a driver need. */
-async function prepare(controller, task, settings, given, driver) {
-  const { law, constants: numbers, table, memory } = CONTROLLERS[controller];
-  const disturbed = checkDisturbances(given.disturbances ?? settings.disturbances);
-  const packed = packSettings(settings, given.capsule ?? settings.capsule, disturbed);
-  const lawEnd = CORE.row_names.length + memory.length + table.columns;
-  const length = TASKS[task].memory.length;
-  // A law that observes the sensors observes the memory with measured values, which then comes first.
-  const memoryRow = lawEnd + packed[SETTING.law_reads] * length;
-  const kind = {
-    task, disturbed, settings: packed, law, constants: readArray(numbers), memory, memoryRow, reference: readArray(table),
-    columns: table.columns, table: drawTable(task, memoryRow, given.capsule ?? settings.capsule, disturbed),
-  };
-  const network = networkOf(driver);
-  const filter = packed[SETTING.with_estimates] ? CORE.estimator_cells : 0;
-  const rows = lawEnd + (disturbed ? 2 : 1) * length + CORE.history_rows * packed[SETTING.history] + filter;
-  const placed = await place({
-    world: [Float64Array, rows],
-    settings: [Float64Array, packed.length],
-    observations: [Float32Array, settings.entries],
-    law_constants: [Float64Array, kind.constants.length],
-    memory: [Float64Array, memory.length],
-    reference: [Float64Array, kind.reference.length],
-    keys: [BigUint64Array, 2],
-    episodes: [BigInt64Array, 1],
-    rows: [BigInt64Array, 1],
-    draw_table: [Float64Array, 6 * kind.table.length],
-    drawn: [Float64Array, kind.table.length],
-    fields: [Float64Array, CORE.batch.length],
-    network: [Float64Array, network.length],
-  });
-  placed.view.network.set(network);
-  return [placed, kind];
+/** Whether two environments have equal options. */
+function sameOptions(one, other) {
+  return NAMES.OPTIONS.every((name) => one[name] === other[name]);
 }
 
 /**
- * Creates a capsule with one of `controllers` in its step, at the beginning of a nominal episode.
+ * Creates a capsule with one of `controllers` in its step, at the beginning of an episode.
  *
  * @param controller "direct" or a law.
- * @param options `task`, and `disturbances`: "none", "real" or fields of `capsule_gym.Disturbances`; or `set`, the
- *   name of a set whose environments' common settings apply.
+ * @param options `task`; `disturbances`: "none", "real" or fields of `capsule_gym.Disturbances`; `options`: options of the
+ *   core by name; or `set`, the name of a set whose environments' options apply.
  */
 export async function load(controller, options = {}) {
-  if (!Object.hasOwn(CONTROLLERS, controller)) {
-    throw new RangeError(`controller must be one of ${controllers.join(", ")}, got ${controller}`);
-  }
-  const { set, task, ...given } = { ...checkFields("options", options, ["set", "task", "disturbances"]) };
-  if (set !== undefined && !Object.hasOwn(sets, set)) {
-    throw new RangeError(`set must be one of ${Object.keys(sets).join(", ")}, got ${set}`);
-  }
+  checkChoice("controller", controller, controllers);
+  const { set, task, disturbances, options: own = {} } = checkFields("options", options, LOAD_OPTIONS);
+  if (set !== undefined) checkChoice("set", set, Object.keys(sets));
   const other = Object.keys(options).find((name) => name !== "set" && options[name] !== undefined);
   if (set !== undefined && other) throw new RangeError(`${other} must be left out: the set says it`);
-  const { settings } = CONTROLLERS[controller];
-  const chosen = task ?? sets[set]?.task ?? Object.keys(settings)[0];
-  if (!Object.hasOwn(settings, chosen)) {
-    throw new RangeError(`task must be one of ${Object.keys(settings).join(", ")} with ${controller}, got ${chosen}`);
-  }
-  const [placed, kind] = await prepare(controller, chosen, settings[chosen], sets[set] ?? given, null);
-  const capsule = new Capsule(placed, kind, settings[chosen]);
+  const known = CONTROLLERS[controller].tasks;
+  const chosen = checkChoice(`task with ${controller}`, task ?? sets[set]?.task ?? known[0], known);
+  const disturbed = disturbances === undefined ? {} : disturbanceOptions(disturbances);
+  const given = sets[set]?.options ?? { ...checkOptions(own, chosen), ...disturbed };
+  const capsule = new Capsule(await startCore(chosen, controller, mergeOptions(chosen, controller, given)));
   capsule.reset();
   return capsule;
 }
@@ -628,53 +634,53 @@ export async function load(controller, options = {}) {
  * start and the disturbances.
  */
 export async function drive(name, { disturbances, ...options } = {}) {
-  const driver = find("driver", name, DRIVERS);
-  const { task, controller, settings } = driver;
+  checkChoice("driver", name, drivers.map((driver) => driver.name));
+  const driver = DRIVERS.find((each) => each.name === name);
+  const { task, controller } = driver;
   const found = sets[options.set];
   if (found && disturbances !== undefined) throw new RangeError("disturbances must be left out: the set says them");
   if (found && found.task !== task) throw new RangeError(`set must be one of the task ${task}, got ${options.set}`);
-  const given = found ?? { task, capsule: settings.capsule, disturbances: disturbances ?? settings.disturbances };
-  const [placed, kind] = await prepare(controller, task, settings, given, driver);
-  const episode = new Episode(placed, { ...kind, set: kindOf(given) }, driver);
+  const disturbed = disturbances === undefined ? {} : disturbanceOptions(disturbances);
+  const given = optionsOf(driver, found?.options ?? disturbed);
+  const episode = new Episode(await startCore(task, controller, given, networkOf(driver)), driver);
   episode.reset(options);
   return episode;
 }
 
 /** Returns the length of a network by its header and widths, in the order of `capsule_gym.policies.network.pack`, or NaN. */
 function networkSize([layers, , , , ...rest], entries) {
-  const padded = (width) => Math.ceil(width / CORE.padding) * CORE.padding;
+  const padded = (width) => Math.ceil(width / ACCEPTED.padding) * ACCEPTED.padding;
   const first = padded(4) - 4;
   const widths = rest.slice(first, first + layers + 1);
-  const whole = widths.every((width) => Number.isInteger(width) && width > 0);
-  if (!whole || widths.length !== layers + 1 || widths[0] !== entries || widths.at(-1) !== 1) return NaN;
-  const units = widths.slice(1).reduce((sum, width, n) => sum + padded(width) * (1 + widths[n]), 0);
-  return padded(4) + padded(layers + 1) + 2 * padded(entries) + units;
+  const units = widths.slice(1);
+  const whole = units.every((width) => Number.isInteger(width) && width > 0 && width <= ACCEPTED.units);
+  if (!whole || units.length !== layers || widths[0] !== entries || units.at(-1) !== 1) return NaN;
+  const size = units.reduce((sum, width, n) => sum + padded(width) * (1 + widths[n]), 0);
+  return padded(4) + padded(layers + 1) + 2 * padded(entries) + size;
 }
 
 /** Adds a policy of your own to `drivers`, as `web.data.describe_policy` describes it in Python. */
 export function addDriver(driver) {
-  const { name, task, controller, settings, network } = driver;
-  if (typeof name !== "string") throw new TypeError(`name must be a string, got ${String(name)}`);
-  if (DRIVERS.some((other) => other.name === name)) throw new RangeError(`name must be a new one, got ${name}`);
-  const known = CONTROLLERS[controller]?.settings;
-  if (!known) throw new RangeError(`controller must be one of ${controllers.join(", ")}, got ${controller}`);
-  if (!Object.hasOwn(known, task)) throw new RangeError(`task must be one of ${Object.keys(known).join(", ")}, got ${task}`);
-  for (const kind of ["ideal", "disturbed"]) {
-    const [size, given] = [CORE.settings.length, settings?.[kind]?.length];
-    if (given !== size) throw new RangeError(`settings.${kind} must be ${size} numbers, got ${given}`);
+  // A copy: what is checked is what is added.
+  const added = structuredClone(checkFields("driver", driver, DRIVER_FIELDS));
+  const { name, description, kind, task, controller, network } = added;
+  for (const [field, text] of Object.entries({ name, description })) {
+    if (typeof text !== "string") throw new TypeError(`${field} must be a string, got ${String(text)}`);
   }
-  checkCount("settings.entries", settings.entries, 10_001);
-  checkNumber("settings.control_dt", settings.control_dt, Number.MIN_VALUE, Number.MAX_VALUE);
-  checkNumber("settings.steps", settings.steps, 1, Number.MAX_SAFE_INTEGER);
+  if (DRIVERS.some((other) => other.name === name)) throw new RangeError(`name must be a new one, got ${name}`);
+  checkChoice("kind", kind, ["policy"]);
+  checkChoice("controller", controller, controllers);
+  checkChoice(`task with ${controller}`, task, CONTROLLERS[controller].tasks);
+  added.options = checkOptions(added.options, task);
+  const { entries } = describe(CORE, optionsOf(added, {})).layout;
   if (!Array.isArray(network)) throw new TypeError(`network must be an array of numbers, got ${String(network)}`);
-  network.forEach((number, n) => checkNumber(`network[${n}]`, number));
-  if (network.length !== networkSize(network, settings.entries)) {
-    const accepted = `as web.data.describe_policy gives it, for ${settings.entries} entries`;
+  added.network = Float64Array.from(network, (number, n) => checkNumber(`network[${n}]`, number));
+  if (added.network.length !== networkSize(added.network, entries)) {
+    const accepted = `as web.data.describe_policy gives it, for ${entries} entries`;
     throw new RangeError(`network must be ${accepted}, got ${network.length} numbers`);
   }
-  const added = { ...driver, network: Float64Array.from(network) };
   DRIVERS.push(added);
-  drivers.push(describe(added));
+  drivers.push(publicFields(added));
 }
 
 /** Returns the sha256 of concatenated typed arrays. */

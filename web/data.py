@@ -1,4 +1,4 @@
-"""Data for the JavaScript: the compiled core, drivers, settings, tables, networks, plants and episodes.
+"""Data for the JavaScript: the compiled core, drivers, options, tables, networks, plants and episodes.
 
 All data are in one archive: the length of a header in four bytes, the header as JSON, and the content, whose positions
 are in the header. Float64 arrays are stored column by column; for each column, the lowest bytes of all numbers come
@@ -8,6 +8,7 @@ first, then the next bytes. Neighbouring bytes are then similar, which reduces t
 import base64
 import json
 import zlib
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -19,18 +20,26 @@ from capsule_gym.control.controller import CoreLaw
 from capsule_gym.control.laws import LAWS
 from capsule_gym.control.lookup import find_controller
 from capsule_gym.core import _core
-from capsule_gym.core.layout import Row
-from capsule_gym.envs import resets
-from capsule_gym.envs.config import EnvConfig
-from capsule_gym.envs.observation import M_BOUND, MU_BOUND
-from capsule_gym.envs.settings import NO_CONTROLLER
-from capsule_gym.envs.simulation import LARGEST_KEY, Simulation
+from capsule_gym.envs.config import LARGEST_STACK, EnvConfig
+from capsule_gym.envs.contract import (
+    NO_CONTROLLER,
+    controller_options,
+    core_options,
+    disturbance_options,
+    plant_options,
+)
+from capsule_gym.envs.simulation import Simulation
 from capsule_gym.evaluation import sets
-from capsule_gym.parameters import CONSTANTS, DISTURBANCES, NOMINAL, Capsule, Disturbances, Randomization
+from capsule_gym.parameters import CONSTANTS, DISTURBANCES, NOMINAL, SENSORS, Disturbances, Randomization
+from capsule_gym.parameters.disturbances import LARGEST_DISTURBANCE
+from capsule_gym.parameters.limits import LARGEST, LONGEST_STEP, SHORTEST_STEP
+from capsule_gym.policies.policy import MOST_UNITS
 from capsule_gym.policies.scripted import ScriptedPolicy
 from capsule_gym.tasks import task
 from capsule_gym.tasks.registry import TASKS, find_task
 from web.episodes import FILE, OVER, RECORDED, RECORDINGS, SEEDS, drivers
+
+Options = Mapping[str, float | None]
 
 # The name for no law; the other names are those of laws.
 DIRECT = "direct"
@@ -40,10 +49,15 @@ SETS = (*sets.SET_NAMES, *sets.FURTHER_SET_NAMES, *sets.TASK_SET_NAMES)
 LARGEST_MOTOR_FRICTION = 0.2
 # Accepted values of the plant's constants. The largest friction is also accepted at the smallest mass.
 RANGES = Randomization(
-    M=(0.2, M_BOUND * NOMINAL.M), mu=(0.0, MU_BOUND), m=(0.1, 0.18), l=(0.25, 0.35), g=(1.0, 15.0), k=(0.2, 0.6),
-    c=(0.05, 0.15), static_ratio=(1.0, 1.5), backward_ratio=(0.5, 1.5), viscous=(0.0, 2.0), stribeck_speed=(0.02, 1.0),
-    slope=(-0.2, 0.2), motor_friction=(0.0, LARGEST_MOTOR_FRICTION),
+    M=(0.2, _core.M_BOUND * NOMINAL.M), mu=(0.0, _core.MU_BOUND), m=(0.1, 0.18), l=(0.25, 0.35), g=(1.0, 15.0),
+    k=(0.2, 0.6), c=(0.05, 0.15), static_ratio=(1.0, 1.5), backward_ratio=(0.5, 1.5), viscous=(0.0, 2.0),
+    stribeck_speed=(0.02, 1.0), slope=(-0.2, 0.2), motor_friction=(0.0, LARGEST_MOTOR_FRICTION),
 )  # fmt: skip
+# The stiffest plants that the page accepts; motors have the friction of the capsule and of disturbances.
+STIFFEST: dict[str, Any] = {
+    "randomization": RANGES,
+    "disturbances": Disturbances(motor_friction=LARGEST_MOTOR_FRICTION),
+}
 
 
 class Archive:
@@ -70,31 +84,24 @@ class Archive:
 def pack_data(module: bytes) -> str:
     """The archive with all data for the JavaScript, compressed, in base64; `module` is the compiled core."""
     archive = Archive()
-    # The names and sizes of what the core takes.
-    names = "ROW_NAMES", "SETTINGS", "BATCH", "ESTIMATOR_CELLS", "HISTORY_ROWS", "PADDING"
-    core = {name.lower(): getattr(_core, name) for name in names}
-    # The fields of a task's memory, those shown in `info`, and the draws at a reset, whose rows follow the rest.
-    tasks = {}
-    for own in map(find_task, _core.TASKS):
-        table = resets.draw_table(own.rows - len(own.draws), resets.Stream.task, own.draws).tolist()
-        tasks[own.name] = {"memory": own.fields, "shown": own.shown, "options": list(own.options), "table": table}
-    # What a varied plant draws.
-    draws = [task.Draw(0.0, 0.0)] * (len(CONSTANTS) + len(DISTURBANCES)) + [task.Draw(0.0, LARGEST_KEY)]
-    ranges, motor = parameters.RANDOMIZATIONS.items(), {"motor_friction": (0.0, LARGEST_MOTOR_FRICTION)}
+    ranges = parameters.RANDOMIZATIONS.items()
     header = {
         "module": archive.add(module),
-        "core": {**core, "terminations": [termination.name for termination in task.Termination]},
-        "tasks": tasks,
-        "variation": {
-            **{"constants": CONSTANTS, "disturbances": DISTURBANCES},
-            "table": resets.draw_table(Row.drawn_m, resets.Stream.variation, draws).tolist(),
-            "limits": {**dict(zip(DISTURBANCES, map(Disturbances.limits, DISTURBANCES), strict=True)), **motor},
-            "ideal": asdict(Disturbances()),
-        },
+        "tasks": {name: pack_options(EnvConfig(task=name)) for name in TASKS},
         "controllers": {name: describe_controller(name, archive) for name in LAW_NAMES},
         "drivers": [describe_driver(policy, archive) for policy in drivers().values()],
         "torques": TORQUES.tolist(),
         "sets": {name: describe_set(sets.load_set(name)) for name in SETS},
+        "ideal": asdict(Disturbances()),
+        "accepted": {
+            "options": option_limits(),
+            "sensors": SENSORS,
+            "substeps": _core.MOST_SUBSTEPS,
+            "commands": _core.COMMANDS,
+            "command": _core.LARGEST_COMMAND,
+            "units": MOST_UNITS,
+            "padding": _core.PADDING,
+        },
         "constants": {  # in SI units
             **{name.lower(): getattr(task, name) for name in ("CONTROL_DT", "TORQUE_LIMIT", "THETA_LIMIT")},
             "steps": task.EPISODE_STEPS,
@@ -102,7 +109,7 @@ def pack_data(module: bytes) -> str:
             **{name: getattr(NOMINAL, name) for name in ("m", "l", "g")},
             "nominal": {name: getattr(NOMINAL, name) for name in ("M", "mu", *CONSTANTS)},
             "ranges": {name: {"M": each.M, "mu": each.mu} for name, each in ranges if each.M},
-            "limits": {name: getattr(RANGES, name) for name in ("M", "mu", *CONSTANTS)},
+            "limits": {name: getattr(RANGES, name) or (-LARGEST, LARGEST) for name in ("M", "mu", *CONSTANTS)},
             "real": asdict(parameters.REAL),
             "start": {"theta": task.START_THETA, "theta_dot": 0.0, "x": 0.0, "x_dot": 0.0},
             "largest_state": dict(zip(_core.ROW_NAMES, task.LARGEST_STATE, strict=False)),
@@ -113,46 +120,50 @@ def pack_data(module: bytes) -> str:
     return base64.b64encode(zlib.compress(len(text).to_bytes(4, "little") + text + archive.content, 9)).decode()
 
 
+def as_numbers(options: Options) -> dict[str, float | None]:
+    """Options of the core as JSON contains them."""
+    return {name: None if value is None else float(value) for name, value in options.items()}
+
+
+def option_limits() -> dict[str, tuple[float, float]]:
+    """The accepted values of the core's options."""
+    limits: dict[str, tuple[float, float]] = dict.fromkeys(_core.OPTIONS, (-LARGEST, LARGEST))
+    limits["stack_size"] = 1, LARGEST_STACK
+    limits |= dict.fromkeys(("control_dt", "physics_dt"), (SHORTEST_STEP, LONGEST_STEP))
+    limits |= dict.fromkeys(("stick_threshold", "x_noise"), (0.0, LARGEST_DISTURBANCE))
+    own = {"motor_friction": (0.0, LARGEST_MOTOR_FRICTION)}
+    for name in DISTURBANCES:
+        both = f"disturbances_{name}_low", f"disturbances_{name}_high"
+        limits |= dict.fromkeys(both, own.get(name) or Disturbances.limits(name))
+    return limits
+
+
+def pack_options(options: EnvConfig) -> dict[str, float | None]:
+    """All options of the core for an environment whose resets draw neither plant nor state.
+
+    Raises:
+        ValueError: if the integrator's step is too long for a plant that the page accepts.
+    """
+    own = replace(options, task=find_task(options.task).name, **sets.EPISODE_SETTINGS)
+    Simulation(1, replace(own, **STIFFEST))
+    given = core_options(own, find_controller(options.controller))
+    return as_numbers({**dict.fromkeys(_core.OPTIONS), **given})
+
+
 def describe_controller(name: str, archive: Archive) -> dict[str, Any]:
-    """A law, its reference table, and the settings of the step for each of its tasks."""
-    controller = None if name == DIRECT else f"baselines:{name}"
-    acting = find_controller(controller) or NO_CONTROLLER
-    tasks = [find_task(acting.task).name] if acting.task else list(TASKS)
+    """A law, its reference table, its tasks, and the options of the core that follow from it."""
+    controller = None if name == DIRECT else find_controller(f"baselines:{name}")
+    acting = controller or NO_CONTROLLER
     assert isinstance(acting.law, CoreLaw)
     return {
-        "law": acting.law.number,
+        "law": acting.law.name,
         # They may be infinite, which JSON lacks, and a law may have none.
         "constants": archive.add_array([*acting.law.constants, 0.0]),
         "memory": acting.memory,
         "table": archive.add_array(acting.reference),
-        "settings": {each: describe_settings(EnvConfig(controller=controller, task=each)) for each in tasks},
+        "tasks": [find_task(acting.task).name] if acting.task else list(TASKS),
+        "options": as_numbers(controller_options(controller)),
     }
-
-
-def describe_settings(options: EnvConfig) -> dict[str, Any]:
-    """The settings of the step for an environment, ideal and disturbed, and the length of its episodes."""
-    # The stiffest plants that the page accepts; motors have the friction of the capsule and of disturbances.
-    stiffest = Disturbances(motor_friction=LARGEST_MOTOR_FRICTION)
-    capsule = Simulation(1, replace(options, randomization=RANGES, disturbances=stiffest)).capsule
-    if capsule.plant().extended:
-        raise ValueError(f"options must be of a level floor with Coulomb's friction and Newton's force, got {options}")
-    ideal, disturbed = (
-        Simulation(1, replace(options, randomization="none", disturbances=given)) for given in ("none", Disturbances())
-    )
-    return {
-        "ideal": ideal.fields["settings"].tolist(),
-        "disturbed": disturbed.fields["settings"].tolist(),
-        **_common(capsule, options.disturbances),
-        "entries": ideal.observations.shape[1],
-        "control_dt": options.control_dt,
-        "steps": round(ideal.task.episode_steps * task.CONTROL_DT / options.control_dt),
-    }
-
-
-def _common(capsule: Capsule, disturbances: str | Disturbances) -> dict[str, Any]:
-    """What all plants of an environment share."""
-    given = asdict(disturbances) if isinstance(disturbances, Disturbances) else disturbances
-    return {"capsule": [getattr(capsule, name) for name in CONSTANTS], "disturbances": given}
 
 
 def describe_policy(name: str, policy: Policy | ScriptedPolicy) -> dict[str, Any]:
@@ -166,7 +177,7 @@ def describe_policy(name: str, policy: Policy | ScriptedPolicy) -> dict[str, Any
     if law not in LAW_NAMES:
         raise ValueError(f"controller must be None or a law of baselines, got {options.controller}")
     described: dict[str, Any] = {"name": name, "description": policy.description, "task": find_task(options.task).name}
-    described |= {"controller": law, "settings": describe_settings(options)}
+    described |= {"controller": law, "options": pack_options(options)}
     if isinstance(policy, Policy):
         described |= {"kind": "policy", "seed": policy.training_seed, "network": policy._network}
     return described
@@ -188,8 +199,19 @@ def describe_driver(policy: Policy | ScriptedPolicy, archive: Archive) -> dict[s
 
 
 def describe_set(found: sets.EvaluationSet) -> dict[str, Any]:
-    """A frozen set: its hash, the common settings of its environments, and its first plants."""
+    """A frozen set: its hash, the options of the core that its environments share, and its first plants."""
     plants = [{key: value for key, value in plant.to_dict().items() if value != []} for plant in found.plants[:SEEDS]]
+    kwargs = found.env_kwargs
     # The capsule is given also where it is the default, since a driver may have been trained on another.
-    common = _common(found.env_kwargs["capsule"] or NOMINAL, found.env_kwargs["disturbances"])
-    return {"hash": found.hash, "task": found.task, **common, "plants": plants}
+    options = {
+        **plant_options(kwargs["capsule"] or NOMINAL, Randomization()),
+        **disturbance_options(Disturbances.named(kwargs["disturbances"])),
+    }
+    named = kwargs["disturbances"] if isinstance(kwargs["disturbances"], str) else None
+    return {
+        "hash": found.hash,
+        "task": found.task,
+        "options": as_numbers(options),
+        "disturbances": named,
+        "plants": plants,
+    }

@@ -1,10 +1,7 @@
 """The module for browsers in node: Python's bits, the module's interface, and its errors."""
 
 import json
-import os
 import re
-import shutil
-import subprocess
 
 import numpy as np
 import pytest
@@ -17,28 +14,6 @@ from web import build, data, episodes
 COMMITTED = json.loads(episodes.FILE.read_text(encoding="utf-8"))
 TASKS = [("goal", {"goal": -0.07}, {"x_noise": 0.001})]
 TASKS += [("velocity", {"commands": [{"t": 0.0, "v": 0.05}, {"t": 4.0, "v": -0.08}]}, {"x_dot_bias": 0.02})]
-
-
-@pytest.fixture(scope="session")
-def node(site):
-    """Runs JavaScript with the module as `live`, and returns the value passed to `show`."""
-    # Optional on a user's machine, and required in CI.
-    if shutil.which("node") is None and "CI" not in os.environ:
-        pytest.skip("needs node")
-
-    def run(code, *arguments, module=site / "capsule.mjs"):
-        script = (
-            f"import * as live from {json.dumps(module.as_uri())};\n"
-            "let shown = null;\nconst show = (value) => (shown = value);\n"
-            "const bytes = (array) => Buffer.from(array.buffer, array.byteOffset, array.byteLength).toString('hex');\n"
-            f"{code}\nconsole.log(JSON.stringify(shown));\n"
-        )
-        command = ["node", "--input-type=module", "--eval", script, *arguments]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
-        return json.loads(done.stdout.splitlines()[-1])
-
-    return run
 
 
 @pytest.mark.parametrize("name", ["residual-real", "gait-predictive, disturbed"])
@@ -81,12 +56,18 @@ def test_a_single_bit_fails_the_check(node, tmp_path, monkeypatch):
     assert node("show(await live.check());", module=module) is False
 
 
-def test_a_policy_of_ones_own_gives_the_bits_of_the_one_that_came_with_the_module(node, tmp_path):
+@pytest.fixture
+def mine(tmp_path):
+    """JavaScript that reads `mine`, the description of a policy."""
     described = data.describe_policy("mine", load_policy("residual-ppo"))
-    (tmp_path / "mine.json").write_text(json.dumps({**described, "network": described["network"].tolist()}), "utf-8")
+    file = tmp_path / "mine.json"
+    file.write_text(json.dumps({**described, "network": described["network"].tolist()}), encoding="utf-8")
+    read = f"JSON.parse(readFileSync({json.dumps(str(file))}))"
+    return f'import {{ readFileSync }} from "node:fs";\nconst mine = {read};\n'
+
+
+def test_a_policy_of_ones_own_gives_the_bits_of_the_one_that_came_with_the_module(node, mine):
     code = """
-        import { readFileSync } from "node:fs";
-        const mine = JSON.parse(readFileSync(process.argv[1]));
         live.addDriver(mine);
         const worlds = [];
         for (const name of ["residual-ppo", "mine"]) {
@@ -95,20 +76,88 @@ def test_a_policy_of_ones_own_gives_the_bits_of_the_one_that_came_with_the_modul
           worlds.push(bytes(episode.world));
         }
         const refused = [];
-        const attempts = [{}, { name: 1 }, { name: "a", task: "moon" }, { name: "a", settings: { ideal: [] } }];
-        attempts.push({ name: "a", settings: { ...mine.settings, entries: 9 } });
-        attempts.push(...[mine.network.slice(8), [1], [NaN]].map((network) => ({ name: "a", network })));
-        for (const wrong of attempts) {
+        for (const wrong of [{}, { name: 1 }, { name: "a", task: "moon" }]) {
           try { live.addDriver({ ...mine, ...wrong }); } catch (error) { refused.push(error.message); }
         }
         show([worlds, live.drivers.at(-1), refused]);
     """
-    (own, shown, refused) = node(code, str(tmp_path / "mine.json"))
+    (own, shown, refused) = node(mine + code)
     assert own[0] == own[1] and "network" not in shown
-    assert shown["name"] == "mine" and shown["controlDt"] == described["settings"]["control_dt"]
-    words = ["got mine", "must be a string, got 1", "got moon", "settings.ideal must be", "for 9 entries, got"]
-    words += ["for 10 entries, got", "for 10 entries, got 1", "network[0]"]
+    assert shown["name"] == "mine" and shown["controlDt"] == 0.02
+    words = ["got mine", "must be a string, got 1", "got moon"]
     assert all(word in message for message, word in zip(refused, words, strict=True)), refused
+
+
+# Options of a driver, as JavaScript, and the errors that they raise.
+WRONG_OPTIONS = {
+    "mu: undefined": "TypeError: options.mu must be .*, got undefined",
+    "M: null": "TypeError: options.M must be .*, got null",
+    "k: NaN": "RangeError: options.k must be .*, got NaN",
+    "stack_size: 101": r"RangeError: options.stack_size must be .* in \[1, 100\], got 101",
+    "stack_size: 1.5": "TypeError: options.stack_size must be a whole number",
+    "physics_dt: 1e-9": "RangeError: options.control_dt must be .*, at most 1000000",
+    "control_dt: 0.0205": "RangeError: options.control_dt must be a multiple of",
+    "M_low: 1, M_high: 0.9": "RangeError: options.M_low must be .* up to 0.9, got 1",
+    "mu_low: 1": "RangeError: options.mu_low must be .* up to null, got 1",
+    "initial_theta: 1": "RangeError: options.initial_theta and .* together",
+    "disturbances_latency_high: 0.6": r"RangeError: .*latency_high must be .* in \[0, 0.5\]",
+    "disturbances_latency_low: -1": r"RangeError: .*latency_low must be .* in \[0, 0.5\]",
+    "disturbances_latency_low: 0.1": "RangeError: .*latency_low must be .* up to 0, got 0.1",
+    # It adds two entries to the observation.
+    "observe_parameters: 1": "RangeError: network must be .* for 12 entries, got",
+}
+# Other parts of a driver.
+WRONG_PARTS = {
+    "options: null": "TypeError: options must be an object with fields out of",
+    "options: { history: 1 }": "RangeError: options must be .*, got history",
+    "kind: 'law'": "RangeError: kind must be one of policy, got law",
+    "controller: 'toString'": "RangeError: controller must be one of .*, got toString",
+    "recordings: {}": "RangeError: driver must be .*, got recordings",
+    "network: mine.network.slice(8)": "RangeError: network must be .* for 10 entries, got",
+    "network: [1]": "RangeError: network must be .* for 10 entries, got 1 numbers",
+    "network: [NaN]": r"RangeError: network\[0\] must be a finite number, got NaN",
+    "network: Array(9)": r"TypeError: network\[0\] must be a finite number, got undefined",
+    # A width of 2000 units, and a number of layers that is not whole.
+    "network: mine.network.with(9, 2000)": "RangeError: network must be .* for 10 entries",
+    "network: mine.network.with(0, 2.5)": "RangeError: network must be .* for 10 entries",
+}
+
+
+def test_a_driver_that_does_not_fit_is_refused(node, mine):
+    wrong = {
+        f"options: {{ ...mine.options, {option} }}": error for option, error in WRONG_OPTIONS.items()
+    } | WRONG_PARTS
+    attempts = "".join(f"attempt(() => ({{ {part} }}));\n" for part in wrong)
+    code = f"""
+        const errors = [];
+        const attempt = (part) => {{
+          try {{
+            live.addDriver({{ ...mine, ...part() }});
+            errors.push(null);
+          }} catch (error) {{
+            errors.push(`${{error.name}}: ${{error.message}}`);
+          }}
+        }};
+        {attempts}
+        show([errors, live.drivers.some(({{ name }}) => name === "mine")]);
+    """
+    errors, added = node(mine + code)
+    assert not added
+    for (part, message), error in zip(wrong.items(), errors, strict=True):
+        assert error is not None and re.match(message, error), (part, error)
+
+
+def test_a_driver_has_one_value_for_each_field(node, mine):
+    # A field that returns something else after its check.
+    code = """
+        let reads = 0;
+        const options = { ...mine.options, get disturbances_latency_low() { return reads++ === 0 ? 0 : 0.5; } };
+        live.addDriver({ ...mine, options });
+        const episode = await live.drive("mine");
+        show([reads, episode.description.layout.rows]);
+    """
+    rows = CapsuleEnv(controller="baselines:adaptive").simulation.layout.rows
+    assert node(mine + code) == [1, rows]
 
 
 @pytest.mark.parametrize("name", episodes.RECORDED)
@@ -182,6 +231,27 @@ def test_disturbances_are_drawn_and_set_as_in_python(node):
     """
     assert node(code) == [worlds, drawn, 0.02, ["theta", "theta_dot", "x", "x_dot"]]
     assert 0.002 <= drawn[0] <= 0.011 and drawn[1] == 0.007
+
+
+def test_a_latency_between_two_periods_is_accepted_up_to_its_end(node):
+    given = {"latency": (0.0, 0.0409)}
+    env = CapsuleEnv(disturbances=Disturbances(**given))
+    plant = {"M": 0.5, "mu": 0.01, "disturbances": {"latency": 0.0409}}
+    env.reset(seed=7, options=plant)
+    for n in range(60):
+        env.step(np.array([0.02 * (n % 7 - 3)], np.float32))
+    longest = env.simulation.settings.longest_latency
+    code = f"""
+        const capsule = await live.load("direct", {{ disturbances: {json.dumps(given)} }});
+        capsule.reset({json.dumps({**plant, "seed": 7})});
+        for (let n = 0; n < 60; n++) capsule.step(Math.fround(0.02 * (n % 7 - 3)));
+        let message = "";
+        try {{ capsule.reset({{ disturbances: {{ latency: 0.0421 }} }}); }} catch (error) {{ message = error.message; }}
+        show([bytes(capsule.world), message]);
+    """
+    world, message = node(code)
+    assert world == env.simulation.world[0, :, 0].tobytes().hex()
+    assert message == f"disturbances.latency must be a finite number in [0, {longest!r}], got 0.0421"
 
 
 @pytest.mark.parametrize(("task", "options", "disturbances"), TASKS)

@@ -563,9 +563,8 @@ function showScene() {
 }
 
 function showDisturbances(recorded) {
-  const common = sets[scene.set]?.disturbances ?? "none";
+  const ofSet = sets[scene.set]?.disturbances ?? "none";
   const varied = scene.task === "speed" && !recorded;
-  const ofSet = typeof common === "string" ? common : "none";
   element("disturbed").hidden = scene.task !== "speed";
   element("disturbances").value = scene.set ? ofSet : scene.disturbances;
   element("disturbances").disabled = !varied;
