@@ -160,6 +160,21 @@ def test_a_driver_has_one_value_for_each_field(node, mine):
     assert node(mine + code) == [1, rows]
 
 
+def test_the_history_reaches_back_to_a_latency_that_only_plants_draw(node):
+    # Without disturbances in the options, but with a range of a constant and a latency.
+    options = {"m_low": 0.13, "m_high": 0.14, "disturbances_latency_low": 0.1, "disturbances_latency_high": 0.1}
+    code = f"""
+        const capsule = await live.load("direct", {{ options: {json.dumps(options)} }});
+        const {{ settings, layout }} = capsule.description;
+        capsule.reset({{ seed: 0 }});
+        for (let n = 0; n < 60; n++) capsule.step(0.1);
+        const delay = capsule.world[live.quantities.indexOf("delay")];
+        show([delay, settings.history_states, (layout.estimator - layout.history) / 4]);
+    """
+    delay, states, kept = node(code)
+    assert delay < states == kept
+
+
 @pytest.mark.parametrize("name", episodes.RECORDED)
 def test_recordings_are_what_the_policies_do(name):
     known = np.load(episodes.RECORDINGS)

@@ -76,17 +76,18 @@ inline Settings make_settings(const Options& o) {
   q.mu_bound = max(MU_BOUND, ROOM * range_of(o.mu_range, o.mu).high);
   q.varied = varied;
   q.with_theta = q.with_theta_dot = q.with_x_dot = 1.0;
-  if (varied) q.history_states = 1.0;
-  if (disturbed) {
+  if (varied) {
     q.history_states = 1.0 - floor(-(o.disturbances_latency.high / q.law_dt));
+    // The length of the history; its product may be a rounding error below the latency that it is for.
+    q.longest_latency = (q.history_states - 1.0) * q.physics_steps * q.physics_dt * (1.0 + 1e-9);
+  }
+  if (disturbed) {
     q.law_reads = law && o.law_observes != 0.0;
     q.agent_reads = o.agent_observes;
     q.with_theta = o.with_theta, q.with_theta_dot = o.with_theta_dot, q.with_x_dot = o.with_x_dot;
     q.with_x = is_given(o.x_noise);
     q.x_noise = is_given(o.x_noise) ? o.x_noise : 0.0;
     q.stick_threshold = o.stick_threshold;
-    // The length of the history; its product may be a rounding error below the latency that it is for.
-    q.longest_latency = (q.history_states - 1.0) * q.physics_steps * q.physics_dt * (1.0 + 1e-9);
   }
   auto p = derive(constants_of(o));
   q.pivot_torque_on_contact = o.paper_normal_force;
