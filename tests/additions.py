@@ -1,8 +1,8 @@
 """Adds a made-up one of each kind to a copy of the sources: `python -m tests.additions`.
 
-CONTRIBUTING.md says where a metric, a disturbance, a constant of the plant, an entry of the observation, a control law in
-C++ and a task are added. This command adds one of each, counts the files, builds the copy once, and looks for all six in
-Python and in WebAssembly.
+CONTRIBUTING.md says where a metric, a disturbance, a constant of the plant, an entry of the observation, a control law
+in C++ and a task are added. This command adds one of each, counts the files, installs the copy, and looks for all six
+in Python and in WebAssembly.
 """
 
 import subprocess
@@ -70,7 +70,11 @@ ADDITIONS: dict[str, tuple[int, list[Change]]] = {
                 " || given.made_up_constant != 0.0",
             ),
             Change("capsule_gym/parameters/capsule.py", "    viscous: float\n", "    made_up_constant: float\n"),
-            Change("capsule_gym/parameters/capsule.py", "    slope: float = 0.0\n", "    made_up_constant: float = 0.0\n"),
+            Change(
+                "capsule_gym/parameters/capsule.py",
+                "    slope: float = 0.0\n",
+                "    made_up_constant: float = 0.0\n",
+            ),
             Change(
                 "capsule_gym/parameters/randomization.py",
                 "    slope: Range | None = None\n",
@@ -84,7 +88,8 @@ ADDITIONS: dict[str, tuple[int, list[Change]]] = {
             Change(
                 f"{CORE}/step/observation.hpp",
                 'put("last_action", -1.0, 1.0, o.action);\n',
-                '  put("made_up_entry", -1.0, 1.0, 0.5 * o.action);\n',
+                # Only with a sensor of x, so that trained policies still fit their environments.
+                '  if (q.with_x != 0.0) put("made_up_entry", -1.0, 1.0, 0.5 * o.action);\n',
             ),
         ],
     ),
@@ -156,32 +161,81 @@ struct MadeUpTask {
     ),
 }
 
-# What the installed copy must show.
+# What Python must show.
 PYTHON = """
 import gymnasium as gym
 import numpy as np
 from capsule_gym import Capsule, CapsuleEnv, Controller, Disturbances, Randomization
 from capsule_gym.control.controller import CoreLaw
 
-env = CapsuleEnv(disturbances=Disturbances(made_up_gain=(0.1, 0.2)), randomization=Randomization(made_up_constant=(0.3, 0.4)))
+env = CapsuleEnv(
+    disturbances=Disturbances(made_up_gain=(0.1, 0.2), x_noise=0.001),
+    randomization=Randomization(made_up_constant=(0.3, 0.4)),
+)
 observation, info = env.reset(seed=0)
 assert 0.1 <= info["disturbances"]["made_up_gain"] <= 0.2
 assert 0.3 <= info["capsule"]["made_up_constant"] <= 0.4
-assert env.reset(options={"disturbances": {"made_up_gain": 0.15}})[1]["disturbances"]["made_up_gain"] == 0.15
-assert env.observation_space.shape == (6,) and list(env.simulation.entries)[-1] == "made_up_entry"
+_, info = env.reset(options={"disturbances": {"made_up_gain": 0.15}})
+assert info["disturbances"]["made_up_gain"] == 0.15
+assert list(env.simulation.entries)[-1] == "made_up_entry"
 observation, *_ = env.step(np.ones(1, np.float32))
-assert observation[5] == 0.5
+assert observation[-1] == 0.5
 metrics = env.episode_metrics(None)
 assert metrics["made_up_metric"] == 2.0 * metrics["duration"] > 0.0
 law = Controller("made-up", CoreLaw("made_up", gain=0.1), np.zeros((1, 2)))
 driven = CapsuleEnv(controller=law, capsule=Capsule(made_up_constant=1.0))
 driven.reset(options={"state": [0.0, 1.0, 0.0, 0.0]})
 assert driven.simulation.settings.made_up_constant == 1.0
+*_, info = driven.step(np.zeros(1, np.float32))
+assert -0.1 < info["law_torque"] < 0.0
 env = gym.make("capsule_gym:CapsuleMadeUp-v0")
 _, info = env.reset(seed=0, options={"level": 1.5})
 assert info["level"] == 1.5 and env.unwrapped.episode_metrics(100)["made_up_level"] == 1.5
 *_, info = env.step(np.ones(1, np.float32))
-assert info["reward_made_up"] == 1.5 * (info["state"][2] - 0.0)
+assert info["reward_made_up"] == 1.5 * info["state"][2]
+"""
+
+# Writes capsule.mjs with the law as one of its controllers.
+BUILD = """
+from pathlib import Path
+import numpy as np
+from capsule_gym import Controller
+from capsule_gym.control.controller import CoreLaw
+from capsule_gym.control.laws import LAWS
+
+LAWS["made_up"] = lambda: Controller("made_up", CoreLaw("made_up", gain=0.1), np.zeros((1, 2)))
+from web.build import build_module, compile_wasm
+from web.data import pack_data
+
+Path("capsule.mjs").write_text(build_module(pack_data(compile_wasm())))
+"""
+
+# What WebAssembly must show.
+JAVASCRIPT = """
+import assert from "node:assert";
+import { load } from "./capsule.mjs";
+
+const capsule = await load("made_up", {
+  disturbances: { made_up_gain: [0.1, 0.2], x_noise: 0.001 },
+  options: { made_up_constant_low: 0.3, made_up_constant_high: 0.4 },
+});
+let { info } = capsule.reset({ seed: 0, theta_dot: 1 });
+assert(info.disturbances.made_up_gain >= 0.1 && info.disturbances.made_up_gain <= 0.2);
+assert(info.capsule.made_up_constant >= 0.3 && info.capsule.made_up_constant <= 0.4);
+assert.equal(capsule.reset({ disturbances: { made_up_gain: 0.15 } }).info.disturbances.made_up_gain, 0.15);
+const place = capsule.description.entries.findIndex(([name]) => name === "made_up_entry");
+capsule.reset({ theta_dot: 1 });
+const step = capsule.step(1);
+assert.equal(step.observation[place], 0.5);
+assert(step.info.law_torque < 0);
+const { made_up_metric, duration } = capsule.metrics;
+assert.equal(made_up_metric, 2 * duration);
+
+const task = await load("direct", { task: "made_up_task" });
+task.reset({ level: 1.5 });
+({ info } = task.step(1));
+assert.equal(info.level, 1.5);
+assert.equal(task.metrics.made_up_level, 1.5);
 """
 
 
@@ -203,9 +257,9 @@ def add_all(folder: Path) -> None:
             path.write_text(text.replace(change.behind, change.behind + change.text, 1), encoding="utf-8")
 
 
-def run(*words: str | Path, cwd: Path = ROOT) -> str:
-    """Runs a program, and returns what it prints."""
-    return subprocess.run([str(word) for word in words], cwd=cwd, check=True, stdout=subprocess.PIPE, text=True).stdout
+def run(*words: str | Path, cwd: Path) -> None:
+    """Runs a program in a folder."""
+    subprocess.run([str(word) for word in words], cwd=cwd, check=True)
 
 
 @command("python -m tests.additions", ValueError, subprocess.CalledProcessError)
@@ -217,14 +271,17 @@ def main() -> None:
     """
     with tempfile.TemporaryDirectory() as name:
         copy = Path(name, "copy")
-        run("git", "checkout-index", "--all", f"--prefix={copy}/")
+        run("git", "checkout-index", "--all", f"--prefix={copy}/", cwd=ROOT)
         add_all(copy)
         environment = Path(name, "environment")
         venv.create(environment, with_pip=True)
         python = environment / "bin" / "python"
-        run(python, "-m", "pip", "install", "--quiet", f"{copy}[paper,render]", "ziglang<0.18")
-        run(python, "-c", PYTHON, cwd=Path(name))
-        module = run(python, "-c", "from web.build import compile_wasm; import sys; print(compile_wasm()[:4])", cwd=copy)
+        words = "-m pip install --quiet -c constraints.txt -e .[paper,render] ziglang"
+        run(python, *words.split(), cwd=copy)
+        run(python, "-c", PYTHON, cwd=copy)
+        run(python, "-c", BUILD, cwd=copy)
+        (copy / "additions.mjs").write_text(JAVASCRIPT, encoding="utf-8")
+        run("node", "additions.mjs", cwd=copy)
     print(f"All {len(ADDITIONS)} additions are there.")
 
 
