@@ -43,7 +43,10 @@ GRIP_DEFAULTS: dict[str, Any] = {
 
 
 class Termination(IntEnum):
-    """Reason for the termination of an episode: 0 none, 1 pendulum, 2 contact, 3 diverged."""
+    """Reason for the termination of an episode: 0 none, 1 pendulum, 2 contact, 3 diverged.
+
+    Their limits are in `core/step/step.hpp`.
+    """
 
     none = 0
     pendulum = 1
