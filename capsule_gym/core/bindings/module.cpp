@@ -29,16 +29,18 @@ PyObject* select_level(PyObject*, PyObject* place) {
 
 // Reads an argument of a function, whose place counts from 1; otherwise sets an exception and returns false.
 bool read_argument(const Function& function, Py_ssize_t place, PyObject* given, Argument& argument) {
-  constexpr const char* ACCEPTED[] = {"a float or an int", "an int of 64 bits", "the address of an array (int)"};
+  constexpr const char* ACCEPTED[] = {"a float or an int", "an int of 64 bits", "the address of an array (int)",
+                                      "a str"};
   Due due = function.due[place - 1];
   // Faster than PyLong_Check, which calls a function that reads the flags of the type.
   bool is_int = PyObject_TypeCheck(given, &PyLong_Type);
   bool accepted = true;
-  if (due != Due::REAL && is_int) argument.bits = PyLong_AsLongLong(given);
+  if (due == Due::TEXT) argument.bits = (long long)PyUnicode_AsUTF8AndSize(given, nullptr);
+  else if (due != Due::REAL && is_int) argument.bits = PyLong_AsLongLong(given);
   else if (due == Due::REAL && (PyFloat_Check(given) || is_int))
     argument.bits = __builtin_bit_cast(long long, PyFloat_AsDouble(given));
   else accepted = false;
-  // A number that is too large sets an exception.
+  // A number that is too large, or a str that is no text, sets an exception.
   if (accepted && !PyErr_Occurred()) return true;
   PyErr_Clear();
   PyErr_Format(PyExc_TypeError, "argument %zd of %s must be %s, got %.100R", place, function.name, ACCEPTED[(int)due],
@@ -88,6 +90,19 @@ template <bool releases> PyObject* call(PyObject*, PyObject* const* args, Py_ssi
   if (releases) PyEval_RestoreThread(state);
   // The exception is that of a law that Python calls.
   return PyErr_Occurred() ? nullptr : PyLong_FromLongLong(found);
+}
+
+// trace(function, number, constants) -> list of rows: a function of recorded_functions.hpp.
+PyObject* trace(PyObject*, PyObject* const* args, Py_ssize_t count) {
+  constexpr Function TRACE = portable::named<portable::record>("trace");
+  Argument arguments[MOST_ARGUMENTS];
+  if (!read_arguments(TRACE, args, count, arguments)) return nullptr;
+  portable::recording = PyList_New(0);
+  portable::branch = {-1};
+  bool known = TRACE.invoke(arguments);
+  if (!known) PyErr_Format(PyExc_ValueError, "the core records no function %R with the number %R", args[0], args[1]);
+  if (PyErr_Occurred()) Py_CLEAR(portable::recording);
+  return portable::recording;
 }
 
 // A law that Python calls: a function of theta, theta_dot, x, x_dot, the cells of the memory, and the numbers of the
@@ -308,7 +323,7 @@ PyMethodDef METHODS[] = {
     {"call", (PyCFunction)(void*)call<true>, METH_FASTCALL, nullptr},
     {"call_locked", (PyCFunction)(void*)call<false>, METH_FASTCALL, nullptr},
     {"describe", describe, METH_O, nullptr},
-    {"trace", portable::trace, METH_VARARGS, nullptr},
+    {"trace", (PyCFunction)(void*)trace, METH_FASTCALL, nullptr},
     {nullptr, nullptr, 0, nullptr}};
 PyModuleDef_Slot SLOTS[] = {{Py_mod_exec, (void*)fill}, {0, nullptr}};
 PyModuleDef MODULE = {PyModuleDef_HEAD_INIT, "_core", nullptr, 0, METHODS, SLOTS, nullptr, nullptr, nullptr};

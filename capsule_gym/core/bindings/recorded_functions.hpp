@@ -30,28 +30,24 @@ template <class S> void give(const S& outputs) {
   for (int i = 0; i < WIDTH<S>; i++) append_operation("output", ((const Trace*)&outputs)[i]);
 }
 
-// trace(function, number, constants) -> list of rows: records a function, of a law or task with its number, and of the
-// constants or settings, by the address of an array.
-inline PyObject* trace(PyObject*, PyObject* arguments) {
-  const char* function;
-  long long number, address;
-  if (!PyArg_ParseTuple(arguments, "sLL", &function, &number, &address)) return nullptr;
-  const auto* constants = (const double*)address;
-  recording = PyList_New(0), branch = {-1};
+// Records a function, of a law or task with its number, and of the constants or settings. Returns whether there is one.
+inline bool record(const char* function, long long number, const double* constants) {
   auto is = [&](const char* name) { return !__builtin_strcmp(function, name); };
   const auto& settings = *(const Settings*)constants;
-  if (is("sincos")) give(sincos<Trace>(given<Trace>()));
-  if (is("exp")) give(exp<Trace>(given<Trace>()));
-  if (is("tanh")) give(tanh<Trace>(given<Trace>()));
+  if (is("sincos")) return give(sincos<Trace>(given<Trace>())), true;
+  if (is("exp")) return give(exp<Trace>(given<Trace>())), true;
+  if (is("tanh")) return give(tanh<Trace>(given<Trace>())), true;
   if (is("torque")) {
     Trace law_torque = given<Trace>(), action = given<Trace>();
     give(total_torque(settings, law_torque, action));
+    return true;
   }
   if (is("update_estimator")) {
     auto estimator = given<Estimator<Trace>>();
     Trace theta = given<Trace>(), theta_dot = given<Trace>(), x_dot = given<Trace>();
     update_estimator(estimator, theta, theta_dot, x_dot, assumed_pendulum(settings));
     give(estimator);
+    return true;
   }
   auto trace_law = [&]<class Law>() {
     auto memory = given<typename Law::template Cells<Trace>>();
@@ -75,9 +71,8 @@ inline PyObject* trace(PyObject*, PyObject* arguments) {
     }
     give(memory);
   };
-  if (is("law")) with_type(Laws(), number, trace_law);
-  if (is("begin") || is("observe")) with_type(Tasks(), number, trace_task);
-  if (PyErr_Occurred()) Py_CLEAR(recording);
-  return recording;
+  if (is("law")) return with_type(Laws(), number, trace_law);
+  if (is("begin") || is("observe")) return with_type(Tasks(), number, trace_task);
+  return false;
 }
 }  // namespace LEVEL

@@ -4,8 +4,9 @@
 #pragma once
 #include "../numbers/number.hpp"
 
-// What a parameter takes from Python: a float, or an int that is converted; an int; an int that is an array's address.
-enum class Due { REAL, WHOLE, ADDRESS };
+// What a parameter takes from Python: a float, or an int that is converted; an int; an int that is an array's address;
+// a str.
+enum class Due { REAL, WHOLE, ADDRESS, TEXT };
 
 // The bits of a number or of an address.
 struct Argument { long long bits; };
@@ -44,6 +45,10 @@ template <class T> struct Parameter<T*> {
 template <class T> struct Parameter<T&> {
   static constexpr Due DUE = Due::ADDRESS;
   static T& read(Argument a) { return *(T*)a.bits; }
+};
+template <> struct Parameter<const char*> {
+  static constexpr Due DUE = Due::TEXT;
+  static const char* read(Argument a) { return (const char*)a.bits; }
 };
 
 inline Argument take(const Argument*& next) { return *next++; }

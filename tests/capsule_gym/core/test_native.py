@@ -1,5 +1,7 @@
 """Calls of the core: the number and the types of arguments are those of the C++ function."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -114,3 +116,32 @@ def test_the_position_does_not_change_the_phase():
     p = Capsule().plant()
     assert dynamics.contact_phase(-1.0, 0.0, 0.3, 0.2, p) == 1.0
     assert dynamics.contact_phase(-1.0, 0.0, -0.3, 0.2, p) == -1.0
+
+
+TRACES = [
+    ((), "trace takes 3 arguments, got 0"),
+    (("exp", 0, 0, 0), "trace takes 3 arguments, got 4"),
+    ((1, 0, 0), "argument 1 of trace must be a str, got 1"),
+    ((b"exp", 0, 0), "argument 1 of trace must be a str, got b'exp'"),
+    (("exp", 0.0, 0), "argument 2 of trace must be an int of 64 bits, got 0.0"),
+    (("exp", 0, "0"), "argument 3 of trace must be the address of an array (int), got '0'"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "message"), TRACES)
+def test_a_recording_checks_its_arguments(arguments, message):
+    with pytest.raises(TypeError, match=f"^{re.escape(message)}$"):
+        _core.trace(*arguments)
+
+
+@pytest.mark.parametrize(("function", "number"), [("log", 0), ("law", len(_core.LAWS)), ("begin", len(_core.TASKS))])
+def test_an_unknown_recording_is_named(function, number):
+    constants = np.zeros(1000)
+    with pytest.raises(ValueError, match=f"^the core records no function '{function}' with the number {number}$"):
+        _core.trace(function, number, native.address(constants))
+
+
+def test_a_recording_ends_with_its_outputs():
+    rows = _core.trace("exp", 0, native.address(np.zeros(1)))
+    assert rows[0] == ("input",)
+    assert rows[-1][0] == "output"
