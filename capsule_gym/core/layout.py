@@ -6,9 +6,14 @@ environments. A batch has blocks of LANES environments, which are stepped togeth
 one lane. The arithmetic is the same, and so are the results, bit for bit.
 """
 
-from capsule_gym.core._core import LANES, ROW_NAMES, Description, Layout, Row, Settings
+from capsule_gym.core import _core
 
-__all__ = ["LANES", "NUM_ROWS", "ROW_NAMES", "Description", "Layout", "Row", "Settings"]
+LANES = _core.LANES
+ROW_NAMES = _core.ROW_NAMES
+Row = _core.Row
+Description = _core.Description
+Layout = _core.Layout
+Settings = _core.Settings
 
 NUM_ROWS = len(ROW_NAMES)
 """Number of rows before the law's memory."""
