@@ -108,7 +108,7 @@ def plain_c(compiler: str, simulation: Simulation) -> tuple[Callable[[np.ndarray
         library = ctypes.CDLL(path)
     blocks, rows = len(simulation.world), ctypes.c_int.in_dll(library, "ROWS").value
     world, observations = native.aligned_zeros((blocks, rows, LANES)), np.zeros((simulation.num_envs, 5), np.float32)
-    settings = native.ordered(C_SETTINGS.split(), {**simulation.capsule.plant()._asdict(), **vars(simulation.settings)})
+    settings = np.array([getattr(simulation.settings, name) for name in C_SETTINGS.split()])
     first = world[:, : Row.clock]
     first[...] = simulation.world[:, : Row.clock]
 

@@ -49,8 +49,8 @@ struct Description {
   Draw* draws;
 };
 
-// Describes an environment; returns false if there is no such task. `allocate` returns the address of a number of bytes,
-// at `entries`, which the caller frees; or a null, which ends the description.
+// Describes an environment; returns false if there is no such task. `allocate` returns the address of a number of
+// bytes, at `entries`, which the caller frees; or a null, which ends the description.
 template <class Allocate> bool describe_environment(const Options& o, Description& d, Allocate allocate) {
   d = {};
   d.settings = make_settings(o);

@@ -1,5 +1,5 @@
-// The Python module `capsule_gym.core._core`, by the C API that is stable since Python 3.10. Python allocates the arrays,
-// passes their addresses, and keeps them alive; `capsule_gym.core.native` checks what it passes.
+// The Python module `capsule_gym.core._core`, by the C API that is stable since Python 3.10. Python allocates the
+// arrays, passes their addresses, and keeps them alive; `capsule_gym.core.native` checks what it passes.
 #define PY_SSIZE_T_CLEAN
 #ifndef Py_LIMITED_API
 #define Py_LIMITED_API 0x030A0000
@@ -169,11 +169,13 @@ PyStructSequence_Field TASK_FIELDS[] = {
 template <class Fields> constexpr int COUNT = (int)(sizeof(Fields) / sizeof(PyStructSequence_Field)) - 1;
 PyTypeObject *settings_type, *layout_type, *description_type, *task_type;
 
+PyObject* as_object(double number) { return PyFloat_FromDouble(number); }
+PyObject* as_object(long long number) { return PyLong_FromLongLong(number); }
+
 // A tuple of this type from the numbers of a struct.
 template <class Number> PyObject* named_tuple(PyTypeObject* type, const Number* numbers, int count) {
   PyObject* found = PyStructSequence_New(type);
-  for (int n = 0; found && n < count; n++)
-    PyStructSequence_SetItem(found, n, Py_BuildValue(sizeof(Number) && Number(0.5) == 0 ? "L" : "d", numbers[n]));
+  for (int n = 0; found && n < count; n++) PyStructSequence_SetItem(found, n, as_object(numbers[n]));
   return found;
 }
 
@@ -195,18 +197,19 @@ PyObject* describe(PyObject*, PyObject* options) {
   Options o;
   Py_ssize_t found = 0;
 #define READ(name) found += read_option(options, #name, o.name);
-#define READ_RANGE(name)                                           \
-  found += read_option(options, #name "_low", o.name##_range.low); \
-  found += read_option(options, #name "_high", o.name##_range.high);
-#define READ_DISTURBANCE(name)                                                      \
-  found += read_option(options, "disturbances_" #name "_low", o.disturbances_##name.low); \
-  found += read_option(options, "disturbances_" #name "_high", o.disturbances_##name.high);
+#define READ_ENDS(name, range)                              \
+  found += read_option(options, name "_low", o.range.low);  \
+  found += read_option(options, name "_high", o.range.high);
+#define READ_RANGE(name) READ_ENDS(#name, name##_range)
+#define READ_DISTURBANCE(name) READ_ENDS("disturbances_" #name, disturbances_##name)
   CAPSULE_OPTIONS(READ, READ_RANGE, READ_DISTURBANCE)
 #undef READ
+#undef READ_ENDS
 #undef READ_DISTURBANCE
 #undef READ_RANGE
   if (PyErr_Occurred()) return nullptr;
-  if (found != PyDict_Size(options)) return PyErr_Format(PyExc_TypeError, "the core has no option of a name in %R", options);
+  if (found != PyDict_Size(options))
+    return PyErr_Format(PyExc_TypeError, "the core has no option of a name in %R", options);
   Description d;
   bool known = describe_environment(o, d, [](size_t bytes) { return PyMem_Malloc(bytes); });
   if (!known) return PyErr_Format(PyExc_ValueError, "the core has no task of this number");
@@ -252,41 +255,74 @@ template <class Task> PyObject* describe_task(PyObject* shared_metrics) {
   return found;
 }
 
-int fill(PyObject* module) {
-  using namespace portable;
-  int failed = 0;
-  PyObject* own = PyModule_GetDict(module);
-  auto put = [&](const char* name, PyObject* value) { failed |= put_item(own, name, value); };
-  auto put_type = [&](PyTypeObject*& type, const char* name, const char* doc, PyStructSequence_Field* fields, int count) {
-    PyStructSequence_Desc description = {name, doc, fields, count};
-    type = PyStructSequence_NewType(&description);
-    failed |= !type || PyDict_SetItemString(own, __builtin_strrchr(name, '.') + 1, (PyObject*)type) < 0;
-  };
-#define PUT_TYPE(type, name, doc, FIELDS) put_type(type, "capsule_gym.core._core." name, doc, FIELDS, COUNT<decltype(FIELDS)>);
+// Puts the types of tuples into the module's dict; returns whether that has failed.
+bool put_types(PyObject* own) {
+  bool failed = false;
+#define PUT_TYPE(type, name, doc, FIELDS)                                                           \
+  {                                                                                                 \
+    PyStructSequence_Desc desc = {"capsule_gym.core._core." name, doc, FIELDS, COUNT<decltype(FIELDS)>}; \
+    type = PyStructSequence_NewType(&desc);                                                         \
+    failed |= !type || PyDict_SetItemString(own, name, (PyObject*)type) < 0;                        \
+  }
   PUT_TYPE(settings_type, "Settings", "The settings of the step.", SETTINGS_FIELDS)
   PUT_TYPE(layout_type, "Layout", "The rows of an environment, and sizes.", LAYOUT_FIELDS)
   PUT_TYPE(description_type, "Description", "What follows from the options of an environment.", DESCRIPTION_FIELDS)
   PUT_TYPE(task_type, "TaskDescription", "What follows from a task.", TASK_FIELDS)
-  if (failed) return -1;
-  PyObject *laws = PyDict_New(), *tasks = PyDict_New(), *metrics = PyDict_New(), *rows = PyDict_New();
-  put("LAWS", laws), put("TASKS", tasks), put("METRICS", metrics);
-  // In the order of their numbers.
+#undef PUT_TYPE
+  return failed;
+}
+
+// The laws by name, in the order of their numbers: names of constants, sizes of the memory and of a row of the
+// reference.
+PyObject* describe_laws() {
+  using namespace portable;
+  PyObject* laws = PyDict_New();
   [&]<class... Law>(List<Law...>) {
     (put_item(laws, Law::NAME, Py_BuildValue("(sii)", Law::CONSTANTS, Law::MEMORY, Law::COLUMNS)), ...);
   }(Laws());
-  // The metrics of the task that adds none are those of all.
-  PyObject* none = PyDict_New();
-  PyObject* speed = none ? describe_task<Speed>(none) : nullptr;
-  if (!speed) return -1;
-  PyDict_Update(metrics, PyStructSequence_GetItem(speed, 5));
-  Py_DecRef(speed), Py_DecRef(none);
-  [&]<class... Task>(List<Task...>) { (put_item(tasks, Task::NAME, describe_task<Task>(metrics)), ...); }(Tasks());
+  return laws;
+}
+
+// The tasks by name, in the order of their numbers.
+PyObject* describe_tasks(PyObject* shared_metrics) {
+  using namespace portable;
+  PyObject* tasks = PyDict_New();
+  [&]<class... Task>(List<Task...>) {
+    (put_item(tasks, Task::NAME, describe_task<Task>(shared_metrics)), ...);
+  }(Tasks());
+  return tasks;
+}
+
+// The metrics that all tasks share: those of the task that adds none.
+PyObject* describe_shared_metrics() {
+  PyObject* metrics = PyDict_New();
+  portable::describe_metrics<portable::Speed>([&](const char* name, const char* description) {
+    put_item(metrics, name, PyUnicode_FromString(description));
+  });
+  return metrics;
+}
+
+// A class with the number of each row.
+PyObject* row_class() {
+  PyObject* rows = PyDict_New();
   long long row = 0;
 #define ROW(name) put_item(rows, #name, PyLong_FromLongLong(row++));
   CAPSULE_ROWS
 #undef ROW
-  put("Row", PyObject_CallFunction((PyObject*)&PyType_Type, "s()O", "Row", rows));
-  Py_DecRef(rows);
+  return PyObject_CallFunction((PyObject*)&PyType_Type, "s()N", "Row", rows);
+}
+
+int fill(PyObject* module) {
+  using namespace portable;
+  PyObject* own = PyModule_GetDict(module);
+  bool failed = put_types(own);
+  if (failed) return -1;
+  auto put = [&](const char* name, PyObject* value) { failed |= put_item(own, name, value); };
+  PyObject* metrics = describe_shared_metrics();
+  put("TASKS", describe_tasks(metrics));
+  put("METRICS", metrics);
+  put("LAWS", describe_laws());
+  put("Row", row_class());
   char levels[64] = "";
   for (int i = BEST; i < NUM_LEVELS; i++) __builtin_strcat(__builtin_strcat(levels, LEVELS[i].name), " ");
   for (auto [list, names] : NAME_LISTS) put(list, names_in(names));

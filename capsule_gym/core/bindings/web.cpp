@@ -23,8 +23,8 @@ EXPORT(allocate) unsigned long allocate(unsigned long bytes) {
 
 // --- the contract ---
 
-// The address of a table of lists and their names, which a null ends; a list may have several lines. From each line "TASK"
-// on, the lists are those of the task.
+// The address of a table of lists and their names, which a null ends; a list may have several lines. From each line
+// "TASK" on, the lists are those of the task.
 EXPORT(name_lists) const web::NameList* name_lists() {
   static web::NameList table[1024];
   web::NameList* next = table;
@@ -78,7 +78,9 @@ EXPORT(begin_episode) void begin_episode() { web::begin_episodes<1>(batch, 1); }
 EXPORT(advance) bool advance(bool begin) { return web::advance(batch, 0, 1, begin) < 0; }
 
 // Writes the metrics of the episode so far in the order of their names; `horizon`: length of a whole episode, s.
-EXPORT(metrics) void metrics(double horizon, double* out) { web::episode_metrics<1>(batch, batch.rows, 1, horizon, out); }
+EXPORT(metrics) void metrics(double horizon, double* out) {
+  web::episode_metrics<1>(batch, batch.rows, 1, horizon, out);
+}
 
 // The action of a trained policy for the observation.
 EXPORT(act) double act(const double* network) {

@@ -5,8 +5,8 @@
 
 namespace LEVEL {
 // phi_ijk is the coefficient of theta^i theta_dot^j x_dot^k, each divided by its scale; then the step in the direction
-// of slip, the guard's gain in N m s^2, and the theta_dot^2 cos(theta), 1/s^2, from which the guard acts; and the torque
-// in N m that the polynomial is scaled by and clipped to.
+// of slip, the guard's gain in N m s^2, and the theta_dot^2 cos(theta), 1/s^2, from which the guard acts; and the
+// torque in N m that the polynomial is scaled by and clipped to.
 #define GAIT_CONSTANTS(ONE, MANY)                                                                                      \
   ONE(phi_000) ONE(phi_001) ONE(phi_002) ONE(phi_003) ONE(phi_010) ONE(phi_011) ONE(phi_012) ONE(phi_020)              \
   ONE(phi_021) ONE(phi_030) ONE(phi_100) ONE(phi_101) ONE(phi_102) ONE(phi_110) ONE(phi_111) ONE(phi_120)              \
@@ -36,8 +36,8 @@ INLINE T guarded_torque(T theta, T theta_dot, T x_dot, const P& p, F guard_from,
   return torque - select(theta_dot > 0.0, brake, -brake);
 }
 
-// The gait. Its guard estimates M while the platform slips and acts earlier on platforms lighter than `lightest` kg. Its
-// memory is the estimator's.
+// The gait. Its guard estimates M while the platform slips and acts earlier on platforms lighter than `lightest` kg.
+// Its memory is the estimator's.
 struct Gait {
 #define GUARDED_CONSTANTS(ONE, MANY) GAIT_CONSTANTS(ONE, MANY) ONE(m) ONE(l) ONE(g) ONE(lightest) ONE(dt)
   CAPSULE_LAW(Gait, "gait", double, Estimator, NoReference, GUARDED_CONSTANTS)

@@ -1,12 +1,12 @@
-// What follows from the options of an environment: the settings of the step, the rows of an environment, the entries of its
-// observation, and the numbers that an episode draws. Python and JavaScript ask for them, and compute none of them again.
+// What follows from the options of an environment: the settings of the step, the rows of an environment, the entries of
+// its observation, and the numbers that an episode draws. Python and JavaScript ask for them, and compute none again.
 #pragma once
 #include "metrics.hpp"
 #include "observation.hpp"
 
 namespace LEVEL {
-// The options by the names of `EnvConfig`, `Capsule`, `Randomization` and `Disturbances`; SI units. NaN stands for one that
-// is not given, conditions are 0.0 or 1.0. A range is its ends.
+// The options by the names of `EnvConfig`, `Capsule`, `Randomization` and `Disturbances`; SI units. NaN stands for one
+// that is not given, conditions are 0.0 or 1.0. A range is its ends.
 #define CAPSULE_OPTIONS(OPTION, RANGE, DISTURBANCE)                                                                    \
   OPTION(torque_limit) OPTION(residual_limit) OPTION(total_torque) OPTION(control_dt) OPTION(physics_dt)               \
   OPTION(energy_weight) OPTION(termination_penalty) OPTION(observe_parameters) OPTION(observe_estimates)               \
@@ -19,8 +19,8 @@ namespace LEVEL {
   OPTION(M) OPTION(mu) CAPSULE_CONSTANTS(OPTION) OPTION(paper_normal_force)                                            \
   RANGE(M) RANGE(mu) OPTION(log_mu) CAPSULE_CONSTANTS(RANGE)                                                           \
   /* The disturbances: whether there are any, what they draw, and whether law and agent observe the sensors. */        \
-  OPTION(disturbed) CAPSULE_DISTURBANCES(DISTURBANCE) OPTION(law_observes) OPTION(agent_observes) OPTION(with_theta)         \
-  OPTION(with_theta_dot) OPTION(with_x_dot) OPTION(stick_threshold) OPTION(x_noise)
+  OPTION(disturbed) CAPSULE_DISTURBANCES(DISTURBANCE) OPTION(law_observes) OPTION(agent_observes)           \
+  OPTION(with_theta) OPTION(with_theta_dot) OPTION(with_x_dot) OPTION(stick_threshold) OPTION(x_noise)
 #define CAPSULE_RANGE(name) Range name##_range;
 #define CAPSULE_RANGE_NAMES(name) #name "_low " #name "_high "
 #define CAPSULE_DISTURBANCE(name) Range disturbances_##name;
@@ -84,7 +84,9 @@ inline Settings make_settings(const Options& o) {
   if (disturbed) {
     q.law_reads = law && o.law_observes != 0.0;
     q.agent_reads = o.agent_observes;
-    q.with_theta = o.with_theta, q.with_theta_dot = o.with_theta_dot, q.with_x_dot = o.with_x_dot;
+    q.with_theta = o.with_theta;
+    q.with_theta_dot = o.with_theta_dot;
+    q.with_x_dot = o.with_x_dot;
     q.with_x = is_given(o.x_noise);
     q.x_noise = is_given(o.x_noise) ? o.x_noise : 0.0;
     q.stick_threshold = o.stick_threshold;
@@ -132,8 +134,8 @@ template <class Task> Layout make_layout(const Options& o, const Settings& q) {
   return l;
 }
 
-// Writes the `l.draws` lines of the draw table: the initial state, M and mu, those of the task, and those of varied plants.
-// There are always two numbers for M and mu, so that ranges do not shift the stream.
+// Writes the `l.draws` lines of the draw table: the initial state, M and mu, those of the task, and those of varied
+// plants. There are always two numbers for M and mu, so that ranges do not shift the stream.
 template <class Task> void make_draws(const Options& o, const Settings& q, const Layout& l, Draw* next) {
   auto put = [&](long long row, Stream stream, int place, Range range, double distribution) {
     *next++ = {(double)row, (double)stream, (double)place, range.low, range.high - range.low, distribution};
@@ -150,7 +152,10 @@ template <class Task> void make_draws(const Options& o, const Settings& q, const
   Range mu = range_of(o.mu_range, o.mu);
   bool logarithmic = is_given(o.mu_range.low) && o.log_mu != 0.0;
   put(ROW_OF(mu), Stream::parameters, 1, mu, UNIFORM);
-  if (logarithmic) next[-1].range = log(mu.high / mu.low), next[-1].distribution = LOGARITHMIC;
+  if (logarithmic) {
+    next[-1].range = log(mu.high / mu.low);
+    next[-1].distribution = LOGARITHMIC;
+  }
   long long task_draws = l.constant_draws - l.task_draws, row = l.task_end - task_draws;
   int place = 0;
   Task::draws(o.task_range, [&](const char*, double low, double high, double distribution) {

@@ -1,6 +1,6 @@
-// The disturbances of sensors, motor and platform, and what each does to a reading or a torque; `capsule_gym.Disturbances`
-// documents them. Random numbers are hashes of the episode's key and a counter, so that a reading is the same alone and in
-// a batch.
+// The disturbances of sensors, motor and platform, and what each does to a reading or a torque;
+// `capsule_gym.Disturbances` documents them. Random numbers are hashes of the episode's key and a counter, so that a
+// reading is the same alone and in a batch.
 #pragma once
 #include "../numbers/random.hpp"
 

@@ -90,8 +90,8 @@ constexpr int ESTIMATOR_CELLS = LEVEL::WIDTH<LEVEL::Estimator<double>>;  // only
   /* Disturbances: number of states in the history, whether law and agent observe the sensors, the sensors that exist, \
      the noise of that of x, the measured speed up to which the platform counts as at rest, and the latency up to      \
      which the history reaches. */                                                                                     \
-  FIELD(history_states) FIELD(law_reads) FIELD(agent_reads) FIELD(with_theta) FIELD(with_theta_dot) FIELD(with_x_dot)         \
-  FIELD(with_x) FIELD(x_noise) FIELD(stick_threshold) FIELD(longest_latency)                                           \
+  FIELD(history_states) FIELD(law_reads) FIELD(agent_reads) FIELD(with_theta) FIELD(with_theta_dot)                    \
+  FIELD(with_x_dot) FIELD(with_x) FIELD(x_noise) FIELD(stick_threshold) FIELD(longest_latency)                         \
   /* The plant: whether it is extended, and differs in more than M and mu; and its constants. */                       \
   FIELD(extended) FIELD(varied) FIELD(pivot_torque_on_contact) CAPSULE_PLANT(FIELD)
 
@@ -128,7 +128,8 @@ struct Layout {
 typedef void (*UserLaw)(void* data, double* block, double* torques, long long n);
 
 // The purposes of random numbers. Each has its own stream, so that draws for one do not shift another.
-#define CAPSULE_STREAMS(STREAM) STREAM(parameters) STREAM(initial_state) STREAM(disturbances) STREAM(task) STREAM(variation)
+#define CAPSULE_STREAMS(STREAM) \
+  STREAM(parameters) STREAM(initial_state) STREAM(disturbances) STREAM(task) STREAM(variation)
 #define STREAM_PLACE(name) name,
 enum class Stream { CAPSULE_STREAMS(STREAM_PLACE) };
 

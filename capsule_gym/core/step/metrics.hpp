@@ -4,8 +4,8 @@
 #include "layout.hpp"
 
 namespace LEVEL {
-// Puts the metrics of an environment, each as put(name, description, value). `horizon`: the length of a whole episode in s,
-// over which the mean speed of an episode that failed is taken; NaN takes the time that has passed.
+// Puts the metrics of an environment, each as put(name, description, value). `horizon`: the length of a whole episode
+// in s, over which the mean speed of an episode that failed is taken; NaN takes the time that has passed.
 template <class Task, int N, class Put> void put_metrics(const Batch& batch, long long i, double horizon, Put put) {
   const auto& b = block_of<N>(batch, i);
   int j = (int)(i % N);

@@ -14,8 +14,8 @@ template <class T> struct Observed { OBSERVED(CAPSULE_NUMBER) };
 struct Pendulum { double m, l, g, dt; };
 INLINE Pendulum assumed_pendulum(const Settings& q) { return {q.m, q.l, q.g, q.control_dt()}; }
 
-// Puts the entries in their order, each as put(name, low, high, value) with the bounds to which it is clipped. `estimate`
-// returns the estimator of M and mu after this observation.
+// Puts the entries in their order, each as put(name, low, high, value) with the bounds to which it is clipped.
+// `estimate` returns the estimator of M and mu after this observation.
 template <class Task, class T, class Put, class Estimate>
 INLINE void put_entries(const Settings& q, const Observed<T>& o, const typename Task::template Memory<T>& memory,
                         Put put, Estimate estimate) {
