@@ -12,6 +12,9 @@ from capsule_gym.parameters import CONSTANTS, DISTURBANCES, Disturbances
 from capsule_gym.parameters.limits import LARGEST, check_divisor
 from capsule_gym.tasks.task import LARGEST_STATE, THETA_LIMIT, Task
 
+CONSTANT_LIMITS = dict.fromkeys(CONSTANTS, (-LARGEST, LARGEST))
+DISTURBANCE_LIMITS = {name: Disturbances.limits(name) for name in DISTURBANCES}
+
 
 def make_key(seed: int) -> tuple[int, int]:
     """The key of the generator, two words of 64 bits, for a seed, any integer >= 0."""
@@ -53,13 +56,11 @@ def write_options(drawn: np.ndarray, options: dict[str, Sequence[Any]], task: Ta
         for n, value in enumerate(options.get(name, ())):
             drawn[first : first + count, n] = task.parse(name, value)
         first += count
-    constants = dict.fromkeys(CONSTANTS, (-LARGEST, LARGEST))
     for n, values in enumerate(options.get("capsule", ())):
-        for name, number in _check_values("capsule", values, constants).items():
+        for name, number in _check_values("capsule", values, CONSTANT_LIMITS).items():
             drawn[layout.constant_draws + CONSTANTS.index(name), n] = number
-    limits = {name: Disturbances.limits(name) for name in DISTURBANCES}
-    limits["latency"] = 0.0, description.settings.longest_latency
     for n, values in enumerate(options.get("disturbances", ())):
+        limits = {**DISTURBANCE_LIMITS, "latency": (0.0, description.settings.longest_latency)}
         for name, number in _check_values("disturbances", values, limits).items():
             drawn[layout.disturbance_draws + DISTURBANCES.index(name), n] = number
 

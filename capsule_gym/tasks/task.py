@@ -87,27 +87,27 @@ class Task:
     def _description(self) -> _core.TaskDescription:
         return _core.TASKS[self.name]
 
-    @property
+    @cached_property
     def number(self) -> int:
         """The number of the task in the core."""
         return list(_core.TASKS).index(self.name)
 
-    @property
+    @cached_property
     def episode_steps(self) -> int:
         """Agent steps until truncation."""
         return self._description.steps
 
-    @property
+    @cached_property
     def term(self) -> str:
         """The name in `info` of the task's reward term, to which the energy and termination terms are added."""
         return self._description.term
 
-    @property
+    @cached_property
     def fields(self) -> list[str]:
         """The names of the numbers in the memory of one environment; the last ones are those that an episode draws."""
         return self._description.fields
 
-    @property
+    @cached_property
     def rows(self) -> int:
         """Numbers in the memory of one environment."""
         return len(self.fields)
@@ -130,7 +130,7 @@ class Task:
         """The metrics of an episode in addition to `METRICS`, and what they are."""
         return self._description.metrics
 
-    @property
+    @cached_property
     def reward_terms(self) -> tuple[str, str, str]:
         """The names in `info` of the terms whose sum is the reward."""
         return self.term, "reward_energy", "reward_termination"

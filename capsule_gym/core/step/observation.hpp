@@ -19,10 +19,10 @@ INLINE Pendulum assumed_pendulum(const Settings& q) { return {q.m, q.l, q.g, q.c
 template <class Task, class T, class Put, class Estimate>
 INLINE void put_entries(const Settings& q, const Observed<T>& o, const typename Task::template Memory<T>& memory,
                         Put put, Estimate estimate) {
-  auto put_angle = [&](const char* name, T value) {
+  auto put_angle = [&](const char* name, T value) __attribute__((always_inline)) {
     put(name, -THETA_LIMIT, THETA_LIMIT, clip(value, T(THETA_LIMIT)));
   };
-  auto put_rate = [&](const char* name, T value) {
+  auto put_rate = [&](const char* name, T value) __attribute__((always_inline)) {
     put(name, -THETA_DOT_BOUND, THETA_DOT_BOUND, clip(value, T(THETA_DOT_BOUND)));
   };
   put_angle("theta", o.theta);
@@ -73,7 +73,7 @@ NOINLINE void observe(const Batch& batch, const Block<N>& b, int n, const double
     float* next = out;
     put_entries<Task>(
         q, seen, load_record<typename Task::template Memory<double>, double, N>(task, j),
-        [&](const char*, double, double, double entry) { *next++ = (float)entry; },
+        [&](const char*, double, double, double entry) __attribute__((always_inline)) { *next++ = (float)entry; },
         [&]() __attribute__((noinline)) {
           auto e = load_record<Estimator<double>, double, N>(estimators, j);
           update_estimator<double>(e, out[0], out[1], out[2], assumed_pendulum(q));

@@ -14,9 +14,11 @@ template <class T, int N> struct Disturbed {
   double period() const { return q.physics_steps * q.physics_dt; }
   double time_between_readings() const { return q.with_reference != 0.0 ? period() : period() * q.law_steps; }
   double* entry(int place) const { return history + HISTORY_ROWS * N * place; }
-  // Those that the episodes of the lanes from j on have drawn.
+  // Those that the episodes of the lanes from j on have drawn. Field by field, so that none is read that is not used.
   INLINE Disturbances<T> disturbances(int j) const {
-    return load_record<Disturbances<T>, T, N>(FROM(theta_noise), j);
+#define DRAWN_VALUE(name) GET(name),
+    return {CAPSULE_DISTURBANCES(DRAWN_VALUE)};
+#undef DRAWN_VALUE
   }
 
   // Derives the constants of the plants that begin an episode, and fills their history.
@@ -77,10 +79,9 @@ template <class T, int N> struct Disturbed {
       auto [white_2, slow_2] = normals(word_of(key, count, 1));
       auto [slow_0, slow_1] = normals(word_of(key, count, 2));
       T kept = GET(drift_share), fresh = sqrt(1.0 - kept * kept);
-      auto d = disturbances(j);
 #define SENSOR(name, white, slow)                                                                  \
   {                                                                                                \
-    auto errors = errors_of_##name(d);                                                             \
+    auto errors = errors_of_##name(disturbances(j));                                               \
     T drift = kept * GET(drift_of_##name) + fresh * slow * errors.drift;                           \
     T reading = read_sensor(errors, GET(late_##name), drift, white);                               \
     PUT(drift_of_##name, select(active, drift, GET(drift_of_##name)));                             \
