@@ -48,10 +48,10 @@ class Termination(IntEnum):
     Their limits are in `core/step/step.hpp`.
     """
 
-    none = 0
-    pendulum = 1
-    contact = 2
-    diverged = 3
+    none = _core.TERMINATIONS.index("none")
+    pendulum = _core.TERMINATIONS.index("pendulum")
+    contact = _core.TERMINATIONS.index("contact")
+    diverged = _core.TERMINATIONS.index("diverged")
 
 
 METRICS = _core.METRICS
