@@ -59,9 +59,12 @@ $(STAMP): pyproject.toml constraints.txt $(CORE)
 	$(call install_editable,.venv)
 	touch $@
 
+# clang-format formats C, C++ and JavaScript.
+FORMATTED = $$(git ls-files '*.cpp' '*.hpp' '*.c' '*.h' '*.js' '*.mjs' ':!docs/katex')
 lint: $(STAMP)  ## Check style, formatting and import contracts
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/clang-format --dry-run --Werror $(FORMATTED)
 	$(BIN)/lint-imports --no-cache --no-logo
 
 types: $(STAMP)  ## Check types

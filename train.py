@@ -1,4 +1,6 @@
-"""Trains an agent and compares it with the paper's controller: `python train.py --help` lists the options."""
+"""Trains an agent and compares it with the paper's controller: `python train.py --help` lists the
+options.
+"""
 
 import secrets
 import sys
@@ -55,8 +57,11 @@ class Choice:
 
     env: Environment = "CapsuleStickSlip-v0"
     """The environment: maximum speed, a goal, or a commanded velocity."""
-    action_mode: Annotated[ActionMode | None, tyro.conf.arg(name="task", metavar="{residual,direct}")] = None
-    """Residual torque on a control law, or direct torque; residual by default, and direct in the other environments."""
+    action_mode: Annotated[
+        ActionMode | None, tyro.conf.arg(name="task", metavar="{residual,direct}")
+    ] = None
+    """Residual torque on a control law, or direct torque; residual by default, and direct in the
+    other environments."""
     algo: Algorithm = "ppo"
     """Algorithm of Stable-Baselines3."""
     row: RowName = None
@@ -68,9 +73,10 @@ class Choice:
 class Args(Choice):
     """Trains an agent and compares it with the paper's adaptive controller on the set 'paper'.
 
-    The hyperparameters below are those of the chosen --env, --task and --algo, with the preset as their defaults; --row
-    starts from the settings of a row of the leaderboard. Ctrl-C saves and stops; --resume DIR continues, also after a
-    crash. Checkpoints contain pickles: resume only runs of your own.
+    The hyperparameters below are those of the chosen --env, --task and --algo, with the preset as
+    their defaults; --row starts from the settings of a row of the leaderboard. Ctrl-C saves and
+    stops; --resume DIR continues, also after a crash. Checkpoints contain pickles: resume only runs
+    of your own.
 
     Examples:
       python train.py --task direct --randomization wide --seed 1
@@ -88,7 +94,8 @@ class Args(Choice):
     wandb: bool = False
     """Also log to Weights & Biases: pip install "capsule-gym[wandb]"."""
     trust_controller: bool = False
-    """Resume a run whose config.json names a control law or wrapper of your own: importing it runs its code."""
+    """Resume a run whose config.json names a control law or wrapper of your own: importing it runs
+    its code."""
     hyperparameters: tyro.conf.OmitArgPrefixes[Config] = field(default_factory=PPOConfig)
 
 
@@ -96,11 +103,17 @@ def read_args(arguments: Sequence[str] | None = None) -> Args:
     """Reads the command line.
 
     Returns:
-        The arguments; `hyperparameters` are those of the new run or, with --resume, of the resumed run.
+        The arguments; `hyperparameters` are those of the new run or, with --resume, of the resumed
+        run.
     """
     # These options decide which other options exist.
     choice, _ = tyro.cli(
-        Choice, prog=PROG, args=arguments, config=NO_NEGATIONS, return_unknown_args=True, add_help=False
+        Choice,
+        prog=PROG,
+        args=arguments,
+        config=NO_NEGATIONS,
+        return_unknown_args=True,
+        add_help=False,
     )
     if choice.resume is not None:
         return _read_resumed(choice.resume, arguments)
@@ -113,7 +126,9 @@ def read_args(arguments: Sequence[str] | None = None) -> Args:
         settings = row_settings(choice.row)
     except ValueError as error:
         refuse(PROG, f"--row: {error}")
-    default = Args(settings.env, settings.action_mode, settings.algo, choice.row, hyperparameters=settings)
+    default = Args(
+        settings.env, settings.action_mode, settings.algo, choice.row, hyperparameters=settings
+    )
     args = parse(Args, PROG, arguments, default=default)
     _check_same_kind(default, args, f"--row {choice.row}")
     return args
@@ -137,7 +152,9 @@ def _read_resumed(run: Path, arguments: Sequence[str] | None) -> Args:
         must = f"{option} must stay {old[name]} with --resume"
         refuse(PROG, f"{must}, got {new[name]}; only --total-steps may be changed")
     if (code := _foreign_code(before)) and not args.trust_controller:
-        refuse(PROG, f"{run / CONFIG} names code to import, {code!r}: --trust-controller if it may run")
+        refuse(
+            PROG, f"{run / CONFIG} names code to import, {code!r}: --trust-controller if it may run"
+        )
     return args
 
 
@@ -147,7 +164,9 @@ def _foreign_code(config: Config) -> tuple[str, ...] | str | None:
 
 
 def _check_same_kind(before: Args, args: Args, chosen_by: str) -> None:
-    """Ends the command if its environment, action mode or algorithm differs from that of the resumed run or the row."""
+    """Ends the command if its environment, action mode or algorithm differs from that of the
+    resumed run or the row.
+    """
     for option, name in (("--env", "env"), ("--task", "action_mode"), ("--algo", "algo")):
         was, given = getattr(before, name), getattr(args, name)
         if was != given:
@@ -155,7 +174,9 @@ def _check_same_kind(before: Args, args: Args, chosen_by: str) -> None:
 
 
 def _report(failure: threading.ExceptHookArgs) -> None:
-    """Hides the traceback of an OSError in TensorBoard's thread, which raises the error again at the next write."""
+    """Hides the traceback of an OSError in TensorBoard's thread, which raises the error again at
+    the next write.
+    """
     if not isinstance(failure.exc_value, OSError):
         threading.__excepthook__(failure)
 
@@ -178,7 +199,10 @@ def _can_draw() -> bool:
         with style():
             new_figure(1.0)
     except (ImportError, OSError, ValueError) as error:
-        print(f"Without a comparison at the end, since figures cannot be drawn: {first_cause(error)}", file=sys.stderr)
+        print(
+            f"Without a comparison at the end, since figures cannot be drawn: {first_cause(error)}",
+            file=sys.stderr,
+        )
         return False
     return True
 
@@ -199,12 +223,18 @@ def _train(args: Args) -> int:
             if config.env != ENV_ID:
                 names.insert(0, config.task)
             kind = args.row or "-".join(names)
-            run = args.run or RUNS / f"{kind}-seed{config.seed}-{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(2)}"
+            run = (
+                args.run
+                or RUNS
+                / f"{kind}-seed{config.seed}-{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(2)}"
+            )
             try:
                 loop.begin(run, config)
             except FileExistsError:
                 resume = f"--resume {quote(str(run))} resumes it"
-                raise RunError(f"--run must name a new folder, got {str(run)!r}; {resume}") from None
+                raise RunError(
+                    f"--run must name a new folder, got {str(run)!r}; {resume}"
+                ) from None
             except (TypeError, ValueError) as error:
                 raise RunError(str(error)) from error
             what = f"{config.algo.upper()} on {config.env}, {config.action_mode} torque"
@@ -215,7 +245,9 @@ def _train(args: Args) -> int:
         if not loop.train(run, config.total_steps, wandb=args.wandb):
             print(f"\nStopped; saved. {hint}")
             return INTERRUPTED
-        print(f"Trained; the best policy on validation plants is {run / BEST / (MODEL if config.wrapper else POLICY)}.")
+        print(
+            f"Trained; the best policy on validation plants is {run / BEST / (MODEL if config.wrapper else POLICY)}."
+        )
         if compared:
             QUIET_EXIT.message = "Stopped. The run is complete; its comparison is not."
             compare(run)

@@ -1,4 +1,6 @@
-"""Runs the Python blocks of the README, Getting started and the FAQ with the installed package, as a reader does."""
+"""Runs the Python blocks of the README, Getting started and the FAQ with the installed package, as
+a reader does.
+"""
 
 import os
 import re

@@ -1,1 +1,3 @@
-"""Learned agents: training, evaluation, the leaderboard. Lives in the checkout and is not installed."""
+"""Learned agents: training, evaluation, the leaderboard. Lives in the checkout and is not
+installed.
+"""

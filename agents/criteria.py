@@ -17,8 +17,8 @@ class Criteria:
         metric: the metric of learning curves.
         unit: unit of the metric and the score.
         suffix: the unit in names of columns.
-        weights: weights of the score by metric, the main metric first; the best model of a run has the largest
-            weighted sum of the metrics' means.
+        weights: weights of the score by metric, the main metric first; the best model of a run has
+            the largest weighted sum of the metrics' means.
         baseline: the scripted policy to compare with.
         ranking_set: the frozen set for ranking policies.
     """
@@ -47,18 +47,31 @@ class Criteria:
     def describe(self, values: Mapping[str, float]) -> str:
         """The metrics in `weights` as a line of text."""
         main, *shares = self.weights
-        return ", ".join([f"{values[main]:.2f} {self.unit}", *(f"{name} {values[name]:.1%}" for name in shares)])
+        return ", ".join(
+            [f"{values[main]:.2f} {self.unit}", *(f"{name} {values[name]:.1%}" for name in shares)]
+        )
 
 
 CRITERIA = {
     "speed": Criteria(
-        TABLE_METRICS["mean_speed"], "cm/s", "cm_s", {"mean_speed": 1.0, "failed": -30.0}, BASELINE, "paper"
+        TABLE_METRICS["mean_speed"],
+        "cm/s",
+        "cm_s",
+        {"mean_speed": 1.0, "failed": -30.0},
+        BASELINE,
+        "paper",
     ),
     # A missed goal already counts as a time of 15 s; the weight of `success` adds 15 s.
     "goal": Criteria(
-        _OF_TASKS["goal_time"], "s", "s", {"goal_time": -1.0, "success": 15.0, "failed": -15.0}, "goal-pulses", "goal"
+        _OF_TASKS["goal_time"],
+        "s",
+        "s",
+        {"goal_time": -1.0, "success": 15.0, "failed": -15.0},
+        "goal-pulses",
+        "goal",
     ),
-    # A failure counts as an error of 100 %; the error of a command that never settles is large in any case.
+    # A failure counts as an error of 100 %; the error of a command that never settles is large in
+    # any case.
     "velocity": Criteria(
         _OF_TASKS["velocity_error"],
         "%",

@@ -1,4 +1,6 @@
-"""Evaluates a policy on a set and compares it with a reference on the same episodes: `python -m agents.evaluate`."""
+"""Evaluates a policy on a set and compares it with a reference on the same episodes: `python -m
+agents.evaluate`.
+"""
 
 import sys
 from collections.abc import Sequence
@@ -28,15 +30,28 @@ from capsule_gym.evaluation.statistics import estimate, paired_difference
 from capsule_gym.files import to_json, write_atomically
 
 
-def comparison_table(name: str, episodes: Sequence[Episode], reference: str, others: Sequence[Episode]) -> str:
-    """A table of metrics (rows) for the policy, the reference and their paired difference on one set (columns)."""
+def comparison_table(
+    name: str, episodes: Sequence[Episode], reference: str, others: Sequence[Episode]
+) -> str:
+    """A table of metrics (rows) for the policy, the reference and their paired difference on one
+    set (columns).
+    """
     rows = [["", name, reference, "difference"]]
-    of_task = [metric for metric in (*TASK_METRICS, *TABLE_METRICS.values()) if metric.name in episodes[0]]
+    of_task = [
+        metric for metric in (*TASK_METRICS, *TABLE_METRICS.values()) if metric.name in episodes[0]
+    ]
     # The leaderboard ranks by the mean.
-    main = next(metric for metric in of_task if metric.name in {each.metric.name for each in CRITERIA.values()})
+    main = next(
+        metric
+        for metric in of_task
+        if metric.name in {each.metric.name for each in CRITERIA.values()}
+    )
     for metric in (replace(main, label=f"{main.label}, mean", share=True), *of_task):
         both = [scores(each, metric.name) for each in (episodes, others)]
-        values = [metric.with_interval(estimate(each, mean=metric.share).to_dict().values()) for each in both]
+        values = [
+            metric.with_interval(estimate(each, mean=metric.share).to_dict().values())
+            for each in both
+        ]
         paired = paired_difference(*both, mean=metric.share).to_dict().values()
         rows.append([metric.label, *values, metric.with_interval(paired, sign=True)])
     rows.append(["failures", *(f"{failures(each)}/{len(each)}" for each in (episodes, others))])
@@ -65,15 +80,17 @@ def main(
       python -m agents.evaluate my_module:policy --trust
 
     Args:
-        policy: A scripted policy, a checkpoint (all training seeds; one as NAME/seed-0), the path of a run or policy
-            file, or module:attribute for a policy of another project.
-        set: A frozen set, or the path of a JSON file of the same form; by default the set that ranks the policy's task.
-        against: The reference of the paired difference; by default adaptive, or the scripted policy of the policy's
-            task.
+        policy: A scripted policy, a checkpoint (all training seeds; one as NAME/seed-0), the path
+            of a run or policy file, or module:attribute for a policy of another project.
+        set: A frozen set, or the path of a JSON file of the same form; by default the set that
+            ranks the policy's task.
+        against: The reference of the paired difference; by default adaptive, or the scripted policy
+            of the policy's task.
         json: Write the result, with all episodes, to this file.
         overwrite: Let --json replace an existing file.
         trust: Accept a policy given as module:attribute: importing it runs its code.
-        trust_controller: Accept a policy with a control law that is not of this package: importing it runs its code.
+        trust_controller: Accept a policy with a control law that is not of this package: importing
+            it runs its code.
     """
     check_output("--json", json, overwrite=overwrite)
     trusted = {"trust": trust, "trust_controller": trust_controller}
@@ -90,7 +107,11 @@ def main(
     summary = summarise(episodes)
     # Written before printing, so that a closed pipe does not lose the result.
     if json is not None:
-        result: dict[str, Any] = {"policy": candidate.name, "set": evaluation_set.name, "set_hash": evaluation_set.hash}
+        result: dict[str, Any] = {
+            "policy": candidate.name,
+            "set": evaluation_set.name,
+            "set_hash": evaluation_set.hash,
+        }
         result |= {"versions": versions(), "episodes": episodes, "summary": summary}
         write_atomically(json, to_json(result))
     print(comparison_table(candidate.name, episodes, reference.name, others))

@@ -1,4 +1,6 @@
-"""The comparison at the end of a training: with the paper's controller, and with the published row of the same kind."""
+"""The comparison at the end of a training: with the paper's controller, and with the published row
+of the same kind.
+"""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -38,14 +40,18 @@ KIND = (
 
 
 def compare(run: Path, set_name: str | None = None) -> None:
-    """Evaluates a run's best model and the baseline on the same frozen episodes; prints and draws the comparison.
+    """Evaluates a run's best model and the baseline on the same frozen episodes; prints and draws
+    the comparison.
 
-    Also prints the published row of the same kind, if there is one and it was evaluated on the set. Writes
-    comparison.png to the run's folder. The default set is the task's ranking set.
+    Also prints the published row of the same kind, if there is one and it was evaluated on the set.
+    Writes comparison.png to the run's folder. The default set is the task's ranking set.
     """
     policy = load_policy(run, trust_controller=True)
     criteria = CRITERIA[policy.env_kwargs.get("task", "speed")]
-    evaluation_set, (baseline,) = load_set(set_name or criteria.ranking_set), find_candidate(criteria.baseline).policies
+    evaluation_set, (baseline,) = (
+        load_set(set_name or criteria.ranking_set),
+        find_candidate(criteria.baseline).policies,
+    )
     own, theirs = (evaluate(each, evaluation_set) for each in (policy, baseline))
     episodes = f"{len(own)} episodes of {evaluation_set.horizon:g} s, the same for both"
     print(f"\nOn the set {evaluation_set.name} ({episodes}):\n")
@@ -59,8 +65,11 @@ def compare(run: Path, set_name: str | None = None) -> None:
     print(f"Figure: {run / 'comparison.png'}")
 
 
-def compare_to_row(run: Path, own: Sequence[Episode], evaluation_set: EvaluationSet, theta: np.ndarray) -> str:
-    """Compares a run with the row of the leaderboard of the same kind; names one likely reason if the run is worse.
+def compare_to_row(
+    run: Path, own: Sequence[Episode], evaluation_set: EvaluationSet, theta: np.ndarray
+) -> str:
+    """Compares a run with the row of the leaderboard of the same kind; names one likely reason if
+    the run is worse.
 
     Args:
         run: the run's folder.
@@ -72,13 +81,17 @@ def compare_to_row(run: Path, own: Sequence[Episode], evaluation_set: Evaluation
         The comparison; empty if there is no such row, or the row was not evaluated on the set.
     """
     config, criteria = read_config(run), CRITERIA[evaluation_set.task]
-    name = next((row for row, settings in TRAINED_ROWS.items() if _kind(settings) == _kind(config)), None)
+    name = next(
+        (row for row, settings in TRAINED_ROWS.items() if _kind(settings) == _kind(config)), None
+    )
     try:
         row = load_row(ROOT / RESULTS / f"{name}.npz")
         row.check_set(evaluation_set)
     except ValueError:
         return ""
-    published = {each: row.score(evaluation_set.name, each).mean(axis=-1) for each in criteria.weights}
+    published = {
+        each: row.score(evaluation_set.name, each).mean(axis=-1) for each in criteria.weights
+    }
     found = {each: float(scores(own, each).mean()) for each in criteria.weights}
     metric, sign = criteria.metric.name, -1.0 if criteria.ascending else 1.0
     seed = int(np.argmin(sign * published[metric]))
@@ -89,7 +102,9 @@ def compare_to_row(run: Path, own: Sequence[Episode], evaluation_set: Evaluation
     if sign * found[metric] >= sign * worst[metric]:
         return text
     more_failures = found["failed"] > published["failed"].max()
-    reason = _likely_reason(config, TRAINED_ROWS[str(name)], run, theta, more_failures=more_failures)
+    reason = _likely_reason(
+        config, TRAINED_ROWS[str(name)], run, theta, more_failures=more_failures
+    )
     return f"{text}\nThis run is worse than the row's worst seed. A likely reason: {reason}."
 
 
@@ -98,7 +113,9 @@ def _kind(config: Config) -> list[Any]:
     return [getattr(config, name) for name in KIND]
 
 
-def _likely_reason(config: Config, row: Config, run: Path, theta: np.ndarray, *, more_failures: bool) -> str:
+def _likely_reason(
+    config: Config, row: Config, run: Path, theta: np.ndarray, *, more_failures: bool
+) -> str:
     """One likely reason for a run that is worse than its row."""
     given, tuned = config.to_dict(), row.to_dict()
     changed = [name for name in tuned if name != "seed" and given.get(name) != tuned[name]]
@@ -117,12 +134,14 @@ def _likely_reason(config: Config, row: Config, run: Path, theta: np.ndarray, *,
     return "the spread of seeds; rounding errors of another processor or version of torch act as another seed"
 
 
-def run_episode(policy: AnyPolicy, plant: PlantSpec, evaluation_set: EvaluationSet) -> dict[str, np.ndarray]:
+def run_episode(
+    policy: AnyPolicy, plant: PlantSpec, evaluation_set: EvaluationSet
+) -> dict[str, np.ndarray]:
     """Runs a policy's episode on one plant of a set.
 
     Returns:
-        Samples per agent step, each of shape (steps + 1,): t (s), theta (rad), theta_dot (rad/s), x (m), x_dot (m/s)
-        and torque (N m).
+        Samples per agent step, each of shape (steps + 1,): t (s), theta (rad), theta_dot (rad/s), x
+        (m), x_dot (m/s) and torque (N m).
     """
     env = CapsuleEnv(**{**policy.env_kwargs, **evaluation_set.env_kwargs})
     act, dt, ended = policy.start([plant.seed]), env.simulation.options.control_dt, False
@@ -131,14 +150,19 @@ def run_episode(policy: AnyPolicy, plant: PlantSpec, evaluation_set: EvaluationS
     while not ended and len(samples) <= round(evaluation_set.horizon / dt):
         observation, _, ended, _, info = env.step(act(observation[None])[0])
         samples.append((len(samples) * dt, *info["state"], info["torque"]))
-    return dict(zip(("t", "theta", "theta_dot", "x", "x_dot", "torque"), np.array(samples).T, strict=True))
+    return dict(
+        zip(("t", "theta", "theta_dot", "x", "x_dot", "torque"), np.array(samples).T, strict=True)
+    )
 
 
-def draw_comparison(recordings: Mapping[str, Mapping[str, np.ndarray]], path: Path, plant: PlantSpec) -> None:
+def draw_comparison(
+    recordings: Mapping[str, Mapping[str, np.ndarray]], path: Path, plant: PlantSpec
+) -> None:
     """Draws displacement over the episode, and angle and torque over its last seconds, as a PNG.
 
     Args:
-        recordings: samples of two recordings on the plant by the policies' names, the baseline first.
+        recordings: samples of two recordings on the plant by the policies' names, the baseline
+            first.
         path: the PNG; written atomically.
         plant: the plant.
     """
@@ -149,7 +173,9 @@ def draw_comparison(recordings: Mapping[str, Mapping[str, np.ndarray]], path: Pa
         displacement, angle, torque = figure.subplots(3)
         for (name, each), colour in zip(recordings.items(), (MUTED, BLUE), strict=True):
             speed = 100.0 * (each["x"][-1] - each["x"][0]) / each["t"][-1]
-            displacement.plot(each["t"], 100.0 * each["x"], color=colour, label=f"{name}: {speed:.2f} cm/s")
+            displacement.plot(
+                each["t"], 100.0 * each["x"], color=colour, label=f"{name}: {speed:.2f} cm/s"
+            )
             angle.plot(each["t"], np.degrees(each["theta"]), color=colour)
             torque.step(each["t"], each["torque"], color=colour)
         if plant.goal is not None:

@@ -36,7 +36,9 @@ FINISHED = "finished"
 
 @dataclass(frozen=True)
 class Job:
-    """One run of a study: row of the leaderboard, its settings with the training seed, and the run's folder."""
+    """One run of a study: row of the leaderboard, its settings with the training seed, and the
+    run's folder.
+    """
 
     row: str
     config: Config
@@ -54,7 +56,8 @@ class Job:
 
 
 def plan(rows: Sequence[str], seeds: Sequence[int], folder: Path) -> list[Job]:
-    """Lists the runs of a study, each once: the first seed of every row, then the second, and so on.
+    """Lists the runs of a study, each once: the first seed of every row, then the second, and so
+    on.
 
     Raises:
         RunError: if a run's folder exists and holds no run, or a run with other settings.
@@ -70,21 +73,31 @@ def plan(rows: Sequence[str], seeds: Sequence[int], folder: Path) -> list[Job]:
         if job.run.exists():
             begun, now = read_config(job.run).to_dict(), job.config.to_dict()
             changed = [
-                f"{name} was {begun.get(name)!r} and is {now[name]!r}" for name in now if begun.get(name) != now[name]
+                f"{name} was {begun.get(name)!r} and is {now[name]!r}"
+                for name in now
+                if begun.get(name) != now[name]
             ]
             if changed:
-                raise RunError(f"{job.run} contains a run with other settings ({', '.join(changed)}): move it")
+                raise RunError(
+                    f"{job.run} contains a run with other settings ({', '.join(changed)}): move it"
+                )
     return jobs
 
 
 def train_job(job: Job) -> str:
-    """Trains or resumes a run, with its output in seed-N.log next to its folder; returns the reason for a failure."""
+    """Trains or resumes a run, with its output in seed-N.log next to its folder; returns the reason
+    for a failure.
+    """
     # Imported here, since torch takes seconds to import and only workers need it.
     from agents.training.loop import begin, train
 
     path = job.run.with_name(f"{job.run.name}.log")
     path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a", encoding="utf-8", buffering=1) as log, redirect_stdout(log), redirect_stderr(log):
+    with (
+        path.open("a", encoding="utf-8", buffering=1) as log,
+        redirect_stdout(log),
+        redirect_stderr(log),
+    ):
         try:
             if not job.run.exists():
                 begin(job.run, job.config)
@@ -97,15 +110,21 @@ def train_job(job: Job) -> str:
     return ""
 
 
-def train_all(jobs: Sequence[Job], parallel: int | None = None, backend: str = "loky") -> dict[Job, str]:
-    """Trains or resumes the unfinished runs, `parallel` at a time; returns the reasons for failures by run."""
+def train_all(
+    jobs: Sequence[Job], parallel: int | None = None, backend: str = "loky"
+) -> dict[Job, str]:
+    """Trains or resumes the unfinished runs, `parallel` at a time; returns the reasons for failures
+    by run.
+    """
     # Imported here, since it takes long.
     from joblib import Parallel, delayed
 
     waiting = [job for job in jobs if not job.finished]
     try:
         if backend == "ray" and waiting:
-            found = _train_on_ray([dataclasses.replace(job, run=job.run.resolve()) for job in waiting])
+            found = _train_on_ray(
+                [dataclasses.replace(job, run=job.run.resolve()) for job in waiting]
+            )
         else:
             # One run per batch, since joblib would otherwise put several short runs into one.
             # Workers get the terminal's Ctrl-C themselves; those without a run must not die of it.
@@ -123,15 +142,19 @@ def train_all(jobs: Sequence[Job], parallel: int | None = None, backend: str = "
 
 
 def _train_on_ray(jobs: Sequence[Job]) -> list[str]:
-    """Trains or resumes runs on the Ray cluster that RAY_ADDRESS names, or a new one; returns reasons for failures.
+    """Trains or resumes runs on the Ray cluster that RAY_ADDRESS names, or a new one; returns
+    reasons for failures.
 
-    All machines need the checkout and the runs at the same paths. Ray resumes the runs of a lost machine on another
-    one; joblib's backend for Ray would wait forever for it, whose actor holds its place.
+    All machines need the checkout and the runs at the same paths. Ray resumes the runs of a lost
+    machine on another one; joblib's backend for Ray would wait forever for it, whose actor holds
+    its place.
     """
     import ray
 
     root = str(Path(__file__).resolve().parents[1])
-    ray.init(runtime_env={"env_vars": {"PYTHONPATH": root}}, log_to_driver=False, logging_level="error")
+    ray.init(
+        runtime_env={"env_vars": {"PYTHONPATH": root}}, log_to_driver=False, logging_level="error"
+    )
     try:
         # Ray starts as many as it has processors.
         train_remotely = ray.remote(num_cpus=1, max_retries=-1)(train_job)
@@ -151,7 +174,9 @@ def results_table(jobs: Sequence[Job]) -> str:
         if not (path := job.run / EVALUATIONS).is_file():
             continue
         with path.open(newline="", encoding="utf-8") as file:
-            lines = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
+            lines = [
+                {name: float(value) for name, value in row.items()} for row in csv.DictReader(file)
+            ]
         criteria = CRITERIA[job.config.task]
         chosen = max(lines, key=lambda line: line[f"score_{criteria.suffix}"])
         best = criteria.describe(chosen | {criteria.metric.name: chosen[criteria.column]})
@@ -160,7 +185,9 @@ def results_table(jobs: Sequence[Job]) -> str:
 
 
 def check_committed(job: Job) -> None:
-    """Raises a RunError for a run that has begun, or would begin now, with code that is not committed."""
+    """Raises a RunError for a run that has begun, or would begin now, with code that is not
+    committed.
+    """
     # Imported here, since it needs torch.
     from agents.training.checkpoint import git_revision
 
@@ -168,11 +195,14 @@ def check_committed(job: Job) -> None:
     if path.exists():
         revision = json.loads(path.read_text(encoding="utf-8")).get("revision")
     if not re.fullmatch(r"[0-9a-f]+", str(revision)):
-        raise RunError(f"--publish needs runs of committed code, got the revision {revision!r} of {job.run}")
+        raise RunError(
+            f"--publish needs runs of committed code, got the revision {revision!r} of {job.run}"
+        )
 
 
 def copy_policy(job: Job, checkpoints: Path = CHECKPOINTS) -> Path:
-    """Copies a run's best policy and its evaluations into the folder of its row and seed, which it returns.
+    """Copies a run's best policy and its evaluations into the folder of its row and seed, which it
+    returns.
 
     The run's configuration replaces that of the row, whose runs differ in their seeds only.
 
@@ -192,7 +222,9 @@ def copy_policy(job: Job, checkpoints: Path = CHECKPOINTS) -> Path:
 
 @command("python -m agents.study", OSError, ValueError)
 def main(
-    rows: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME", help=f"Rows: {', '.join(TRAINED_ROWS)}.")],
+    rows: Annotated[
+        Positional[tuple[str, ...]], arg(metavar="NAME", help=f"Rows: {', '.join(TRAINED_ROWS)}.")
+    ],
     seeds: Annotated[tuple[int, ...], arg(metavar="N")] = tuple(range(10)),
     jobs: int | None = None,
     backend: Literal["loky", "ray"] = "loky",
@@ -202,8 +234,8 @@ def main(
 ) -> int:
     """Trains rows of the leaderboard over training seeds, several runs in parallel.
 
-    Ctrl-C stops; finished runs stay as they are, and --resume continues the others from their last checkpoint. A run
-    that fails does not stop the others; the exit status is then 1.
+    Ctrl-C stops; finished runs stay as they are, and --resume continues the others from their last
+    checkpoint. A run that fails does not stop the others; the exit status is then 1.
 
     Examples:
       python -m agents.study direct-ppo residual-ppo --seeds {0..4} 7 --jobs 4
@@ -212,12 +244,16 @@ def main(
     Args:
         rows: rows.
         seeds: Training seeds.
-        jobs: Number of runs in parallel with loky; one per core by default. Ray starts one per processor of the
-            cluster.
-        backend: joblib's processes of this machine, or the Ray cluster that RAY_ADDRESS names (extra `cluster`).
-        runs: Folder of the runs, each in NAME/seed-N with its output in NAME/seed-N.log; a cluster must share it.
-        resume: Continue unfinished runs of your own: checkpoints contain pickles, which can run any code.
-        publish: Copy the policies of finished runs to capsule_gym/data/policies, for the leaderboard.
+        jobs: Number of runs in parallel with loky; one per core by default. Ray starts one per
+            processor of the cluster.
+        backend: joblib's processes of this machine, or the Ray cluster that RAY_ADDRESS names
+            (extra `cluster`).
+        runs: Folder of the runs, each in NAME/seed-N with its output in NAME/seed-N.log; a cluster
+            must share it.
+        resume: Continue unfinished runs of your own: checkpoints contain pickles, which can run any
+            code.
+        publish: Copy the policies of finished runs to capsule_gym/data/policies, for the
+            leaderboard.
     """
     if not rows:
         raise ValueError(f"NAME must be one or several of {', '.join(TRAINED_ROWS)}")
@@ -242,7 +278,9 @@ def main(
         print("\nStopped; --resume continues.")
         return INTERRUPTED
     print(results_table(planned))
-    print("Mean speed and failures of the best evaluation on the run's validation plants, never on a frozen set.")
+    print(
+        "Mean speed and failures of the best evaluation on the run's validation plants, never on a frozen set."
+    )
     problems = [f"{job.name} failed: {reason}" for job, reason in failures.items()]
     for job in (job for job in planned if publish and job.finished):
         try:

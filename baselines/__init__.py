@@ -1,10 +1,15 @@
-"""The scripted baselines: the paper, its trajectories and its results, dynamic programming, LQR, MPC and tuning.
+"""The scripted baselines: the paper, its trajectories and its results, dynamic programming, LQR,
+MPC and tuning.
 
-The control laws are in `capsule_gym.control.laws`, and also have the names of this package: `baselines.adaptive()` is
-the law of the environment's argument `controller="baselines:adaptive"`.
+The control laws are in `capsule_gym.control.laws`, and also have the names of this package:
+`baselines.adaptive()` is the law of the environment's argument `controller="baselines:adaptive"`.
 """
 
-from capsule_gym.control.laws.adaptive import adaptive, adaptive_as_published, adaptive_optimal_profile
+from capsule_gym.control.laws.adaptive import (
+    adaptive,
+    adaptive_as_published,
+    adaptive_optimal_profile,
+)
 from capsule_gym.control.laws.feedback_linearisation import (
     epc,
     feedback_linearising,

@@ -9,7 +9,8 @@ from typing import Any
 
 from capsule_gym.files import replacing
 
-# Okabe and Ito's colours, distinct in every common colour blindness; the dashes distinguish them in grey.
+# Okabe and Ito's colours, distinct in every common colour blindness; the dashes distinguish them in
+# grey.
 BLUE, VERMILION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#AA4499"
 INK, MUTED = "#222222", "#767676"
 
@@ -32,13 +33,14 @@ PUBLISHED_DASHES = (0.0, (1.2, 1.6))
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Draws and saves in the style of this project, independent of the user's configuration of matplotlib.
+    """Draws and saves in the style of this project, independent of the user's configuration of
+    matplotlib.
 
     Raises:
         ImportError: if matplotlib is not installed.
     """
-    # With the backend of another environment, as in a shell of a notebook, matplotlib cannot be imported. The figures
-    # have canvases of their own.
+    # With the backend of another environment, as in a shell of a notebook, matplotlib cannot be
+    # imported. The figures have canvases of their own.
     backend = os.environ.pop("MPLBACKEND", None)
     try:
         from matplotlib import style as matplotlib_style
@@ -47,12 +49,16 @@ def style() -> Iterator[None]:
     finally:
         if backend is not None:
             os.environ["MPLBACKEND"] = backend
-    with matplotlib_style.context(["default", STYLE, {"axes.prop_cycle": f"cycler('color', {COLOURS})"}]):
+    with matplotlib_style.context(
+        ["default", STYLE, {"axes.prop_cycle": f"cycler('color', {COLOURS})"}]
+    ):
         yield
 
 
 def new_figure(height: float, width: float = WIDTH) -> Any:
-    """An empty figure of the full text width, or `width` inches wide, `height` inches high, with its own canvas."""
+    """An empty figure of the full text width, or `width` inches wide, `height` inches high, with
+    its own canvas.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -67,8 +73,12 @@ def add_note(figure: Any, text: str) -> None:
     figure.supxlabel(text, x=0.012, ha="left", fontsize=7.5, color=INK, parse_math=False)
 
 
-def mark_published(axes: Any, value: float, text: str, colour: str = INK, *, x: float = 0.99) -> None:
-    """Draws a dotted line across the axes at a published number, with its label at x (a share of the width)."""
+def mark_published(
+    axes: Any, value: float, text: str, colour: str = INK, *, x: float = 0.99
+) -> None:
+    """Draws a dotted line across the axes at a published number, with its label at x (a share of
+    the width).
+    """
     axes.axhline(value, color=colour, linestyle=PUBLISHED_DASHES, linewidth=1.1)
     axes.annotate(
         text,
@@ -84,13 +94,19 @@ def mark_published(axes: Any, value: float, text: str, colour: str = INK, *, x: 
 
 
 def save(figure: Any, stem: Path) -> list[Path]:
-    """Writes `stem`.svg and `stem`.png atomically; the same figure gives the same bytes. The folder must exist."""
+    """Writes `stem`.svg and `stem`.png atomically; the same figure gives the same bytes. The folder
+    must exist.
+    """
     written = []
-    # Computes the constrained layout once: it takes longer than the drawing, and would run for each file.
+    # Computes the constrained layout once: it takes longer than the drawing, and would run for each
+    # file.
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
     # matplotlib stamps the date into SVG and its version into PNG.
-    for suffix, metadata in ((".svg", {"Date": None, "Creator": None}), (".png", {"Software": None})):
+    for suffix, metadata in (
+        (".svg", {"Date": None, "Creator": None}),
+        (".png", {"Software": None}),
+    ):
         path = stem.with_name(stem.name + suffix)
         with replacing(path) as temporary:
             figure.savefig(temporary, format=suffix[1:], dpi=DPI, metadata=metadata)

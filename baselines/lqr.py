@@ -1,12 +1,14 @@
-"""LQR about a limit cycle of dynamic programming, the policy `lqr`; `python -m baselines.tuning lqr` designs it.
+"""LQR about a limit cycle of dynamic programming, the policy `lqr`; `python -m baselines.tuning
+lqr` designs it.
 
-The cycle is one period of `dp-nominal` on the nominal plant, closed by small corrections of its torques. Along it the
-step of the environment is linearised, and the periodic Riccati equation gives a gain for every phase:
+The cycle is one period of `dp-nominal` on the nominal plant, closed by small corrections of its
+torques. Along it the step of the environment is linearised, and the periodic Riccati equation gives
+a gain for every phase:
 
     u = u_d(phase) - K(phase) (z - z_d(phase)),    z = (theta, theta_dot, x_dot).
 
-The phase is that of the nearest state of the cycle, since a phase that depends on the time would accelerate a slow
-platform instead of waiting for it.
+The phase is that of the nearest state of the cycle, since a phase that depends on the time would
+accelerate a slow platform instead of waiting for it.
 """
 
 import json
@@ -18,23 +20,30 @@ from typing import Any
 import numpy as np
 
 from baselines.dynamic_programming.policy import TORQUES, Lookahead
-from baselines.dynamic_programming.problem import ACTIONS, NOMINAL_MARGIN, Problem, Transitions, run_episodes
+from baselines.dynamic_programming.problem import (
+    ACTIONS,
+    NOMINAL_MARGIN,
+    Problem,
+    Transitions,
+    run_episodes,
+)
 from capsule_gym.policies.scripted import Act
 from capsule_gym.tasks.task import EPISODE_STEPS, START_THETA, TORQUE_LIMIT
 
 FILE = Path(__file__).with_name("lqr.json")
-# Acceptable deviations of theta (rad), theta_dot (rad/s) and x_dot (m/s), and of the torque (N m): the weights of the
-# cost are the inverse squares (Bryson's rule).
+# Acceptable deviations of theta (rad), theta_dot (rad/s) and x_dot (m/s), and of the torque (N m):
+# the weights of the cost are the inverse squares (Bryson's rule).
 DEVIATIONS, TORQUE_DEVIATIONS = np.array([0.2, 2.0, 0.05]), (0.05, 0.1, 0.2)
 # Differences of the states and of the torque for the derivatives.
 DIFFERENCES = np.array([1e-4, 1e-3, 1e-4, 1e-3])
-# Scales of states in the distance to the cycle and of corrections that close it, and that of the torques, N m.
+# Scales of states in the distance to the cycle and of corrections that close it, and that of the
+# torques, N m.
 SCALES, TORQUE_SCALE = np.array([0.3, 3.0, 0.15]), 0.3
 ITERATIONS, DAMPING, CLOSED = 60, 0.7, 1e-6
 # Cycles until the solution of the Riccati equation is periodic.
 RICCATI_CYCLES = 60
-# Phases in a control interval, between which cycle and gains are interpolated, and the largest difference, in phases,
-# between the phase and that expected from the previous step.
+# Phases in a control interval, between which cycle and gains are interpolated, and the largest
+# difference, in phases, between the phase and that expected from the previous step.
 SUBPHASES, WINDOW = 8, 12
 
 
@@ -49,10 +58,12 @@ def linearise(
         torques: shape (n,).
 
     Returns:
-        The states, shape (n + 1, 3); the distance, cm; and the derivatives of the next state with respect to the state,
-        shape (n, 3, 3), and to the torque, shape (n, 3).
+        The states, shape (n + 1, 3); the distance, cm; and the derivatives of the next state with
+        respect to the state, shape (n, 3, 3), and to the torque, shape (n, 3).
     """
-    offsets = np.concatenate([np.zeros((4, 1)), np.diag(DIFFERENCES), -np.diag(DIFFERENCES)], axis=1)
+    offsets = np.concatenate(
+        [np.zeros((4, 1)), np.diag(DIFFERENCES), -np.diag(DIFFERENCES)], axis=1
+    )
     states, distance, derivatives = [state], 0.0, []
     for torque in torques:
         points = np.append(states[-1], torque)[:, None] + offsets
@@ -69,7 +80,8 @@ def close_cycle(
     """Closes a cycle by Newton steps: the smallest corrections of its first state and its torques.
 
     Returns:
-        The distance, cm, or minus infinity if the steps do not converge; the first state; and the torques, N m.
+        The distance, cm, or minus infinity if the steps do not converge; the first state; and the
+        torques, N m.
     """
     for _ in range(ITERATIONS):
         states, distance, A, B = linearise(transitions, state, torques)
@@ -99,13 +111,17 @@ def riccati_gains(A: np.ndarray, B: np.ndarray, torque_deviation: float) -> np.n
 
 
 def candidates() -> Iterator[dict[str, list]]:
-    """Designs regulators: of each length the fastest closed cycle of `dp-nominal`, with each of `TORQUE_DEVIATIONS`.
+    """Designs regulators: of each length the fastest closed cycle of `dp-nominal`, with each of
+    `TORQUE_DEVIATIONS`.
 
     Yields:
         The content of `lqr.json`: states, torques (N m) and gains at every step of the cycle.
     """
     problem = Problem(margin=NOMINAL_MARGIN)
-    lookahead, stride = Lookahead(1, NOMINAL_MARGIN, problem), (len(ACTIONS) - 1) // (len(TORQUES) - 1)
+    lookahead, stride = (
+        Lookahead(1, NOMINAL_MARGIN, problem),
+        (len(ACTIONS) - 1) // (len(TORQUES) - 1),
+    )
 
     def choose(step: int, states: np.ndarray) -> np.ndarray:
         return stride * lookahead.scores(states[[0, 1, 3]].T.astype(np.float32)).argmax(axis=1)
@@ -116,19 +132,29 @@ def candidates() -> Iterator[dict[str, list]]:
     for first, last in pairwise(starts.tolist()):
         torques = TORQUE_LIMIT * ACTIONS[trajectory.choices[first:last, 0]]
         closed = close_cycle(transitions, trajectory.states[first, [0, 1, 3], 0], torques)
-        fastest[last - first] = max(closed, fastest.get(last - first, closed), key=lambda cycle: cycle[0])
+        fastest[last - first] = max(
+            closed, fastest.get(last - first, closed), key=lambda cycle: cycle[0]
+        )
     for _, state, torques in fastest.values():
         states, _, A, B = linearise(transitions, state, torques)
         for deviation in TORQUE_DEVIATIONS:
             gains = riccati_gains(A, B, deviation)
-            yield {"states": states[:-1].tolist(), "torques": torques.tolist(), "gains": gains.tolist()}
+            yield {
+                "states": states[:-1].tolist(),
+                "torques": torques.tolist(),
+                "gains": gains.tolist(),
+            }
 
 
 def interpolate(content: Mapping[str, Any]) -> np.ndarray:
-    """States (3), torque and gains (3) at all phases of a regulator of `candidates`, shape (7, phases)."""
+    """States (3), torque and gains (3) at all phases of a regulator of `candidates`, shape (7,
+    phases).
+    """
     nodes = np.column_stack([content["states"], content["torques"], content["gains"]]).T
     share = np.tile(np.arange(SUBPHASES) / SUBPHASES, nodes.shape[1])
-    here, following = (np.repeat(each, SUBPHASES, axis=1) for each in (nodes, np.roll(nodes, -1, axis=1)))
+    here, following = (
+        np.repeat(each, SUBPHASES, axis=1) for each in (nodes, np.roll(nodes, -1, axis=1))
+    )
     return here + share * (following - here)
 
 
@@ -137,7 +163,8 @@ def start(seeds: Sequence[int], regulator: np.ndarray | None = None) -> Act:
     if regulator is None:
         regulator = interpolate(json.loads(FILE.read_text(encoding="utf-8")))
     z_d, u_d, K = np.split(regulator, [3, 4])
-    # At the first step any phase; then those around the phase that follows the previous one by a control interval.
+    # At the first step any phase; then those around the phase that follows the previous one by a
+    # control interval.
     phase, offsets = np.zeros((len(seeds), 1), np.int64), np.arange(z_d.shape[1])
 
     def act(observations: np.ndarray) -> np.ndarray:
@@ -146,7 +173,10 @@ def start(seeds: Sequence[int], regulator: np.ndarray | None = None) -> Act:
         candidates = (phase + offsets) % z_d.shape[1]
         a, b, c = ((z[n] - z_d[n, candidates]) / SCALES[n] for n in range(3))
         nearest = (a * a + b * b + c * c).argmin(axis=1)[:, None]
-        phase, offsets = np.take_along_axis(candidates, nearest, axis=1), SUBPHASES + np.arange(-WINDOW, WINDOW + 1)
+        phase, offsets = (
+            np.take_along_axis(candidates, nearest, axis=1),
+            SUBPHASES + np.arange(-WINDOW, WINDOW + 1),
+        )
         i = phase[:, 0]
         e = z[..., 0] - z_d[:, i]
         torque = u_d[0, i] - (K[0, i] * e[0] + K[1, i] * e[1] + K[2, i] * e[2])

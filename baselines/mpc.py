@@ -1,8 +1,10 @@
-"""Sampling model-predictive control with the value function of dynamic programming, the policy `mpc`.
+"""Sampling model-predictive control with the value function of dynamic programming, the policy
+`mpc`.
 
-At every control interval the policy disturbs its previous plan of torques, simulates all plans with the environment's
-own step on the nominal plant, and applies the first torque of the best (predictive sampling, Howell et al. 2022). The
-value of dynamic programming scores the state at the end of a plan, which can therefore be short.
+At every control interval the policy disturbs its previous plan of torques, simulates all plans with
+the environment's own step on the nominal plant, and applies the first torque of the best
+(predictive sampling, Howell et al. 2022). The value of dynamic programming scores the state at the
+end of a plan, which can therefore be short.
 """
 
 from collections.abc import Sequence
@@ -14,16 +16,22 @@ from baselines.dynamic_programming.problem import NOMINAL_MARGIN, Problem, Trans
 from capsule_gym.policies.scripted import Act
 
 PLANS, INTERVALS = 32, 5
-# Largest disturbances of the plans after the first, the previous plan itself; each is a share of the torque limit.
+# Largest disturbances of the plans after the first, the previous plan itself; each is a share of
+# the torque limit.
 AMPLITUDES = np.array([0.0, *np.resize([0.1, 0.3, 1.0], PLANS - 1)])[:, None]
 SEED = 20187
 
 
 def start(seeds: Sequence[int]) -> Act:
-    """The policy `mpc`. The disturbances are the same in all episodes, so that an episode does not depend on others."""
+    """The policy `mpc`. The disturbances are the same in all episodes, so that an episode does not
+    depend on others.
+    """
     count, rng = len(seeds), np.random.default_rng(SEED)
     problem = Problem(margin=NOMINAL_MARGIN)
-    transitions, optimum = Transitions(problem, count * PLANS), Lookahead(count, NOMINAL_MARGIN, problem)
+    transitions, optimum = (
+        Transitions(problem, count * PLANS),
+        Lookahead(count, NOMINAL_MARGIN, problem),
+    )
     previous = np.zeros((count, 1, INTERVALS))
 
     def act(observations: np.ndarray) -> np.ndarray:

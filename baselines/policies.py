@@ -1,15 +1,19 @@
 """The scripted policies that are functions of the observation, and all scripted policies by name.
 
-`pyproject.toml` registers the functions, so that `capsule_gym.evaluate` and the command `capsule_gym.demo` know them by
-name.
+`pyproject.toml` registers the functions, so that `capsule_gym.evaluate` and the command
+`capsule_gym.demo` know them by name.
 """
 
 from baselines import lqr, mpc
 from baselines.dynamic_programming import policy
 from capsule_gym.policies.scripted import LAW_POLICIES, ScriptedPolicy
 
-LQR = ScriptedPolicy("lqr", "LQR with a gain for every phase of a limit cycle of dp-nominal", start=lqr.start)
-MPC = ScriptedPolicy("mpc", "sampling MPC on the nominal plant with the values of dp-nominal", start=mpc.start)
+LQR = ScriptedPolicy(
+    "lqr", "LQR with a gain for every phase of a limit cycle of dp-nominal", start=lqr.start
+)
+MPC = ScriptedPolicy(
+    "mpc", "sampling MPC on the nominal plant with the values of dp-nominal", start=mpc.start
+)
 DP_NOMINAL = ScriptedPolicy(
     "dp-nominal",
     "dynamic programming for the nominal plant with a margin of normal force, whatever the plant",

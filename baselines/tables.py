@@ -1,4 +1,6 @@
-"""Tables of numbers, for the terminal and for Markdown; the first row is the header, cells are finished strings."""
+"""Tables of numbers, for the terminal and for Markdown; the first row is the header, cells are
+finished strings.
+"""
 
 from collections.abc import Mapping, Sequence
 from decimal import ROUND_FLOOR, Decimal
@@ -13,7 +15,8 @@ Rows = Sequence[Sequence[str]]
 
 
 def text_table(rows: Rows, *, left: int | None = None) -> str:
-    """Aligned columns for the terminal: the first `left` and the last, for remarks, to the left; None aligns all so.
+    """Aligned columns for the terminal: the first `left` and the last, for remarks, to the left;
+    None aligns all so.
 
     >>> print(text_table([["policy", "cm/s", ""], ["adaptive", "1.39", "reference"], ["epc", "11.62", ""]], left=1))
     policy      cm/s
@@ -22,8 +25,12 @@ def text_table(rows: Rows, *, left: int | None = None) -> str:
     epc        11.62
     """
     last = len(rows[0]) - 1
-    aligned = ["left" if left is None or n < left or n == last else "right" for n in range(last + 1)]
-    table = tabulate(rows, headers="firstrow", tablefmt="simple", disable_numparse=True, colalign=aligned)
+    aligned = [
+        "left" if left is None or n < left or n == last else "right" for n in range(last + 1)
+    ]
+    table = tabulate(
+        rows, headers="firstrow", tablefmt="simple", disable_numparse=True, colalign=aligned
+    )
     return "\n".join(line.rstrip() for line in table.splitlines())
 
 
@@ -60,7 +67,8 @@ def markdown_table(rows: Rows) -> str:
 
 
 def printed_below(value: float, digits: int) -> str:
-    """A lower bound with `digits` decimals, rounded down, so that the printed number is a bound as well.
+    """A lower bound with `digits` decimals, rounded down, so that the printed number is a bound as
+    well.
 
     >>> printed_below(0.8477, 2)
     '0.84'

@@ -1,12 +1,14 @@
-"""Error of the plant's step against an independent reference of eighth order: `python -m benchmarks.accuracy`.
+"""Error of the plant's step against an independent reference of eighth order: `python -m
+benchmarks.accuracy`.
 
-Each trajectory starts at theta = -pi/3 at rest, under a random torque. The error is that of theta (rad), theta'
-(rad/s), x (m) or x' (m/s). Where MuJoCo is installed, a second table contains the same capsule in MuJoCo.
+Each trajectory starts at theta = -pi/3 at rest, under a random torque. The error is that of theta
+(rad), theta' (rad/s), x (m) or x' (m/s). Where MuJoCo is installed, a second table contains the
+same capsule in MuJoCo.
 
-The reference does not use the equations of `capsule_gym`. Its equations are typed again from the paper, corrected, and
-solved differently: the first row of Eq. (1) gives theta'' in terms of x'', the normal force is linear in x'', and the
-second row then contains only x''. SciPy's DOP853 integrates the phases of contact (slip = +1, -1 or 0 for stick) one
-after another.
+The reference does not use the equations of `capsule_gym`. Its equations are typed again from the
+paper, corrected, and solved differently: the first row of Eq. (1) gives theta'' in terms of x'',
+the normal force is linear in x'', and the second row then contains only x''. SciPy's DOP853
+integrates the phases of contact (slip = +1, -1 or 0 for stick) one after another.
 """
 
 import math
@@ -31,17 +33,31 @@ START = (task.START_THETA, 0.0, 0.0, 0.0)
 SECONDS, STEPS = 10.0, (0.00025, 0.0005, 0.001, 0.002, 0.005, 0.01)
 # Trajectories for each friction coefficient and amplitude, N m.
 FRICTION, AMPLITUDES, TRAJECTORIES = (0.01, 0.1, 0.3), (0.2, 0.5, 1.0, 1.5), 16
-# Number of plants that differ in every constant, each with its own trajectory, and the amplitude of the torque, N m.
+# Number of plants that differ in every constant, each with its own trajectory, and the amplitude of
+# the torque, N m.
 PLANTS, AMPLITUDE = 40, 0.7
 RANGES = {
-    **{"M": (0.3, 1.0), "m": (0.1, 0.2), "l": (0.2, 0.4), "k": (0.2, 0.6), "c": (0.05, 0.15), "mu": (0.01, 0.5)},
-    **{"static_ratio": (1.0, 1.5), "backward_ratio": (0.5, 2.0), "viscous": (0.0, 0.5), "stribeck_speed": (0.05, 0.5)},
+    **{
+        "M": (0.3, 1.0),
+        "m": (0.1, 0.2),
+        "l": (0.2, 0.4),
+        "k": (0.2, 0.6),
+        "c": (0.05, 0.15),
+        "mu": (0.01, 0.5),
+    },
+    **{
+        "static_ratio": (1.0, 1.5),
+        "backward_ratio": (0.5, 2.0),
+        "viscous": (0.0, 0.5),
+        "stribeck_speed": (0.05, 0.5),
+    },
     **{"slope": (-0.05, 0.05), "motor_friction": (0.0, 0.1)},
 }
-# Friction coefficients and amplitudes that are compared with MuJoCo, its steps (s), and the share of the friction limit
-# that loads the platform at rest.
+# Friction coefficients and amplitudes that are compared with MuJoCo, its steps (s), and the share
+# of the friction limit that loads the platform at rest.
 MUJOCO_CASES, MUJOCO_STEPS, LOAD = ((0.01, 0.5), (0.1, 1.0)), (0.002, 0.0005), 0.5
-# Tolerances of the reference, and its longest step, s, in which the boundary of a phase is crossed only once.
+# Tolerances of the reference, and its longest step, s, in which the boundary of a phase is crossed
+# only once.
 RTOL, ATOL, LONGEST = 2e-13, 1e-15, 0.002
 
 
@@ -50,10 +66,12 @@ class Trajectory(NamedTuple):
 
     Attributes:
         states: theta, theta_dot, x, x_dot.
-        sums: since the start, distances moved forwards and backwards, m, time in stick, s, and the integral of
+        sums: since the start, distances moved forwards and backwards, m, time in stick, s, and the
+            integral of
             |theta_dot|, rad.
         events: number of changes of phase within control intervals.
-        valid: number of control intervals before the one in which the ball meets the platform or contact is lost.
+        valid: number of control intervals before the one in which the ball meets the platform or
+            contact is lost.
     """
 
     states: np.ndarray
@@ -62,12 +80,18 @@ class Trajectory(NamedTuple):
     valid: int
 
 
-def rates(theta: float, omega: float, v: float, slip: float, u: float, p: Plant) -> tuple[float, float, float]:
+def rates(
+    theta: float, omega: float, v: float, slip: float, u: float, p: Plant
+) -> tuple[float, float, float]:
     """Computes theta'', x'' and the normal force in one phase of contact."""
     s = math.sin(theta)
     c = math.cos(theta)
     ratio = min(1.0, max(-1.0, omega))
-    u -= p.motor_friction * (35.0 * ratio - 35.0 * ratio**3 + 21.0 * ratio**5 - 5.0 * ratio**7) / 16.0
+    u -= (
+        p.motor_friction
+        * (35.0 * ratio - 35.0 * ratio**3 + 21.0 * ratio**5 - 5.0 * ratio**7)
+        / 16.0
+    )
     internal = p.k * theta + p.c * omega
     # theta'' on a platform that does not accelerate
     free = (u - internal + p.m * p.l * (p.g * s + p.downhill * c)) / (p.m * p.l**2)
@@ -78,7 +102,8 @@ def rates(theta: float, omega: float, v: float, slip: float, u: float, p: Plant)
         return free, 0.0, normal_rest
     mu = p.mu if slip > 0.0 else p.mu * p.backward_ratio
     mu *= 1.0 + p.stribeck_excess / (1.0 + (v * p.stribeck_rate) ** 2)
-    # theta'' = free + cos x'' / l and N = normal_rest - m sin cos x'', so that x'' is the only unknown.
+    # theta'' = free + cos x'' / l and N = normal_rest - m sin cos x'', so that x'' is the only
+    # unknown.
     inertia = p.M + p.m * s**2
     x_ddot = (load - slip * mu * normal_rest) / (inertia - slip * mu * p.m * s * c)
     normal = normal_rest - p.m * s * c * x_ddot
@@ -89,15 +114,22 @@ def rates(theta: float, omega: float, v: float, slip: float, u: float, p: Plant)
 
 
 def margins(theta: float, omega: float, u: float, p: Plant) -> tuple[float, float]:
-    """The margins between the static limit and the load on a platform at rest, forwards and backwards, in N."""
+    """The margins between the static limit and the load on a platform at rest, forwards and
+    backwards, in N.
+    """
     alpha, _, normal = rates(theta, omega, 0.0, 0.0, u, p)
-    load = p.m * p.l * (alpha * math.cos(theta) - omega**2 * math.sin(theta)) - (p.M + p.m) * p.downhill
+    load = (
+        p.m * p.l * (alpha * math.cos(theta) - omega**2 * math.sin(theta))
+        - (p.M + p.m) * p.downhill
+    )
     limit = p.static_ratio * p.mu * max(0.0, normal)
     return limit - load, p.backward_ratio * limit + load
 
 
 def integrate_phase(t: float, y: np.ndarray, end: float, slip: float, u: float, p: Plant) -> Any:
-    """Integrates one phase until it ends, theta_dot changes its sign, or `end`; returns SciPy's result."""
+    """Integrates one phase until it ends, theta_dot changes its sign, or `end`; returns SciPy's
+    result.
+    """
     # Imported here, since SciPy's solvers take a second to import and --help does not need them.
     from scipy.integrate import solve_ivp
 
@@ -114,10 +146,17 @@ def integrate_phase(t: float, y: np.ndarray, end: float, slip: float, u: float, 
     # scipy reads these attributes of its events.
     vars(margin).update(terminal=True, direction=-1.0)
     # After a turn, theta_dot is 0 up to rounding.
-    vars(turn).update(terminal=True, direction=-(y[1] if abs(y[1]) > 1e-12 else derivative(t, y)[1]))
+    vars(turn).update(
+        terminal=True, direction=-(y[1] if abs(y[1]) > 1e-12 else derivative(t, y)[1])
+    )
     longest = min(LONGEST, end - t)
     for _ in range(20):
-        step: dict[str, Any] = {"first_step": longest, "max_step": longest, "rtol": RTOL, "atol": ATOL}
+        step: dict[str, Any] = {
+            "first_step": longest,
+            "max_step": longest,
+            "rtol": RTOL,
+            "atol": ATOL,
+        }
         found = solve_ivp(derivative, (t, end), y, "DOP853", events=(margin, turn), **step)
         if found.t[-1] > t or slip == 0.0 or y[3] != 0.0:
             return found
@@ -126,7 +165,9 @@ def integrate_phase(t: float, y: np.ndarray, end: float, slip: float, u: float, 
     raise RuntimeError("a phase of contact ends where it starts")
 
 
-def solve(torques: Sequence[float] | np.ndarray, p: Plant, hold: float = task.CONTROL_DT) -> Trajectory:
+def solve(
+    torques: Sequence[float] | np.ndarray, p: Plant, hold: float = task.CONTROL_DT
+) -> Trajectory:
     """Integrates the plant from `START` under torques in N m, each held for `hold` seconds."""
     y, events, valid = np.array(START), 0, len(torques)
     states, sums = [y], [np.zeros(4)]
@@ -137,7 +178,9 @@ def solve(torques: Sequence[float] | np.ndarray, p: Plant, hold: float = task.CO
             found = integrate_phase(t, y, hold, slip, u, p)
             end = found.y[:, -1].copy()
             moved, angle, seconds = end[2] - y[2], abs(end[0] - y[0]), found.t[-1] - t
-            total = total + np.array((max(0.0, moved), max(0.0, -moved), seconds if slip == 0.0 else 0.0, angle))
+            total = total + np.array(
+                (max(0.0, moved), max(0.0, -moved), seconds if slip == 0.0 else 0.0, angle)
+            )
             normal = min(rates(theta, omega, v, slip, u, p)[2] for theta, omega, _, v in found.y.T)
             if abs(found.y[0]).max() >= task.THETA_LIMIT or normal <= 0.0:
                 valid = min(valid, i)
@@ -154,7 +197,9 @@ def solve(torques: Sequence[float] | np.ndarray, p: Plant, hold: float = task.CO
 
 
 def phase_at_rest(y: np.ndarray, u: float, p: Plant) -> float:
-    """The phase of a platform at rest: stick below the static limit, otherwise slip in the direction of the load."""
+    """The phase of a platform at rest: stick below the static limit, otherwise slip in the
+    direction of the load.
+    """
     forwards, backwards = margins(y[0], y[1], u, p)
     return 0.0 if min(forwards, backwards) >= 0.0 else math.copysign(1.0, backwards - forwards)
 
@@ -162,17 +207,23 @@ def phase_at_rest(y: np.ndarray, u: float, p: Plant) -> float:
 def expected_trajectories(
     capsules: Sequence[Capsule], amplitude: float
 ) -> list[tuple[Capsule, np.ndarray, np.ndarray]]:
-    """Plants, torques in valid control intervals, and the reference's state at their end; torque i has the seed i."""
+    """Plants, torques in valid control intervals, and the reference's state at their end; torque i
+    has the seed i.
+    """
     solved = []
     for seed, capsule in enumerate(capsules):
-        torques = np.random.default_rng(seed).uniform(-amplitude, amplitude, round(SECONDS / task.CONTROL_DT))
+        torques = np.random.default_rng(seed).uniform(
+            -amplitude, amplitude, round(SECONDS / task.CONTROL_DT)
+        )
         found = solve(torques, capsule.plant())
         solved.append((capsule, torques[: found.valid], found.states[found.valid]))
     return solved
 
 
 def run(torques: np.ndarray, capsule: Capsule, step: float, friction: str = "") -> np.ndarray:
-    """The state of the plant's step, or of MuJoCo with a friction, after control intervals with torques in N m."""
+    """The state of the plant's step, or of MuJoCo with a friction, after control intervals with
+    torques in N m.
+    """
     if not friction:
         options: dict[str, Any] = {"control_dt": task.CONTROL_DT, "physics_dt": step}
         return sensitivity(START, torques, (), capsule=capsule, **options).states[-1]
@@ -200,16 +251,22 @@ def compare_mujoco() -> list[list[str]]:
     for friction in tqdm(("", *mujoco.FRICTIONS), desc="MuJoCo"):
         built = mujoco.build(friction, step, capsule) if friction else None
         speed = mujoco.creep(*built, load) if built else abs(run(np.zeros(500), sloped, step)[3])
-        row = [f"MuJoCo, {friction}" if friction else "capsule_gym", f"{speed:.0e}" if speed else "0"]
+        row = [
+            f"MuJoCo, {friction}" if friction else "capsule_gym",
+            f"{speed:.0e}" if speed else "0",
+        ]
         for solved, h in cases:
-            row.append(cell([1e3 * abs(run(u, plant, h, friction)[2] - y[2]) for plant, u, y in solved]))
+            row.append(
+                cell([1e3 * abs(run(u, plant, h, friction)[2] - y[2]) for plant, u, y in solved])
+            )
         table.append(row)
     return table
 
 
 @command(COMMAND, ValueError)
 def main(markdown: Path | None = None) -> None:
-    """The integration error of the plant's step at several step sizes, against an independent reference.
+    """The integration error of the plant's step at several step sizes, against an independent
+    reference.
 
     Examples:
       python -m benchmarks.accuracy --markdown docs/error_table.md
@@ -219,14 +276,19 @@ def main(markdown: Path | None = None) -> None:
     """
     check_output("--markdown", markdown, overwrite=True)
     table = [["plant", "torque, N m", *(f"{1e3 * step:g} ms" for step in STEPS), "length"]]
-    kinds = [(f"μ = {mu:g}", [Capsule(mu=mu)] * TRAJECTORIES, a) for mu in FRICTION for a in AMPLITUDES]
+    kinds = [
+        (f"μ = {mu:g}", [Capsule(mu=mu)] * TRAJECTORIES, a) for mu in FRICTION for a in AMPLITUDES
+    ]
     rngs = map(np.random.default_rng, range(PLANTS))
     drawn: Any = ({name: rng.uniform(*limits) for name, limits in RANGES.items()} for rng in rngs)
     kinds.append((f"{PLANTS} random", [Capsule(**constants) for constants in drawn], AMPLITUDE))
     for kind, capsules, amplitude in tqdm(kinds, desc="errors"):
         solved = expected_trajectories(capsules, amplitude)
         length = task.CONTROL_DT * np.median([len(u) for _, u, _ in solved])
-        cells = [cell([np.abs(run(u, plant, step) - y).max() for plant, u, y in solved]) for step in STEPS]
+        cells = [
+            cell([np.abs(run(u, plant, step) - y).max() for plant, u, y in solved])
+            for step in STEPS
+        ]
         table.append([kind, f"±{amplitude:g}", *cells, f"{length:.1f} s"])
     further = [compare_mujoco()] if find_spec("mujoco") else []
     report(COMMAND, markdown, table, *further, f"{machine()}.")

@@ -1,4 +1,6 @@
-"""Compares the main table of the leaderboard with plants drawn anew: `python -m benchmarks.fresh_draws`."""
+"""Compares the main table of the leaderboard with plants drawn anew: `python -m
+benchmarks.fresh_draws`.
+"""
 
 import sys
 from itertools import chain
@@ -19,9 +21,11 @@ FIRST_SEED, PLANTS = 31_000_000, 400
 
 @command("python -m benchmarks.fresh_draws", ValueError)
 def main(rows: Annotated[Positional[tuple[str, ...]], arg(metavar="ROW")] = ()) -> int:
-    """Evaluates rows of the leaderboard's main table on new plants; fails if a mean speed differs from the table.
+    """Evaluates rows of the leaderboard's main table on new plants; fails if a mean speed differs
+    from the table.
 
-    They agree if the published interval covers the new mean, or within two standard errors of both sets of plants.
+    They agree if the published interval covers the new mean, or within two standard errors of both
+    sets of plants.
 
     Examples:
       python -m benchmarks.fresh_draws pd lqr
@@ -31,17 +35,26 @@ def main(rows: Annotated[Positional[tuple[str, ...]], arg(metavar="ROW")] = ()) 
     """
     differing = 0
     lines = [["row", "set", "published (cm/s)", "new", "standard errors", "failures", ""]]
-    for row in [load_row(ROOT / RESULTS / f"{name}.npz") for name in rows or chain(*GROUPS.values())]:
+    for row in [
+        load_row(ROOT / RESULTS / f"{name}.npz") for name in rows or chain(*GROUPS.values())
+    ]:
         for set_name in MAIN_SETS:
             like = load_set(set_name)
-            drawn = validation_set(set_name, "new", FIRST_SEED, PLANTS, like.capsule, "speed", like.disturbances)
+            drawn = validation_set(
+                set_name, "new", FIRST_SEED, PLANTS, like.capsule, "speed", like.disturbances
+            )
             episodes, before = evaluate(row.name, drawn), row.score(set_name, SPEED.name)
             now, published = scores(episodes, SPEED.name), estimate(before, mean=True)
-            error = sum(each.mean(axis=0).var(ddof=1) / each.shape[1] for each in (before, now)) ** 0.5
+            error = (
+                sum(each.mean(axis=0).var(ddof=1) / each.shape[1] for each in (before, now)) ** 0.5
+            )
             errors = (now.mean() - published.value) / error
             differs = not (published.low <= now.mean() <= published.high or abs(errors) <= 2.0)
             differing += differs
-            cells = [f"{published.value:.2f} [{published.low:.2f}, {published.high:.2f}]", f"{now.mean():.2f}"]
+            cells = [
+                f"{published.value:.2f} [{published.low:.2f}, {published.high:.2f}]",
+                f"{now.mean():.2f}",
+            ]
             cells += [f"{errors:+.1f}", f"{failures(episodes)}/{len(episodes)}"]
             lines.append([row.name, set_name, *cells, "differs" if differs else ""])
     print(f"{text_table(lines, left=2)}\n{differing} of {len(lines) - 1} means differ")

@@ -1,6 +1,7 @@
 """Errors, coverage and time of `capsule_gym.identify`: `python -m benchmarks.identification`.
 
-Plants are drawn from the prior's own ranges, and recorded for 20 s at 100 Hz with the sensors of `real`.
+Plants are drawn from the prior's own ranges, and recorded for 20 s at 100 Hz with the sensors of
+`real`.
 """
 
 import time
@@ -21,7 +22,8 @@ from capsule_gym.parameters import RANDOMIZATIONS, REAL, Capsule, Disturbances
 CONTROL_DT, PHYSICS_DT = 0.01, 2e-3
 FREE: dict[str, Any] = {name: RANGES[name] for name in RANGES if name not in OTHERS}
 DRAWN = replace(RANDOMIZATIONS["real-wide"], **FREE)
-# All of the prior's lags and latencies, which stay inside its range when they are rounded to the integrator's steps.
+# All of the prior's lags and latencies, which stay inside its range when they are rounded to the
+# integrator's steps.
 ALL = replace(REAL, latency=(0.002, 0.018), lag=RANGES["lag"], motor_friction=0.0)
 # White noise alone, or the noise, bias and drift of `real`.
 NONE: dict[str, Any] = {name: 0.0 for name in vars(REAL) if name.endswith(("_bias", "_drift"))}
@@ -31,8 +33,12 @@ SENSORS = {"white": replace(ALL, **NONE), "real": ALL}
 def make_logs(
     count: int, seed: int, disturbances: Disturbances, amplitude: float
 ) -> Iterator[tuple[dict[str, np.ndarray], dict[str, float]]]:
-    """Logs of random plants, and their quantities; plants on which the excitation ends the episode are left out."""
-    env = CapsuleEnv(randomization=DRAWN, disturbances=disturbances, control_dt=CONTROL_DT, physics_dt=PHYSICS_DT)
+    """Logs of random plants, and their quantities; plants on which the excitation ends the episode
+    are left out.
+    """
+    env = CapsuleEnv(
+        randomization=DRAWN, disturbances=disturbances, control_dt=CONTROL_DT, physics_dt=PHYSICS_DT
+    )
     while count:
         _, info = env.reset(seed=seed)
         log = record(env, Excitation(seed=seed, amplitude=amplitude), seed=seed)
@@ -50,7 +56,8 @@ def main(
     sensors: Literal["white", "real"] = "real",
     amplitude: float = Excitation.amplitude,
 ) -> None:
-    """Identifies random plants, and prints errors, the coverage of the 95 % intervals, and the time.
+    """Identifies random plants, and prints errors, the coverage of the 95 % intervals, and the
+    time.
 
     Examples:
       python -m benchmarks.identification --plants 150
@@ -60,29 +67,42 @@ def main(
         plants: Number of plants.
         seed: Seed of the first plant.
         sensors: Errors of the sensors: white noise, or noise, bias and drift.
-        amplitude: Root mean square of the excitation, N m. With 0.55 it ends a quarter of the episodes.
+        amplitude: Root mean square of the excitation, N m. With 0.55 it ends a quarter of the
+            episodes.
     """
     check_number("--amplitude", amplitude, "a number from 0 to 1 (N m)", 0.0, 1.0)
     rows, seconds, chi2 = [], [], list[float]()
-    for log, truth in tqdm(make_logs(plants, seed, SENSORS[sensors], amplitude), total=plants, mininterval=10.0):
+    for log, truth in tqdm(
+        make_logs(plants, seed, SENSORS[sensors], amplitude), total=plants, mininterval=10.0
+    ):
         start = time.process_time()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
             fit = identify(log)
         seconds.append(time.process_time() - start)
-        # The error of every estimate, relative to its size, and whether its 95 % interval contains the truth.
+        # The error of every estimate, relative to its size, and whether its 95 % interval contains
+        # the truth.
         errors = {name: fit.estimates[name] - truth[name] for name in fit.estimates}
-        covered = {name: low <= truth[name] <= high for name, (low, high) in fit.intervals(0.95).items()}
-        row = {name: (errors[name], errors[name] / (truth[name] or np.nan), covered[name]) for name in errors}
+        covered = {
+            name: low <= truth[name] <= high for name, (low, high) in fit.intervals(0.95).items()
+        }
+        row = {
+            name: (errors[name], errors[name] / (truth[name] or np.nan), covered[name])
+            for name in errors
+        }
         rows.append({**row, "latency + lag": (errors["latency"] + errors["lag"], np.nan, np.nan)})
         chi2.append(fit.chi2)
     print(f"{'':16}{'median error':>14}{'relative':>10}{'covered':>9}")
     for name in rows[0]:
         error, relative, inside = np.abs([row[name] for row in rows]).T.astype(float)
         share = f"{np.median(relative):.1%}" if name in Capsule.__dataclass_fields__ else ""
-        print(f"{name:16}{np.median(error):14.2g}{share:>10}{f'{inside.mean():.1%}' if name in errors else '':>9}")
+        print(
+            f"{name:16}{np.median(error):14.2g}{share:>10}{f'{inside.mean():.1%}' if name in errors else '':>9}"
+        )
     low, middle, high = np.percentile(chi2, (5.0, 50.0, 95.0))
-    print(f"chi2: {middle:.2f}, 90 % within {low:.2f} to {high:.2f}; {np.median(seconds):.1f} s a fit")
+    print(
+        f"chi2: {middle:.2f}, 90 % within {low:.2f} to {high:.2f}; {np.median(seconds):.1f} s a fit"
+    )
 
 
 if __name__ == "__main__":

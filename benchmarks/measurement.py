@@ -24,24 +24,41 @@ VECTORS = {"v4": " with AVX-512", "v3": " with AVX2"}
 
 def report(command: str, markdown: Path | None, *parts: str | Rows) -> None:
     """Prints paragraphs and tables, and writes them to a page if one is given."""
-    print(*(part if isinstance(part, str) else text_table(part, left=1) for part in parts), sep="\n\n")
+    print(
+        *(part if isinstance(part, str) else text_table(part, left=1) for part in parts), sep="\n\n"
+    )
     if markdown is not None:
         paragraphs = [part if isinstance(part, str) else markdown_table(part) for part in parts]
-        write_atomically(markdown, "\n\n".join([f"<!-- Written by {command}: do not edit. -->", *paragraphs]) + "\n")
+        write_atomically(
+            markdown,
+            "\n\n".join([f"<!-- Written by {command}: do not edit. -->", *paragraphs]) + "\n",
+        )
 
 
 def machine() -> str:
-    """One line with the processor, the vectors of the core, the cores, and the versions of installed packages."""
+    """One line with the processor, the vectors of the core, the cores, and the versions of
+    installed packages.
+    """
     versions = [f"{name} {version(name)}" for name in PACKAGES if find_spec(name.replace("-", "_"))]
     info = Path("/proc/cpuinfo")
-    _, _, model = (info.read_text(encoding="utf-8") if info.exists() else "").partition("model name")
-    cpu = model.partition(":")[2].partition("\n")[0].strip() or platform.processor() or platform.machine()
+    _, _, model = (info.read_text(encoding="utf-8") if info.exists() else "").partition(
+        "model name"
+    )
+    cpu = (
+        model.partition(":")[2].partition("\n")[0].strip()
+        or platform.processor()
+        or platform.machine()
+    )
     cores, python = f"{os.cpu_count()} cores", f"Python {platform.python_version()}"
-    return ", ".join([cpu + VECTORS.get(native.LEVEL, ""), cores, platform.system(), python, *versions])
+    return ", ".join(
+        [cpu + VECTORS.get(native.LEVEL, ""), cores, platform.system(), python, *versions]
+    )
 
 
 def rates(contenders: Mapping[str, Callable[[], float]], turns: int) -> dict[str, float]:
-    """Rates, 1/s, at the 10th percentiles of seconds, measured in turns, so that other processes affect all alike."""
+    """Rates, 1/s, at the 10th percentiles of seconds, measured in turns, so that other processes
+    affect all alike.
+    """
     seconds: dict[str, list[float]] = {name: [] for name in contenders}
     for _ in tqdm(range(turns), desc="turns"):
         for name, turn in contenders.items():

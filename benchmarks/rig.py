@@ -1,8 +1,9 @@
 """From a rig to a policy, on hidden plants: `python -m benchmarks.rig`.
 
-Every hidden plant, drawn from `real-wide` with the disturbances `real`, is recorded for 20 s and identified. An agent
-with the settings of `direct-ppo` and the last 4 observations is trained on the identified ranges and drives the plant
-for one episode, as do agents trained on `paper` without disturbances, and on `real-wide` with the disturbances `real`.
+Every hidden plant, drawn from `real-wide` with the disturbances `real`, is recorded for 20 s and
+identified. An agent with the settings of `direct-ppo` and the last 4 observations is trained on the
+identified ranges and drives the plant for one episode, as do agents trained on `paper` without
+disturbances, and on `real-wide` with the disturbances `real`.
 """
 
 from dataclasses import replace
@@ -19,7 +20,8 @@ HIDDEN: dict[str, Any] = {"randomization": "real-wide", "disturbances": "real"}
 CONFIG = replace(PRESETS["direct", "ppo"], stack_size=4)
 # Seed of the first hidden plant.
 SEED = 7000
-# Period of the log, s, and amplitudes, N m, of which smaller ones follow where the excitation ends the episode.
+# Period of the log, s, and amplitudes, N m, of which smaller ones follow where the excitation ends
+# the episode.
 LOGGED_DT, AMPLITUDES = 0.01, (0.45, 0.35, 0.25)
 
 
@@ -66,10 +68,18 @@ def main(plants: PositiveCount = 20, total_steps: PositiveCount = 1_000_000) -> 
     for seed in range(SEED, SEED + plants):
         agents = {"identified": train(seed, total_steps, **identified(seed)), **common}
         found.append([drive(agent, seed) for agent in agents.values()])
-        print(seed, *(f"{name} {speed:.2f} cm/s" for name, (speed, _) in zip(agents, found[-1], strict=True)))
+        print(
+            seed,
+            *(
+                f"{name} {speed:.2f} cm/s"
+                for name, (speed, _) in zip(agents, found[-1], strict=True)
+            ),
+        )
     speeds, failed = np.moveaxis(np.array(found), -1, 0)
     for name, own, ends in zip(agents, speeds.T, failed.T, strict=True):
-        print(f"{name:10s} mean {own.mean():6.2f} cm/s, lowest {own.min():6.2f}, {ends.sum():.0f} of {len(own)} fail;")
+        print(
+            f"{name:10s} mean {own.mean():6.2f} cm/s, lowest {own.min():6.2f}, {ends.sum():.0f} of {len(own)} fail;"
+        )
         print(f"    the identified agent is faster on {(own < speeds[:, 0]).sum()}")
 
 

@@ -1,11 +1,13 @@
-"""Environment steps per second, and their ratios, which must not fall: `python -m benchmarks.throughput`.
+"""Environment steps per second, and their ratios, which must not fall: `python -m
+benchmarks.throughput`.
 
-All actions are drawn beforehand. A single environment runs whole episodes, including resets. A batch of this package
-does not truncate episodes, so that all batch sizes are comparable; an environment that fails is reset within the step.
+All actions are drawn beforehand. A single environment runs whole episodes, including resets. A
+batch of this package does not truncate episodes, so that all batch sizes are comparable; an
+environment that fails is reset within the step.
 
-Contenders take turns, and the 10th percentiles of their processor times are used, so that other processes have little
-effect. Unlike rates, ratios are comparable between machines. A ratio below its floor usually means that the compiler
-vectorises a loop no longer.
+Contenders take turns, and the 10th percentiles of their processor times are used, so that other
+processes have little effect. Unlike rates, ratios are comparable between machines. A ratio below
+its floor usually means that the compiler vectorises a loop no longer.
 """
 
 import ctypes
@@ -39,19 +41,22 @@ from capsule_gym.tasks import task
 
 COMMAND = "python -m benchmarks.throughput"
 TURN_SECONDS = 0.02
-# With random torques up to the limit, resets would dominate. The paper's torques rarely exceed this fraction.
+# With random torques up to the limit, resets would dominate. The paper's torques rarely exceed this
+# fraction.
 ACTION_SCALE = 0.2
-LAW: dict[str, Any] = {"controller": "baselines:adaptive", "residual_limit": ACTION_SCALE * task.TORQUE_LIMIT}
-# Number of distinct actions, which are repeated; of episodes from the same states; of environments in most batches.
+LAW: dict[str, Any] = {
+    "controller": "baselines:adaptive",
+    "residual_limit": ACTION_SCALE * task.TORQUE_LIMIT,
+}
+# Number of distinct actions, which are repeated; of episodes from the same states; of environments
+# in most batches.
 DRAWS, EPISODE, BATCH = 256, 40, 1024
 
 # Makes one step of all environments, or a reset of one.
 Step = Callable[[], object]
 # The command of the C compiler, and the settings of plain C.
 COMPILER = os.environ.get("CC") or shutil.which("cc")
-C_SETTINGS = (
-    "m l g k c static_ratio backward_ratio torque_limit physics_dt energy_weight termination_penalty stick_threshold"
-)
+C_SETTINGS = "m l g k c static_ratio backward_ratio torque_limit physics_dt energy_weight termination_penalty stick_threshold"
 # The smallest ratio of two contenders' rates.
 FLOORS = {
     ("capsule", "CartPole-v1"): 1.3,
@@ -63,14 +68,18 @@ FLOORS = {
 
 
 def environment(env_id: str, num_envs: int = 0, *, reset: bool = False, **kwargs: Any) -> Step:
-    """Steps or resets of one environment with gymnasium's default wrappers, or steps of a native batch."""
+    """Steps or resets of one environment with gymnasium's default wrappers, or steps of a native
+    batch.
+    """
     batch: dict[str, Any] = {"num_envs": num_envs, "vectorization_mode": "vector_entry_point"}
     env: Any = gym.make_vec(env_id, **batch, **kwargs) if num_envs else gym.make(env_id, **kwargs)
     env.reset(seed=0)
     env.action_space.seed(0)
     samples = [env.action_space.sample() for _ in range(16 if num_envs else DRAWS)]
     discrete = np.asarray(samples[0]).dtype.kind == "i"
-    actions = cycle(samples if discrete else [np.float32(ACTION_SCALE) * sample for sample in samples])
+    actions = cycle(
+        samples if discrete else [np.float32(ACTION_SCALE) * sample for sample in samples]
+    )
 
     def step() -> None:
         _, _, terminated, truncated, _ = env.step(next(actions))
@@ -81,8 +90,13 @@ def environment(env_id: str, num_envs: int = 0, *, reset: bool = False, **kwargs
 
 
 def mujoco_physics() -> Step:
-    """The physics of one capsule in MuJoCo under random torques, which restarts where its ball meets the platform."""
-    (model, data), limit = mujoco.build("frictionloss", DIRECT_PHYSICS_DT, Capsule()), ACTION_SCALE * task.TORQUE_LIMIT
+    """The physics of one capsule in MuJoCo under random torques, which restarts where its ball
+    meets the platform.
+    """
+    (model, data), limit = (
+        mujoco.build("frictionloss", DIRECT_PHYSICS_DT, Capsule()),
+        ACTION_SCALE * task.TORQUE_LIMIT,
+    )
     torques = cycle(np.random.default_rng(0).uniform(-limit, limit, DRAWS).tolist())
 
     def step() -> None:
@@ -92,14 +106,27 @@ def mujoco_physics() -> Step:
     return step
 
 
-def plain_c(compiler: str, simulation: Simulation) -> tuple[Callable[[np.ndarray], object], np.ndarray]:
-    """Copies environments of the speed task with direct torque, a multiple of the core's lanes, into plain C.
+def plain_c(
+    compiler: str, simulation: Simulation
+) -> tuple[Callable[[np.ndarray], object], np.ndarray]:
+    """Copies environments of the speed task with direct torque, a multiple of the core's lanes,
+    into plain C.
 
     Returns:
         Their `Simulation.step`, and the rows of `Simulation.world` before `Row.clock`.
     """
-    level = {"v4": ("-march=native", "-mprefer-vector-width=512"), "v3": ("-march=x86-64-v3",)}.get(native.LEVEL, ())
-    options = ("-std=c99", "-O3", "-ffast-math", "-fPIC", *level, "-c", str(Path(__file__).with_name("plain.c")))
+    level = {"v4": ("-march=native", "-mprefer-vector-width=512"), "v3": ("-march=x86-64-v3",)}.get(
+        native.LEVEL, ()
+    )
+    options = (
+        "-std=c99",
+        "-O3",
+        "-ffast-math",
+        "-fPIC",
+        *level,
+        "-c",
+        str(Path(__file__).with_name("plain.c")),
+    )
     with tempfile.TemporaryDirectory() as folder:
         compiled, path = str(Path(folder, "plain.o")), str(Path(folder, "plain.so"))
         subprocess.run([*compiler.split(), *options, "-o", compiled], check=True)
@@ -107,20 +134,27 @@ def plain_c(compiler: str, simulation: Simulation) -> tuple[Callable[[np.ndarray
         subprocess.run([*compiler.split(), "-shared", compiled, "-lm", "-o", path], check=True)
         library = ctypes.CDLL(path)
     blocks, rows = len(simulation.world), ctypes.c_int.in_dll(library, "ROWS").value
-    world, observations = native.aligned_zeros((blocks, rows, LANES)), np.zeros((simulation.num_envs, 5), np.float32)
+    world, observations = (
+        native.aligned_zeros((blocks, rows, LANES)),
+        np.zeros((simulation.num_envs, 5), np.float32),
+    )
     settings = np.array([getattr(simulation.settings, name) for name in C_SETTINGS.split()])
     first = world[:, : Row.clock]
     first[...] = simulation.world[:, : Row.clock]
 
     def step(actions: np.ndarray) -> None:
-        b, q, u, out = (ctypes.c_void_p(native.address(each)) for each in (world, settings, actions, observations))
+        b, q, u, out = (
+            ctypes.c_void_p(native.address(each))
+            for each in (world, settings, actions, observations)
+        )
         library.step(b, blocks, q, u, out)
 
     return step, first
 
 
 def from_the_start(compiler: str | None = None) -> tuple[Step, np.ndarray]:
-    """Steps of the core, or with a compiler of plain C, always from the same states in episodes of `EPISODE` steps.
+    """Steps of the core, or with a compiler of plain C, always from the same states in episodes of
+    `EPISODE` steps.
 
     Returns:
         The function and the rows of the environments that it changes, see `plain_c`.
@@ -129,7 +163,9 @@ def from_the_start(compiler: str | None = None) -> tuple[Step, np.ndarray]:
     for i in range(BATCH):
         simulation.seed(i, i)
     simulation.reset(np.arange(BATCH))
-    advance, world = plain_c(compiler, simulation) if compiler else (simulation.step, simulation.world)
+    advance, world = (
+        plain_c(compiler, simulation) if compiler else (simulation.step, simulation.world)
+    )
     start = world.copy()
     torques = ACTION_SCALE * np.random.default_rng(0).uniform(-1.0, 1.0, (EPISODE, BATCH))
     actions = cycle(enumerate(torques))
@@ -144,13 +180,17 @@ def from_the_start(compiler: str | None = None) -> tuple[Step, np.ndarray]:
 
 
 def contenders() -> dict[str, Callable[[], Step]]:
-    """Functions that create what is measured; the number of environments is at the end of the names of batches."""
+    """Functions that create what is measured; the number of environments is at the end of the names
+    of batches.
+    """
     endless: dict[str, Any] = {"max_episode_steps": sys.maxsize}
     found: dict[str, Callable[[], Step]] = {
         "capsule": partial(environment, ENV_ID),
         f"capsule, {BATCH}": partial(environment, ENV_ID, BATCH, **endless),
         f"capsule, law, {BATCH}": partial(environment, ENV_ID, BATCH, **LAW, **endless),
-        f"capsule, 1 ms, {BATCH}": partial(environment, ENV_ID, BATCH, physics_dt=LAW_PHYSICS_DT, **endless),
+        f"capsule, 1 ms, {BATCH}": partial(
+            environment, ENV_ID, BATCH, physics_dt=LAW_PHYSICS_DT, **endless
+        ),
         "CartPole-v1": partial(environment, "CartPole-v1"),
         f"CartPole-v1, {BATCH}": partial(environment, "CartPole-v1", BATCH),
         "Pendulum-v1": partial(environment, "Pendulum-v1"),
@@ -185,15 +225,22 @@ def draw(measured: Mapping[str, float], stem: Path) -> None:
         others = "CartPole", "Pendulum", "plain C", "MuJoCo"
         colours = [MUTED if any(other in name for other in others) else BLUE for name in names]
         bars = axes.barh(names, [measured[name] for name in names], color=colours, height=0.7)
-        axes.bar_label(bars, [f"{measured[name]:,.0f}" for name in names], padding=3.0, fontsize=7.5)
-        axes.set(xscale="log", xlim=(1e4, 3e7), xlabel="environment steps per second of processor time")
+        axes.bar_label(
+            bars, [f"{measured[name]:,.0f}" for name in names], padding=3.0, fontsize=7.5
+        )
+        axes.set(
+            xscale="log", xlim=(1e4, 3e7), xlabel="environment steps per second of processor time"
+        )
         axes.grid(visible=False, axis="y")
         save(figure, stem)
 
 
 @command(COMMAND, ValueError)
-def main(markdown: Path | None = None, figure: Path | None = None, turns: PositiveCount = 30) -> int:
-    """Environment steps per second, and ratios to other environments and to plain C; fails if a ratio is too small.
+def main(
+    markdown: Path | None = None, figure: Path | None = None, turns: PositiveCount = 30
+) -> int:
+    """Environment steps per second, and ratios to other environments and to plain C; fails if a
+    ratio is too small.
 
     Plain C needs a compiler, MuJoCo the extra `bench`; what is not installed is left out.
 
@@ -214,9 +261,13 @@ def main(markdown: Path | None = None, figure: Path | None = None, turns: Positi
     seconds = {name: partial(seconds_per_step, make(), sizes[name]) for name, make in found.items()}
     measured = rates(seconds, turns)
     ratios = {pair: measured[pair[0]] / measured[pair[1]] for pair in floors}
-    compared = {pair[0]: [f"{ratios[pair]:.2f}", pair[1], f"{floor:g}"] for pair, floor in floors.items()}
+    compared = {
+        pair[0]: [f"{ratios[pair]:.2f}", pair[1], f"{floor:g}"] for pair, floor in floors.items()
+    }
     table = [["", "env-steps/s", "ratio", "to", "at least"]]
-    table += [[name, f"{rate:,.0f}", *compared.get(name, ["", "", ""])] for name, rate in measured.items()]
+    table += [
+        [name, f"{rate:,.0f}", *compared.get(name, ["", "", ""])] for name, rate in measured.items()
+    ]
     report(COMMAND, markdown, table, f"{machine()}.")
     if figure:
         draw(measured, figure)

@@ -1,9 +1,10 @@
 """Processor time until an agent moves the capsule at 15 cm/s: `python -m benchmarks.training`.
 
-Contenders are the preset of `train.py`, Stable-Baselines3 and SBX (Stable-Baselines3 in JAX) on `make_vec_env` with
-their default hyperparameters and `VecNormalize`, as their documentation advises, and a loop on one environment with the
-wrappers, network and hyperparameters of CleanRL's `ppo_continuous_action.py`. All learn by PPO, with direct torque, in
-the environment of the preset; evaluations, on its validation plants, do not count. What is not installed is skipped.
+Contenders are the preset of `train.py`, Stable-Baselines3 and SBX (Stable-Baselines3 in JAX) on
+`make_vec_env` with their default hyperparameters and `VecNormalize`, as their documentation
+advises, and a loop on one environment with the wrappers, network and hyperparameters of CleanRL's
+`ppo_continuous_action.py`. All learn by PPO, with direct torque, in the environment of the preset;
+evaluations, on its validation plants, do not count. What is not installed is skipped.
 """
 
 import sys
@@ -30,15 +31,18 @@ from capsule_gym.tasks.task import ENV_ID
 COMMAND = "python -m benchmarks.training"
 CONFIG = PRESETS["direct", "ppo"]
 ID, ENV_KWARGS = f"capsule_gym:{ENV_ID}", CONFIG.env_kwargs()
-# Mean speed on validation plants that ends a training, cm/s, and the processor time after which it is given up, s.
+# Mean speed on validation plants that ends a training, cm/s, and the processor time after which it
+# is given up, s.
 SPEED, MOST_SECONDS = 15.0, 300.0
-# Agent steps between evaluations; environments of Stable-Baselines3 and SBX, whose documentation advises several.
+# Agent steps between evaluations; environments of Stable-Baselines3 and SBX, whose documentation
+# advises several.
 EVERY, NUM_ENVS = 32_768, 8
 
 
 @dataclass
 class Clock:
-    """Measures the processor time of a training until its policy is fast enough, without evaluations.
+    """Measures the processor time of a training until its policy is fast enough, without
+    evaluations.
 
     Attributes:
         plants: validation plants.
@@ -57,13 +61,18 @@ class Clock:
         """Evaluates the policy if an evaluation is due; returns whether the training goes on."""
         if steps - self.steps >= EVERY:
             self.seconds += time.process_time() - self._began
-            self.steps, self.speed = steps, float(scores(evaluate(policy(), self.plants), "mean_speed").mean())
+            self.steps, self.speed = (
+                steps,
+                float(scores(evaluate(policy(), self.plants), "mean_speed").mean()),
+            )
             self._began = time.process_time()
         return self.speed < SPEED and self.seconds < MOST_SECONDS
 
 
 def train_model(library: str, seed: int, clock: Clock) -> None:
-    """Trains as `train.py`, or with the defaults of a library, Stable-Baselines3 or SBX, and `VecNormalize`."""
+    """Trains as `train.py`, or with the defaults of a library, Stable-Baselines3 or SBX, and
+    `VecNormalize`.
+    """
     from stable_baselines3.common.env_util import make_vec_env
     from stable_baselines3.common.vec_env import VecNormalize
 
@@ -85,7 +94,11 @@ def train_model(library: str, seed: int, clock: Clock) -> None:
         return model.predict(env.normalize_obs(observations), deterministic=True)[0]
 
     networks = partial(export, "agent", model, CONFIG, "none")
-    policy = partial(wrap_policy, act, name="agent", env_kwargs=ENV_KWARGS) if library == "sbx" else networks
+    policy = (
+        partial(wrap_policy, act, name="agent", env_kwargs=ENV_KWARGS)
+        if library == "sbx"
+        else networks
+    )
     steps = 10**9 if library else CONFIG.total_steps
     model.learn(steps, callback=lambda *_: clock.check(model.num_timesteps, policy))
 
@@ -96,7 +109,16 @@ def train_loop(seed: int, clock: Clock) -> None:
     from torch import nn
     from torch.distributions import Normal
 
-    steps, epochs, batch, gamma, decay, clip, total, rate = 2048, 10, 64, 0.99, 0.95, 0.2, 1_000_000, 3e-4
+    steps, epochs, batch, gamma, decay, clip, total, rate = (
+        2048,
+        10,
+        64,
+        0.99,
+        0.95,
+        0.2,
+        1_000_000,
+        3e-4,
+    )
     rng = np.random.default_rng(seed)
     torch.manual_seed(seed)
     normalised = wrappers.NormalizeObservation(wrappers.ClipAction(gym.make(ID, **ENV_KWARGS)))
@@ -107,7 +129,11 @@ def train_loop(seed: int, clock: Clock) -> None:
         return torch.as_tensor(np.clip(observation, -10.0, 10.0), dtype=torch.float32)
 
     def network(scale: float) -> nn.Sequential:
-        layers = [nn.Linear(env.observation_space.shape[0], 64), nn.Linear(64, 64), nn.Linear(64, 1)]
+        layers = [
+            nn.Linear(env.observation_space.shape[0], 64),
+            nn.Linear(64, 64),
+            nn.Linear(64, 1),
+        ]
         for layer, gain in zip(layers, (2.0**0.5, 2.0**0.5, scale), strict=True):
             nn.init.orthogonal_(layer.weight, gain)
             nn.init.zeros_(layer.bias)
@@ -120,7 +146,9 @@ def train_loop(seed: int, clock: Clock) -> None:
     @torch.no_grad()
     def act(observations: np.ndarray) -> np.ndarray:
         rms = normalised.obs_rms
-        return actor(clipped((observations - rms.mean) / np.sqrt(rms.var + normalised.epsilon))).numpy()
+        return actor(
+            clipped((observations - rms.mean) / np.sqrt(rms.var + normalised.epsilon))
+        ).numpy()
 
     policy = partial(wrap_policy, act, name="agent", env_kwargs=ENV_KWARGS)
     seen, done, step = env.reset(seed=seed)[0], 0.0, 0
@@ -146,11 +174,20 @@ def train_loop(seed: int, clock: Clock) -> None:
             error = rewards[t] + gamma * values[t + 1] * going[t + 1] - values[t]
             advantages[t] = error + gamma * decay * going[t + 1] * advantages[t + 1]
         returns = (advantages + values)[:-1]
-        for part in np.concatenate([rng.permutation(steps).reshape(-1, batch) for _ in range(epochs)]):
-            distribution, value = Normal(actor(observations[part]), log_std.exp()), critic(observations[part])[:, 0]
+        for part in np.concatenate(
+            [rng.permutation(steps).reshape(-1, batch) for _ in range(epochs)]
+        ):
+            distribution, value = (
+                Normal(actor(observations[part]), log_std.exp()),
+                critic(observations[part])[:, 0],
+            )
             ratio = (distribution.log_prob(actions[part]).sum(1) - log_probs[part]).exp()
-            advantage = (advantages[part] - advantages[part].mean()) / (advantages[part].std() + 1e-8)
-            policy_loss = -torch.min(ratio * advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * advantage).mean()
+            advantage = (advantages[part] - advantages[part].mean()) / (
+                advantages[part].std() + 1e-8
+            )
+            policy_loss = -torch.min(
+                ratio * advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * advantage
+            ).mean()
             near = values[part] + (value - values[part]).clamp(-clip, clip)
             errors = torch.max((value - returns[part]) ** 2, (near - returns[part]) ** 2)
             optimiser.zero_grad()
@@ -191,7 +228,11 @@ def main(markdown: Path | None = None, seeds: PositiveCount = 3) -> None:
             clock = Clock(validation_plants(replace(CONFIG, seed=seed)))
             train(seed, clock)
             reached = clock.speed >= SPEED
-            row.append(f"{clock.seconds:.0f}" if reached else f"> {clock.seconds:.0f} ({clock.speed:.1f} cm/s)")
+            row.append(
+                f"{clock.seconds:.0f}"
+                if reached
+                else f"> {clock.seconds:.0f} ({clock.speed:.1f} cm/s)"
+            )
             steps.append(f"{1e-3 * clock.steps:.0f}")
             print(f"{name}, seed {seed}: {row[-1]} s", file=sys.stderr, flush=True)
         rows.append([*row, ", ".join(steps)])

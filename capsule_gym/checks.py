@@ -39,15 +39,21 @@ def shortened(text: str) -> str:
     return text if len(text) <= LONGEST else f"{text[: LONGEST // 2]} .. {text[-LONGEST // 2 :]}"
 
 
-def require(fits: bool, name: str, accepted: str, value: Any, kind: type[Exception] = ValueError) -> None:
-    """Raises an error that names the argument, its value and the accepted values, unless the value fits."""
+def require(
+    fits: bool, name: str, accepted: str, value: Any, kind: type[Exception] = ValueError
+) -> None:
+    """Raises an error that names the argument, its value and the accepted values, unless the value
+    fits.
+    """
     if not fits:
         raise kind(f"{name} must be {accepted}, got {short_repr(value)}")
 
 
 @contextmanager
 def prefix_errors(name: str) -> Iterator[None]:
-    """Begins the message of a TypeError or ValueError with the argument from which its value comes."""
+    """Begins the message of a TypeError or ValueError with the argument from which its value
+    comes.
+    """
     try:
         yield
     except (TypeError, ValueError) as error:
@@ -55,25 +61,38 @@ def prefix_errors(name: str) -> Iterator[None]:
 
 
 def first_cause(error: Exception) -> str:
-    """The message of an error in one line; for an error of numba, the first cause and its line of source."""
+    """The message of an error in one line; for an error of numba, the first cause and its line of
+    source.
+    """
     text = re.sub(r"\x1b\[\d*m", "", str(error))
-    lines = [line.strip() for line in text.splitlines() if line.strip() and "pipeline (step:" not in line]
+    lines = [
+        line.strip() for line in text.splitlines() if line.strip() and "pipeline (step:" not in line
+    ]
     cause = " ".join(lines[: 2 if lines and lines[0].endswith(":") else 1])
     place = re.search(r'File "(.*)", line (\d+)', text) or re.search(r" at (\S+) \((\d+)\)", text)
     return cause + (f" ({Path(place[1]).name}, line {place[2]})" if place else "")
 
 
 def nearest(given: str, names: Iterable[str]) -> str:
-    """The end of an error message for an unknown name: the most similar known name, or an empty string."""
+    """The end of an error message for an unknown name: the most similar known name, or an empty
+    string.
+    """
     known = {name.lower().replace("_", "-"): name for name in names}
     similar = difflib.get_close_matches(given[:LONGEST].lower().replace("_", "-"), known, n=1)
     return "".join(f"; did you mean {known[name]!r}?" for name in similar)
 
 
 def check_number(
-    name: str, value: Any, accepted: str, low: float = -math.inf, high: float = math.inf, *, open_low: bool = False
+    name: str,
+    value: Any,
+    accepted: str,
+    low: float = -math.inf,
+    high: float = math.inf,
+    *,
+    open_low: bool = False,
 ) -> float:
-    """Returns `value` as a float, or raises an error that names the argument, its value and the accepted values.
+    """Returns `value` as a float, or raises an error that names the argument, its value and the
+    accepted values.
 
     Args:
         name: the argument's name.
@@ -87,18 +106,29 @@ def check_number(
         TypeError: if `value` is not a real number.
         ValueError: if it is not finite or outside the range.
     """
-    if isinstance(value, NO_NUMBERS) or not isinstance(value, (int, float, np.integer, np.floating)):
-        raise TypeError(f"{name} must be {accepted}, got {short_repr(value)} of type {type(value).__name__}")
+    if isinstance(value, NO_NUMBERS) or not isinstance(
+        value, (int, float, np.integer, np.floating)
+    ):
+        raise TypeError(
+            f"{name} must be {accepted}, got {short_repr(value)} of type {type(value).__name__}"
+        )
     try:
         number = float(value)
     except OverflowError:  # an integer beyond the largest float
         number = math.inf
-    require(math.isfinite(number) and low <= number <= high and (not open_low or number > low), name, accepted, value)
+    require(
+        math.isfinite(number) and low <= number <= high and (not open_low or number > low),
+        name,
+        accepted,
+        value,
+    )
     return number
 
 
 def check_integer(name: str, value: Any, accepted: str, low: int, high: int) -> int:
-    """Returns `value` as an int; a TypeError or ValueError names the argument, its value and the accepted values."""
+    """Returns `value` as an int; a TypeError or ValueError names the argument, its value and the
+    accepted values.
+    """
     integer = isinstance(value, (int, np.integer)) and not isinstance(value, NO_NUMBERS)
     require(integer, name, accepted, value, TypeError)
     require(low <= value <= high, name, accepted, value)
@@ -112,7 +142,9 @@ def check_count(name: str, value: Any, most: int = sys.maxsize) -> int:
 
 
 def check_name(argument: str, name: Any, kind: type, known: Iterable[str]) -> str:
-    """Returns a known name, or raises an error; an instance of `kind` would also be accepted for the argument."""
+    """Returns a known name, or raises an error; an instance of `kind` would also be accepted for
+    the argument.
+    """
     accepted = f"a {kind.__name__} or one of {sorted(known)}"
     require(isinstance(name, str), argument, accepted, name, TypeError)
     require(name in known, argument, accepted, name)
@@ -132,7 +164,9 @@ def check_flag(name: str, value: Any) -> bool:
     return bool(value)
 
 
-def check_timed(name: str, value: Any, accepted: str, keys: tuple[str, ...]) -> Iterator[tuple[str, float, Any]]:
+def check_timed(
+    name: str, value: Any, accepted: str, keys: tuple[str, ...]
+) -> Iterator[tuple[str, float, Any]]:
     """Checks a list of dicts with these keys, each with a later time "t" in s than the one before.
 
     Yields:
@@ -147,7 +181,9 @@ def check_timed(name: str, value: Any, accepted: str, keys: tuple[str, ...]) -> 
         require(set(entry) == set(keys), where, required, entry)
         t = check_number(f"{where}['t']", entry["t"], "a finite number >= 0 (s)", 0.0)
         if t <= last:
-            raise ValueError(f"{where}['t'] must be later than the one before, {last:g} s, got {t:g} s")
+            raise ValueError(
+                f"{where}['t'] must be later than the one before, {last:g} s, got {t:g} s"
+            )
         yield where, t, entry
         last = t
 
@@ -158,17 +194,23 @@ def check_pair(name: str, value: Any, accepted: str, **limits: Any) -> tuple[flo
         low, high = value
     except (TypeError, ValueError):
         raise TypeError(f"{name} must be {accepted}, got {short_repr(value)}") from None
-    low, high = (check_number(f"{name}[{n}]", end, accepted, **limits) for n, end in enumerate((low, high)))
+    low, high = (
+        check_number(f"{name}[{n}]", end, accepted, **limits) for n, end in enumerate((low, high))
+    )
     require(low <= high, name, accepted, value)
     return low, high
 
 
 def from_fields(kind: type[Kind], argument: str, values: dict[str, Any]) -> Kind:
-    """The object with these fields, which JSON contains instead of it; raises the errors of its fields."""
+    """The object with these fields, which JSON contains instead of it; raises the errors of its
+    fields.
+    """
     names = [each.name for each in fields(kind)]
     for name in values:
         if name not in names:
             similar = nearest(str(name), names)
-            raise ValueError(f"{argument} must have fields out of {names}, got {short_repr(name)}{similar}")
+            raise ValueError(
+                f"{argument} must have fields out of {names}, got {short_repr(name)}{similar}"
+            )
     with prefix_errors(argument):
         return kind(**values)

@@ -1,8 +1,10 @@
-"""Command lines from dataclasses and functions: a field or an argument is an option, its docstring the help text.
+"""Command lines from dataclasses and functions: a field or an argument is an option, its docstring
+the help text.
 
-A command is a function with the decorator `command("python -m baselines.tuning")`. One that checks or shares its
-options declares them as a frozen dataclass and calls `parse(Args, "python -m agents.evaluate", arguments)`. An option
-of type `Positional[str]` is a positional argument; an option of type `Count` accepts the form 8e6.
+A command is a function with the decorator `command("python -m baselines.tuning")`. One that checks
+or shares its options declares them as a frozen dataclass and calls `parse(Args, "python -m
+agents.evaluate", arguments)`. An option of type `Positional[str]` is a positional argument; an
+option of type `Count` accepts the form 8e6.
 """
 
 import inspect
@@ -23,11 +25,24 @@ try:
 except ImportError as error:
     # The command by its package and, in capsule_gym, by its place there.
     _package, _, _place = getattr(sys.modules["__main__"].__spec__, "name", "").partition(".")
-    _own_extra = {"export": "export", "identification": "identify"}.get(_place.partition(".")[0], "render")
-    _extra = {"agents": "train", "baselines": "paper", "benchmarks": "bench"}.get(_package, _own_extra)
+    _own_extra = {"export": "export", "identification": "identify"}.get(
+        _place.partition(".")[0], "render"
+    )
+    _extra = {"agents": "train", "baselines": "paper", "benchmarks": "bench"}.get(
+        _package, _own_extra
+    )
     raise ImportError(f'this command needs tyro: pip install "capsule-gym[{_extra}]"') from error
 
-__all__ = ["Count", "Positional", "PositiveCount", "arg", "check_output", "command", "parse", "refuse"]
+__all__ = [
+    "Count",
+    "Positional",
+    "PositiveCount",
+    "arg",
+    "check_output",
+    "command",
+    "parse",
+    "refuse",
+]
 
 T = TypeVar("T")
 # No option --no-fast in addition to --fast.
@@ -46,19 +61,31 @@ def _integer(least: int) -> Any:
             raise ValueError(f"must be an integer >= {least}, got {words[0]!r}")
         return int(value)
 
-    back: Any = {"is_instance": lambda value: isinstance(value, int), "str_from_instance": lambda value: [str(value)]}
-    return tyro.constructors.PrimitiveConstructorSpec(nargs=1, metavar="N", instance_from_str=read, **back)
+    back: Any = {
+        "is_instance": lambda value: isinstance(value, int),
+        "str_from_instance": lambda value: [str(value)],
+    }
+    return tyro.constructors.PrimitiveConstructorSpec(
+        nargs=1, metavar="N", instance_from_str=read, **back
+    )
 
 
 Count = Annotated[int, _integer(0)]
 PositiveCount = Annotated[int, _integer(1)]
 
 
-def parse(kind: Callable[..., T], prog: str, arguments: Sequence[str] | None = None, *, default: T | None = None) -> T:
+def parse(
+    kind: Callable[..., T],
+    prog: str,
+    arguments: Sequence[str] | None = None,
+    *,
+    default: T | None = None,
+) -> T:
     """Reads a command line.
 
     Args:
-        kind: a dataclass, or a function that is called; its docstring, up to its arguments, is the description.
+        kind: a dataclass, or a function that is called; its docstring, up to its arguments, is the
+            description.
         prog: the command as the user types it.
         arguments: the words after the command; None takes them from `sys.argv`.
         default: defaults other than the fields' own.
@@ -71,14 +98,20 @@ def parse(kind: Callable[..., T], prog: str, arguments: Sequence[str] | None = N
         sys.stdout.reconfigure(errors="backslashreplace")
     defaults: dict[str, Any] = {} if default is None else {"default": default}
     description = (inspect.getdoc(kind) or "").partition("\n\nArgs:")[0]
-    return tyro.cli(kind, prog=prog, args=arguments, description=description, config=NO_NEGATIONS, **defaults)
+    return tyro.cli(
+        kind, prog=prog, args=arguments, description=description, config=NO_NEGATIONS, **defaults
+    )
 
 
-def command(prog: str, *errors: type[Exception]) -> Callable[[Callable[..., int | None]], Callable[..., int]]:
-    """Makes a function the `main` of a command: it takes the words after the command, and returns the exit status.
+def command(
+    prog: str, *errors: type[Exception]
+) -> Callable[[Callable[..., int | None]], Callable[..., int]]:
+    """Makes a function the `main` of a command: it takes the words after the command, and returns
+    the exit status.
 
-    The arguments of the function are the options, its docstring is the help. The status is 0 where it returns None. An
-    exception out of `errors` is an error of the command line, and an interrupt ends the command without a traceback.
+    The arguments of the function are the options, its docstring is the help. The status is 0 where
+    it returns None. An exception out of `errors` is an error of the command line, and an interrupt
+    ends the command without a traceback.
     """
 
     def decorate(function: Callable[..., int | None]) -> Callable[..., int]:
@@ -96,13 +129,19 @@ def command(prog: str, *errors: type[Exception]) -> Callable[[Callable[..., int 
 
 
 def refuse(prog: str, message: str) -> NoReturn:
-    """Ends the command with status 2 and a message that names the option, its value and the accepted values."""
+    """Ends the command with status 2 and a message that names the option, its value and the
+    accepted values.
+    """
     print(f"{prog}: error: {message}", file=sys.stderr)
     raise SystemExit(2)
 
 
-def check_output(option: str, path: Path | None, suffixes: Sequence[str] = (), *, overwrite: bool = False) -> None:
-    """Raises a ValueError, before the computation, if the output file cannot be written; None is accepted."""
+def check_output(
+    option: str, path: Path | None, suffixes: Sequence[str] = (), *, overwrite: bool = False
+) -> None:
+    """Raises a ValueError, before the computation, if the output file cannot be written; None is
+    accepted.
+    """
     if path is None:
         return
     # Unlike the methods of Path, these functions accept names that no file can have.
@@ -111,4 +150,6 @@ def check_output(option: str, path: Path | None, suffixes: Sequence[str] = (), *
     accepted = f"the name of a file {' or '.join(suffixes)}"
     require(not suffixes or path.suffix in suffixes, option, accepted, str(path))
     if os.path.exists(path) and not overwrite:
-        raise ValueError(f"{option} must name a new file unless --overwrite is given, got {str(path)!r}")
+        raise ValueError(
+            f"{option} must name a new file unless --overwrite is given, got {str(path)!r}"
+        )

@@ -14,14 +14,26 @@ from gymnasium.error import DependencyNotInstalled
 from capsule_gym.checks import check_number, nearest, require, short_repr
 from capsule_gym.command_line import Count, Positional, arg, check_output, command
 from capsule_gym.envs.env import CapsuleEnv, shown_state
-from capsule_gym.evaluation.sets import FURTHER_SET_NAMES, SET_NAMES, TASK_SET_NAMES, EvaluationSet, PlantSpec, load_set
+from capsule_gym.evaluation.sets import (
+    FURTHER_SET_NAMES,
+    SET_NAMES,
+    TASK_SET_NAMES,
+    EvaluationSet,
+    PlantSpec,
+    load_set,
+)
 from capsule_gym.policies.policy import Policy, load_policy, policy_names, pretrained
 from capsule_gym.policies.scripted import find_scripted, scripted_names
 from capsule_gym.rendering import FRAME_SECONDS, Renderer, write_gif
 from capsule_gym.tasks.task import HORIZON, Termination
 
 PROG = "python -m capsule_gym.demo"
-TERMINATIONS = "the time is up", "the ball met the platform", "the capsule left the floor", "the motion was lost"
+TERMINATIONS = (
+    "the time is up",
+    "the ball met the platform",
+    "the capsule left the floor",
+    "the motion was lost",
+)
 # The action of a held key: 1.0 would end the episode in a third of a second.
 STRENGTH = 0.4
 
@@ -42,7 +54,8 @@ NAMES = [*scripted_names(), KEYBOARD.name, *policy_names()]
 
 
 def find_policy(name_or_path: str) -> Any:
-    """Finds a scripted or trained policy, one of its runs ("residual-ppo/seed-2"), or a policy file or run by its path.
+    """Finds a scripted or trained policy, one of its runs ("residual-ppo/seed-2"), or a policy file
+    or run by its path.
 
     Raises:
         ValueError: if there is no such policy, or its file is broken.
@@ -63,7 +76,8 @@ class Episode:
     """An episode of one policy.
 
     Args:
-        policy: an object with the attributes `name`, `env_kwargs` and `start` of `capsule_gym.Policy`.
+        policy: an object with the attributes `name`, `env_kwargs` and `start` of
+            `capsule_gym.Policy`.
         found: the evaluation set, which determines the arguments of the environment.
         plant: M, mu and the start.
 
@@ -163,16 +177,27 @@ def main(
         seconds: Length of the shown part of the episode, s.
         speed: Shown seconds of the episode per second, from 0.1 to 20.
     """
-    check_number("--seconds", seconds, f"above 0 and at most {HORIZON:g} s", 0.0, HORIZON, open_low=True)
+    check_number(
+        "--seconds", seconds, f"above 0 and at most {HORIZON:g} s", 0.0, HORIZON, open_low=True
+    )
     check_number("--speed", speed, "a number from 0.1 to 20", 0.1, 20.0)
     check_output("--output", output, overwrite=overwrite)
-    require(output is None or output.suffix.lower() == ".gif", "--output", "the name of a GIF", str(output))
+    require(
+        output is None or output.suffix.lower() == ".gif",
+        "--output",
+        "the name of a GIF",
+        str(output),
+    )
     if output is not None and KEYBOARD.name in (policy, rival):
-        raise ValueError(f"a policy must not be {KEYBOARD.name!r} with --output, which opens no window")
+        raise ValueError(
+            f"a policy must not be {KEYBOARD.name!r} with --output, which opens no window"
+        )
     chosen = load_set(found)
     plants = {plant.seed: plant for plant in chosen.plants}
     require(seed in plants, "--seed", f"one of the set's, {min(plants)} to {max(plants)}", seed)
-    given: dict[str, Any] = {name: value for name, value in (("M", M), ("mu", mu)) if value is not None}
+    given: dict[str, Any] = {
+        name: value for name, value in (("M", M), ("mu", mu)) if value is not None
+    }
     plant = replace(plants[seed], **({**given, "changes": ()} if given else {}))
     episode = Episode(find_policy(policy), chosen, plant)
     outline = None if rival is None else Episode(find_policy(rival), chosen, plant)

@@ -23,11 +23,14 @@ def add_name_to_errors(path: Path) -> Iterator[None]:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yields the path of a temporary file next to `path`, with the same suffix, which replaces `path` at the end.
+    """Yields the path of a temporary file next to `path`, with the same suffix, which replaces
+    `path` at the end.
 
-    Readers never see a partial file. After an error in the block, or a power failure, the previous file remains.
+    Readers never see a partial file. After an error in the block, or a power failure, the previous
+    file remains.
     """
-    # Random, since processes on two machines, and threads, may write the same file. Names have at most 255 bytes.
+    # Random, since processes on two machines, and threads, may write the same file. Names have at
+    # most 255 bytes.
     temporary = path.with_name(f".{path.stem[:20]}.{secrets.token_hex(8)}.tmp{path.suffix[:20]}")
     try:
         with add_name_to_errors(path):
@@ -65,13 +68,18 @@ def to_json(value: Any) -> str:
      "cost": null
     }
     """
-    return json.dumps(json.loads(json.dumps(value), parse_constant=lambda name: None), indent=1) + "\n"
+    return (
+        json.dumps(json.loads(json.dumps(value), parse_constant=lambda name: None), indent=1) + "\n"
+    )
 
 
 def canonical_hash(value: Any) -> str:
-    """The sha256 of the value as JSON with sorted keys and no white space: layout and key order do not matter.
+    """The sha256 of the value as JSON with sorted keys and no white space: layout and key order do
+    not matter.
 
     >>> canonical_hash({"M": 0.5, "mu": 0.01}) == canonical_hash({"mu": 0.01, "M": 0.5})
     True
     """
-    return hashlib.sha256(json.dumps(value, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+    return hashlib.sha256(
+        json.dumps(value, sort_keys=True, separators=(",", ":")).encode()
+    ).hexdigest()

@@ -1,4 +1,6 @@
-"""Hooks of mkdocs: pages of the notebooks, links to the live page, and words without line breaks."""
+"""Hooks of mkdocs: pages of the notebooks, links to the live page, and words without line
+breaks.
+"""
 
 import base64
 import html
@@ -49,7 +51,8 @@ def drivers() -> frozenset[str]:
 
 
 def on_files(files: Any, config: Any) -> Any:
-    """Adds CONTRIBUTING.md and the notebooks, and moves the page about the live page out of the live page's folder.
+    """Adds CONTRIBUTING.md and the notebooks, and moves the page about the live page out of the
+    live page's folder.
 
     Raises:
         PluginError: if another file would be written into that folder.
@@ -82,7 +85,11 @@ def notebook_files(path: Path, repository: str) -> dict[str, str | bytes]:
         source = "".join(cell["source"])
         if cell["cell_type"] == "markdown":
             # The page lies one folder below the others.
-            parts.append(source.replace("](../docs/", "](../").replace("](../LEADERBOARD.md", "](../leaderboard.md"))
+            parts.append(
+                source.replace("](../docs/", "](../").replace(
+                    "](../LEADERBOARD.md", "](../leaderboard.md"
+                )
+            )
             continue
         parts.append(f"```python\n{source}\n```")
         for output in cell["outputs"]:
@@ -94,7 +101,11 @@ def notebook_files(path: Path, repository: str) -> dict[str, str | bytes]:
             else:
                 text = "".join(output.get("text", data.get("text/plain", ""))).rstrip()
                 # A notebook stores what a cell prints in pieces.
-                before = parts.pop().removesuffix("```") if parts[-1].startswith("```text") else "```text\n"
+                before = (
+                    parts.pop().removesuffix("```")
+                    if parts[-1].startswith("```text")
+                    else "```text\n"
+                )
                 parts.append(f"{before}{text}\n```")
     owner = repository.partition("github.com/")[2].strip("/")
     if owner:
@@ -120,8 +131,12 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
 
 
 def on_page_content(content: str, page: Any, **_: Any) -> str:
-    """Links figures to their files and the policies of rankings to the live page, and keeps short words whole."""
-    content = FIGURE.sub(lambda match: f'<a href="{match["file"]}" title="Open the figure">{match[0]}</a>', content)
+    """Links figures to their files and the policies of rankings to the live page, and keeps short
+    words whole.
+    """
+    content = FIGURE.sub(
+        lambda match: f'<a href="{match["file"]}" title="Open the figure">{match[0]}</a>', content
+    )
     content = INLINE_CODE.sub(lambda code: re.sub(r"\S+", _whole, code[0]), content)
     content = TABLE.sub(lambda table: EXPONENTIAL.sub(_whole, table[0]), content)
     if page.file.src_uri not in RANKINGS:
@@ -136,7 +151,9 @@ def _whole(word: re.Match[str]) -> str:
 
 
 def _watched(page: Any, table: str) -> str:
-    """Links policies, in the first column of a ranking, to the live page, next to the paper's controller."""
+    """Links policies, in the first column of a ranking, to the live page, next to the paper's
+    controller.
+    """
 
     def watch(cell: re.Match[str]) -> str:
         words, rival = f"Watch {cell[0]}", {} if cell[0] == BASELINE else {"rival": BASELINE}
@@ -157,7 +174,11 @@ def _link(page: Any, scene: str, text: str, attributes: dict[str, str]) -> str:
     given = parse_qs(scene)
     strangers = {*given["driver"], *given.get("rival", [])} - drivers()
     if strangers:
-        raise PluginError(f"{page.file.src_uri} links to drivers that the live page lacks: {', '.join(strangers)}")
+        raise PluginError(
+            f"{page.file.src_uri} links to drivers that the live page lacks: {', '.join(strangers)}"
+        )
     address = f"{get_relative_url(LIVE + 'index.html', page.url)}#{scene}"
-    written = (f'{name}="{html.escape(value)}"' for name, value in {**attributes, "href": address}.items())
+    written = (
+        f'{name}="{html.escape(value)}"' for name, value in {**attributes, "href": address}.items()
+    )
     return f"<a {' '.join(written)}>{text}</a>"

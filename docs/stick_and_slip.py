@@ -1,4 +1,6 @@
-"""Draws media/stick_and_slip.gif, the paper's controller above an agent: `python docs/stick_and_slip.py`."""
+"""Draws media/stick_and_slip.gif, the paper's controller above an agent: `python
+docs/stick_and_slip.py`.
+"""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,11 +18,19 @@ TITLES = {"adaptive": "the paper's controller", "residual-ppo": "a trained agent
 
 
 def frames() -> Iterator[np.ndarray]:
-    """The frames of both episodes on one plant, one above the other, during the second cycle of the controller."""
+    """The frames of both episodes on one plant, one above the other, during the second cycle of the
+    controller.
+    """
     nominal = load_set("nominal")
     episodes = [Episode(find_policy(name), nominal, nominal.plants[0]) for name in TITLES]
     renderers = [
-        Renderer(episode.env.simulation.capsule, "rgb_array", 1.0 / FRAME_SECONDS, 1.5, TITLES[episode.policy.name])
+        Renderer(
+            episode.env.simulation.capsule,
+            "rgb_array",
+            1.0 / FRAME_SECONDS,
+            1.5,
+            TITLES[episode.policy.name],
+        )
         for episode in episodes
     ]
     for n in range(round(PERIOD / FRAME_SECONDS)):
@@ -32,4 +42,6 @@ def frames() -> Iterator[np.ndarray]:
 
 
 if __name__ == "__main__":
-    write_gif(frames(), Path(__file__).parent / "media" / "stick_and_slip.gif", FRAME_SECONDS, width=500)
+    write_gif(
+        frames(), Path(__file__).parent / "media" / "stick_and_slip.gif", FRAME_SECONDS, width=500
+    )

@@ -1,1 +1,3 @@
-"""One short program for each library that the page "Works with" names; every program runs on its own."""
+"""One short program for each library that the page "Works with" names; every program runs on its
+own.
+"""

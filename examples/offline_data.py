@@ -28,7 +28,9 @@ def actor(quality: str) -> Act:
     """A policy for a batch: maps observations of shape (n, entries) to actions of shape (n, 1)."""
     rng = np.random.default_rng(0)
     if quality == "random":
-        return lambda observations: rng.uniform(-1.0, 1.0, (len(observations), 1)).astype(np.float32)
+        return lambda observations: rng.uniform(-1.0, 1.0, (len(observations), 1)).astype(
+            np.float32
+        )
     name, noise = {"medium": ("efficient", 0.3), "expert": ("direct-ppo", 0.0)}[quality]
     policy = capsule_gym.load_policy(name)
 
@@ -82,7 +84,9 @@ def write_dataset(quality: str, steps: float) -> None:
         requirements=["capsule-gym"],
     )
     score = np.mean([buffer.rewards.sum() for buffer in buffers])
-    print(f"{quality}: {dataset.total_episodes} episodes, {dataset.total_steps} steps, mean return {score:.1f} cm")
+    print(
+        f"{quality}: {dataset.total_episodes} episodes, {dataset.total_steps} steps, mean return {score:.1f} cm"
+    )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,5 @@
-"""d3rlpy: behaviour cloning and IQL on the data of offline_data.py, evaluated on the frozen set `paper`.
+"""d3rlpy: behaviour cloning and IQL on the data of offline_data.py, evaluated on the frozen set
+`paper`.
 
 MINARI_DATASETS_PATH=runs/data python examples/offline_rl.py --quality mixed
 """
@@ -19,8 +20,8 @@ parser.add_argument("--steps", type=int, default=5000, help="of each algorithm")
 args = parser.parse_args()
 
 episodes = list(minari.load_dataset(f"capsule/{args.quality}-v0"))
-# d3rlpy's own `get_minari` keeps each episode's last observation, which no action follows, and so pairs the actions of
-# later episodes with earlier observations.
+# d3rlpy's own `get_minari` keeps each episode's last observation, which no action follows, and so
+# pairs the actions of later episodes with earlier observations.
 dataset = d3rlpy.dataset.MDPDataset(
     observations=np.concatenate([episode.observations[:-1] for episode in episodes]),
     actions=np.concatenate([episode.actions for episode in episodes]),
@@ -30,9 +31,14 @@ dataset = d3rlpy.dataset.MDPDataset(
 )
 for config in (BCConfig, IQLConfig):
     algorithm = config(observation_scaler=StandardObservationScaler()).create()
-    algorithm.fit(dataset, args.steps, args.steps, logger_adapter=d3rlpy.logging.NoopAdapterFactory())
+    algorithm.fit(
+        dataset, args.steps, args.steps, logger_adapter=d3rlpy.logging.NoopAdapterFactory()
+    )
     evaluated = capsule_gym.evaluate(algorithm.predict, "paper")
-    speed, failed = (np.mean([episode[name] for episode in evaluated]) for name in ("mean_speed", "failed"))
+    speed, failed = (
+        np.mean([episode[name] for episode in evaluated]) for name in ("mean_speed", "failed")
+    )
     print(
-        f"{args.quality}, {config.__name__.removesuffix('Config')}: {speed:.1f} cm/s, {failed:.0%} failed", flush=True
+        f"{args.quality}, {config.__name__.removesuffix('Config')}: {speed:.1f} cm/s, {failed:.0%} failed",
+        flush=True,
     )

@@ -1,4 +1,5 @@
-"""Optuna: searches hyperparameters of Stable-Baselines3's PPO on the native batch, and prunes slow trials.
+"""Optuna: searches hyperparameters of Stable-Baselines3's PPO on the native batch, and prunes slow
+trials.
 
 With --storage the same command continues a search, also in several terminals at once.
 """
@@ -32,7 +33,16 @@ def objective(trial: optuna.Trial) -> float:
     }
     env = VecNormalize(CapsuleSB3VecEnv(128, SEED, initial_range=(1.047, 8.0)), gamma=gamma)
     validation = VecNormalize(CapsuleSB3VecEnv(64, VALIDATION_SEED), training=False)
-    model = PPO("MlpPolicy", env, n_steps=64, batch_size=2048, gamma=gamma, seed=SEED, device="cpu", **searched)
+    model = PPO(
+        "MlpPolicy",
+        env,
+        n_steps=64,
+        batch_size=2048,
+        gamma=gamma,
+        seed=SEED,
+        device="cpu",
+        **searched,
+    )
     for part in range(8):
         model.learn(args.steps // 8, reset_num_timesteps=False)
         sync_envs_normalization(env, validation)
@@ -43,6 +53,10 @@ def objective(trial: optuna.Trial) -> float:
     return score
 
 
-study = optuna.create_study(storage=args.storage, study_name="ppo", direction="maximize", load_if_exists=True)
+study = optuna.create_study(
+    storage=args.storage, study_name="ppo", direction="maximize", load_if_exists=True
+)
 study.optimize(objective, n_trials=args.trials)
-print(f"best of {len(study.trials)} trials: a return of {study.best_value:.1f} cm with {study.best_params}")
+print(
+    f"best of {len(study.trials)} trials: a return of {study.best_value:.1f} cm with {study.best_params}"
+)

@@ -1,4 +1,6 @@
-"""Unmodified Stable-Baselines3: PPO with its default hyperparameters on one environment, and its learning curve."""
+"""Unmodified Stable-Baselines3: PPO with its default hyperparameters on one environment, and its
+learning curve.
+"""
 
 import argparse
 from typing import Any
@@ -19,7 +21,9 @@ TASKS: dict[str, dict[str, Any]] = {
 
 
 class LearningCurve(BaseCallback):
-    """Evaluates the deterministic policy on 16 plants, and prints steps, cm/s and the share of failures."""
+    """Evaluates the deterministic policy on 16 plants, and prints steps, cm/s and the share of
+    failures.
+    """
 
     def __init__(self, task: str, every: int) -> None:
         super().__init__()
@@ -30,8 +34,13 @@ class LearningCurve(BaseCallback):
     def _on_step(self) -> bool:
         if self.num_timesteps % self.every == 0:
             episodes = evaluate(self.model, self.plants, env_kwargs=TASKS[self.task])
-            speed, failed = (np.mean([episode[name] for episode in episodes]) for name in ("mean_speed", "failed"))
-            print(f"{self.num_timesteps:,} steps: {speed:.2f} cm/s, {failed:.0%} failed", flush=True)
+            speed, failed = (
+                np.mean([episode[name] for episode in episodes])
+                for name in ("mean_speed", "failed")
+            )
+            print(
+                f"{self.num_timesteps:,} steps: {speed:.2f} cm/s, {failed:.0%} failed", flush=True
+            )
         return True
 
 

@@ -12,10 +12,13 @@ algorithm = (
     PPOConfig()
     # The prefix makes the workers import the package, which registers the environment.
     .environment("capsule_gym:CapsuleStickSlip-v0", env_config={"randomization": "paper"})
-    # Without gym_env_vectorize_mode, RLlib creates 8 environments and steps them one by one, with the same results.
+    # Without gym_env_vectorize_mode, RLlib creates 8 environments and steps them one by one, with
+    # the same results.
     .env_runners(num_envs_per_env_runner=8, gym_env_vectorize_mode="vector_entry_point")
     .build_algo()
 )
 for _ in range(args.iterations):
     result = algorithm.train()["env_runners"]
-    print(f"{result['num_env_steps_sampled_lifetime']:.0f} steps, mean return {result['episode_return_mean']:.2f} cm")
+    print(
+        f"{result['num_env_steps_sampled_lifetime']:.0f} steps, mean return {result['episode_return_mean']:.2f} cm"
+    )

@@ -16,13 +16,15 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepR
 
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 
-# Long control intervals: rewards act on earlier actions after fewer updates. Episodes of 4 s, evaluated for 15 s.
+# Long control intervals: rewards act on earlier actions after fewer updates. Episodes of 4 s,
+# evaluated for 15 s.
 ENVS, DT = 64, 0.04
 STEPS, EVALUATED_STEPS = round(4.0 / DT), round(15.0 / DT)
 OPTIONS: dict[str, Any] = {"task": "goal", "goal_env": True, "control_dt": DT}
 # Standard deviation of the noise on the actions, and the time over which it is correlated, s.
 NOISE, NOISE_TIME = 0.25, 0.25
-# Factors of theta, theta_dot, x_dot, stick and the last action, and whether a mirror changes their signs.
+# Factors of theta, theta_dot, x_dot, stick and the last action, and whether a mirror changes their
+# signs.
 FACTORS, ODD = [2.0, 0.25, 6.0, 1.0, 1.0], [1, 1, 1, 0, 1]
 
 
@@ -31,7 +33,10 @@ class GoalsAhead(VecEnvWrapper):
 
     def mirror(self, observations: Any, signs: np.ndarray) -> dict[str, np.ndarray]:
         """The observations seen in a mirror where the sign is -1."""
-        return {name: part * signs ** (ODD if name == "observation" else 1) for name, part in observations.items()}
+        return {
+            name: part * signs ** (ODD if name == "observation" else 1)
+            for name, part in observations.items()
+        }
 
     def begin(self, observations: Any) -> dict[str, np.ndarray]:
         """Mirrors observations, with the signs of their goals from now on."""
@@ -50,7 +55,9 @@ class GoalsAhead(VecEnvWrapper):
         """Steps."""
         observations, rewards, dones, infos = self.venv.step_wait()
         for i in np.flatnonzero(dones):
-            infos[i]["terminal_observation"] = self.mirror(infos[i]["terminal_observation"], self.signs[i])
+            infos[i]["terminal_observation"] = self.mirror(
+                infos[i]["terminal_observation"], self.signs[i]
+            )
         return self.begin(observations), rewards, dones, infos
 
 
@@ -68,11 +75,15 @@ class Features(BaseFeaturesExtractor):
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Features of shape (n, entries)."""
         error = (observations["desired_goal"] - observations["achieved_goal"])[:, :1]
-        return torch.cat([observations["observation"] * self.factors, torch.tanh(error / self.scales)], dim=1)
+        return torch.cat(
+            [observations["observation"] * self.factors, torch.tanh(error / self.scales)], dim=1
+        )
 
 
 def evaluate(model: TQC) -> str:
-    """The distances from the goal at the end of 64 episodes without exploration, and the share of failures."""
+    """The distances from the goal at the end of 64 episodes without exploration, and the share of
+    failures.
+    """
     # These seeds are far from those of training.
     env = GoalsAhead(CapsuleSB3VecEnv(64, 1_000_000, max_episode_steps=EVALUATED_STEPS, **OPTIONS))
     observations: Any = env.reset()
@@ -95,17 +106,26 @@ if __name__ == "__main__":
     args = parser.parse_args()
 
     # Short episodes from many angles and rates contain the fast swings that move the platform.
-    batch = CapsuleSB3VecEnv(ENVS, args.seed, initial_range=(1.047, 8.0), max_episode_steps=STEPS, **OPTIONS)
+    batch = CapsuleSB3VecEnv(
+        ENVS, args.seed, initial_range=(1.047, 8.0), max_episode_steps=STEPS, **OPTIONS
+    )
     sigma = np.full(1, NOISE * math.sqrt(2.0 / NOISE_TIME))
     model = TQC(
         "MultiInputPolicy",
         GoalsAhead(batch),
         replay_buffer_class=HerReplayBuffer,
-        # The terms of the reward for energy and termination do not depend on the goal; they are in the infos.
+        # The terms of the reward for energy and termination do not depend on the goal; they are in
+        # the infos.
         replay_buffer_kwargs={"copy_info_dict": True},
-        policy_kwargs={"net_arch": [64, 64], "n_quantiles": 10, "features_extractor_class": Features},
+        policy_kwargs={
+            "net_arch": [64, 64],
+            "n_quantiles": 10,
+            "features_extractor_class": Features,
+        },
         top_quantiles_to_drop_per_net=1,
-        action_noise=OrnsteinUhlenbeckActionNoise(np.zeros(1), sigma, theta=1.0 / NOISE_TIME, dt=DT),
+        action_noise=OrnsteinUhlenbeckActionNoise(
+            np.zeros(1), sigma, theta=1.0 / NOISE_TIME, dt=DT
+        ),
         buffer_size=200_000,
         # Hindsight needs whole episodes.
         learning_starts=ENVS * (STEPS + 1),

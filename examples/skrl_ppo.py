@@ -18,15 +18,20 @@ LAYERS = [{"name": "net", "input": "OBSERVATIONS", "layers": [64, 64], "activati
 class TimeLimitPPO(PPO):
     """Takes the value of an episode's last observation where the time limit truncates it.
 
-    With SAME_STEP, a step returns the first observation of the next episode, whose value skrl would take.
+    With SAME_STEP, a step returns the first observation of the next episode, whose value skrl would
+    take.
     """
 
-    def record_transition(self, *, next_observations: torch.Tensor, infos: dict[str, Any], **transition: Any) -> None:
+    def record_transition(
+        self, *, next_observations: torch.Tensor, infos: dict[str, Any], **transition: Any
+    ) -> None:
         """Records the last observations of the episodes that end."""
         if "final_obs" in infos:
             ended = np.flatnonzero(infos["_final_obs"])
             next_observations = next_observations.clone()
-            next_observations[ended] = torch.as_tensor(np.stack(infos["final_obs"][ended])).to(next_observations)
+            next_observations[ended] = torch.as_tensor(np.stack(infos["final_obs"][ended])).to(
+                next_observations
+            )
         super().record_transition(next_observations=next_observations, infos=infos, **transition)
 
 
@@ -35,8 +40,14 @@ if __name__ == "__main__":
     parser.add_argument("--steps", type=int, default=20_000, help="of each environment")
     args = parser.parse_args()
 
-    env = wrap_env(gym.make_vec("capsule_gym:CapsuleStickSlip-v0", num_envs=64, autoreset_mode="SAME_STEP"))
-    spaces = {"observation_space": env.observation_space, "action_space": env.action_space, "device": env.device}
+    env = wrap_env(
+        gym.make_vec("capsule_gym:CapsuleStickSlip-v0", num_envs=64, autoreset_mode="SAME_STEP")
+    )
+    spaces = {
+        "observation_space": env.observation_space,
+        "action_space": env.action_space,
+        "device": env.device,
+    }
     models = {
         "policy": gaussian_model(**spaces, network=LAYERS, output="ACTIONS"),
         "value": deterministic_model(**spaces, network=LAYERS, output="ONE"),
@@ -44,4 +55,6 @@ if __name__ == "__main__":
     cfg = PPO_CFG(time_limit_bootstrap=True)
     memory = RandomMemory(memory_size=cfg.rollouts, num_envs=env.num_envs, device=env.device)
     agent = TimeLimitPPO(models=models, memory=memory, cfg=cfg, **spaces)
-    SequentialTrainer(env=env, agents=agent, cfg={"timesteps": args.steps, "headless": True}).train()
+    SequentialTrainer(
+        env=env, agents=agent, cfg={"timesteps": args.steps, "headless": True}
+    ).train()

@@ -13,6 +13,8 @@ args = parser.parse_args()
 experiment = PPOExperimentBuilder(
     EnvFactoryRegistered(task="capsule_gym:CapsuleStickSlip-v0", venv_type=VectorEnvType.DUMMY),
     ExperimentConfig(watch=False, persistence_enabled=False),
-    OnPolicyTrainingConfig(max_epochs=10, epoch_num_steps=args.steps, num_training_envs=8, num_test_envs=4),
+    OnPolicyTrainingConfig(
+        max_epochs=10, epoch_num_steps=args.steps, num_training_envs=8, num_test_envs=4
+    ),
 ).build()
 print(experiment.run().trainer_result)

@@ -1,8 +1,8 @@
 """Adds a made-up one of each kind to a copy of the sources: `python -m tests.additions`.
 
-CONTRIBUTING.md says where a metric, a disturbance, a constant of the plant, an entry of the observation, a control law
-in C++ and a task are added. This command adds one of each, counts the files, installs the copy, and looks for all six
-in Python and in WebAssembly.
+CONTRIBUTING.md says where a metric, a disturbance, a constant of the plant, an entry of the
+observation, a control law in C++ and a task are added. This command adds one of each, counts the
+files, installs the copy, and looks for all six in Python and in WebAssembly.
 """
 
 import subprocess
@@ -41,7 +41,9 @@ ADDITIONS: dict[str, tuple[int, list[Change]]] = {
     "disturbance": (
         2,
         [
-            Change(f"{CORE}/step/disturbances.hpp", "FIELD(torque_resolution) ", "FIELD(made_up_gain) "),
+            Change(
+                f"{CORE}/step/disturbances.hpp", "FIELD(torque_resolution) ", "FIELD(made_up_gain) "
+            ),
             Change(
                 f"{CORE}/step/disturbances.hpp",
                 "  return motor + share * (rounded(command, d.torque_resolution) - motor)",
@@ -57,8 +59,12 @@ ADDITIONS: dict[str, tuple[int, list[Change]]] = {
     "constant": (
         3,
         [
-            Change(f"{CORE}/physics/plant.hpp", "FIELD(stribeck_excess) ", "FIELD(made_up_constant) "),
-            Change(f"{CORE}/physics/plant.hpp", "FIELD(stribeck_speed) ", "FIELD(made_up_constant) "),
+            Change(
+                f"{CORE}/physics/plant.hpp", "FIELD(stribeck_excess) ", "FIELD(made_up_constant) "
+            ),
+            Change(
+                f"{CORE}/physics/plant.hpp", "FIELD(stribeck_speed) ", "FIELD(made_up_constant) "
+            ),
             Change(
                 f"{CORE}/physics/plant.hpp",
                 "  p.downhill = given.g * sin",
@@ -69,7 +75,11 @@ ADDITIONS: dict[str, tuple[int, list[Change]]] = {
                 "  return given.viscous != 0.0",
                 " || given.made_up_constant != 0.0",
             ),
-            Change("capsule_gym/parameters/capsule.py", "    viscous: float\n", "    made_up_constant: float\n"),
+            Change(
+                "capsule_gym/parameters/capsule.py",
+                "    viscous: float\n",
+                "    made_up_constant: float\n",
+            ),
             Change(
                 "capsule_gym/parameters/capsule.py",
                 "    slope: float = 0.0\n",
@@ -254,7 +264,9 @@ def add_all(folder: Path) -> None:
             text = path.read_text(encoding="utf-8") if path.exists() else ""
             if change.behind not in text:
                 raise ValueError(f"{change.path} must contain {change.behind!r}")
-            path.write_text(text.replace(change.behind, change.behind + change.text, 1), encoding="utf-8")
+            path.write_text(
+                text.replace(change.behind, change.behind + change.text, 1), encoding="utf-8"
+            )
 
 
 def run(*words: str | Path, cwd: Path) -> None:
@@ -264,7 +276,8 @@ def run(*words: str | Path, cwd: Path) -> None:
 
 @command("python -m tests.additions", ValueError, subprocess.CalledProcessError)
 def main() -> None:
-    """Adds a made-up metric, disturbance, constant, entry, law and task, and looks for them in Python and WebAssembly.
+    """Adds a made-up metric, disturbance, constant, entry, law and task, and looks for them in
+    Python and WebAssembly.
 
     Examples:
       python -m tests.additions

@@ -1,7 +1,9 @@
-"""The bits of whole episodes: `python -m tests.bits` compares them with committed hashes, `--write` writes new ones.
+"""The bits of whole episodes: `python -m tests.bits` compares them with committed hashes, `--write`
+writes new ones.
 
-`bits.json` has hashes of all observations, rewards and states of a batch over a whole episode, and of its metrics: for
-the plant under random torques, for every law of `baselines` under random residuals, and for every other policy.
+`bits.json` has hashes of all observations, rewards and states of a batch over a whole episode, and
+of its metrics: for the plant under random torques, for every law of `baselines` under random
+residuals, and for every other policy.
 """
 
 import hashlib
@@ -36,7 +38,8 @@ Act = Callable[[np.ndarray], np.ndarray]
 
 
 class Subject(NamedTuple):
-    """A case with a hash: its key in the file, the environment, and the start of a batch of episodes by their seeds."""
+    """A case with a hash: its key in the file, the environment, and the start of a batch of
+    episodes by their seeds."""
 
     name: str
     env_kwargs: dict[str, Any]
@@ -67,9 +70,19 @@ def subjects():
     yield Subject("plant", {**wide, "observe_parameters": True}, random_actions(0.15))
     total = {**wide, "controller": "baselines:gait", "total_torque": True, "residual_limit": 0.5}
     yield Subject("plant under a total torque", total, random_actions(0.15))
-    yield Subject("plant anisotropic", {**wide, "capsule": capsule, "initial_noise": 0.1}, random_actions(0.15))
-    rough = Capsule(static_ratio=1.3, stribeck_speed=0.1, viscous=0.2, slope=-0.02, motor_friction=0.1)
-    yield Subject("plant beyond Coulomb", {**wide, "capsule": rough, "initial_noise": 0.1}, random_actions(0.15))
+    yield Subject(
+        "plant anisotropic",
+        {**wide, "capsule": capsule, "initial_noise": 0.1},
+        random_actions(0.15),
+    )
+    rough = Capsule(
+        static_ratio=1.3, stribeck_speed=0.1, viscous=0.2, slope=-0.02, motor_friction=0.1
+    )
+    yield Subject(
+        "plant beyond Coulomb",
+        {**wide, "capsule": rough, "initial_noise": 0.1},
+        random_actions(0.15),
+    )
     real = Disturbances.named("real")
     shaken = replace(real, push=(0.0, 0.5), theta_resolution=0.001, torque_resolution=0.01)
     varied = {"randomization": "real-wide", "disturbances": shaken}
@@ -82,9 +95,15 @@ def subjects():
     for name, make in LAWS.items():
         # A wide range of floors, so that the platform moves by pulses and by strokes.
         own = {**wide, "task": task} if (task := make().task) else {}
-        yield Subject(f"law {name}", {"controller": f"baselines:{name}", **own}, random_actions(0.05))
+        yield Subject(
+            f"law {name}", {"controller": f"baselines:{name}", **own}, random_actions(0.05)
+        )
     # On light platforms the guard acts earlier.
-    yield Subject("law gait broad", {"controller": "baselines:gait", "randomization": "broad"}, random_actions(0.05))
+    yield Subject(
+        "law gait broad",
+        {"controller": "baselines:gait", "randomization": "broad"},
+        random_actions(0.05),
+    )
     for policy in SCRIPTED.values():
         if "controller" not in policy.env_kwargs:
             yield Subject(f"scripted {policy.name}", {**wide, **policy.env_kwargs}, policy.start)
@@ -111,7 +130,8 @@ def compute(subject):
 
 @command("python -m tests.bits")
 def main(write: bool = False, first_seeds: bool = False) -> int:
-    """Computes the bits of whole episodes; the exit status is 1 if they differ from the committed ones.
+    """Computes the bits of whole episodes; the exit status is 1 if they differ from the committed
+    ones.
 
     Examples:
       python -m tests.bits
@@ -119,20 +139,29 @@ def main(write: bool = False, first_seeds: bool = False) -> int:
 
     Args:
         write: Write them to tests/bits.json.
-        first_seeds: Compare one training seed of each trained policy: `agents.leaderboard --check` evaluates all of
-            them.
+        first_seeds: Compare one training seed of each trained policy: `agents.leaderboard --check`
+            evaluates all of them.
     """
     if write:
-        write_atomically(FILE, json.dumps({subject.name: compute(subject) for subject in subjects()}, indent=1) + "\n")
+        write_atomically(
+            FILE,
+            json.dumps({subject.name: compute(subject) for subject in subjects()}, indent=1) + "\n",
+        )
     committed = json.loads(FILE.read_text(encoding="utf-8"))
     wanted = {subject.name: subject for subject in subjects()}
     wrong = [f"{name}: unknown subject" for name in committed if name not in wanted]
     if first_seeds:
-        wanted = {name: subject for name, subject in wanted.items() if not re.search(r"/seed-[1-9]", name)}
+        wanted = {
+            name: subject for name, subject in wanted.items() if not re.search(r"/seed-[1-9]", name)
+        }
     for name, subject in wanted.items():
         if (found := compute(subject)) != committed.get(name):
             wrong.append(f"{name}: {found} here, {committed.get(name)} committed")
-    print(*wrong, f"{len(wanted)} subjects in {NUM_ENVS} environments: {len(wrong)} differences", sep="\n")
+    print(
+        *wrong,
+        f"{len(wanted)} subjects in {NUM_ENVS} environments: {len(wrong)} differences",
+        sep="\n",
+    )
     return int(bool(wrong))
 
 

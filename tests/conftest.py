@@ -1,18 +1,25 @@
-"""Hypothesis: the same few examples in every test run; many, and other ones, with `--hypothesis-profile fuzz`."""
+"""Hypothesis: the same few examples in every test run; many, and other ones, with
+`--hypothesis-profile fuzz`."""
 
 import pytest
 from hypothesis import HealthCheck, settings
 
 settings.register_profile("seeded", derandomize=True, deadline=None, database=None, max_examples=20)
 settings.register_profile(
-    "fuzz", deadline=None, database=None, max_examples=300, suppress_health_check=list(HealthCheck), print_blob=True
+    "fuzz",
+    deadline=None,
+    database=None,
+    max_examples=300,
+    suppress_health_check=list(HealthCheck),
+    print_blob=True,
 )
 settings.load_profile("seeded")
 
 
 @pytest.fixture
 def refused(capsys):
-    """Asserts that a command ends with status 2, and returns what it has written to the standard error."""
+    """Asserts that a command ends with status 2, and returns what it has written to the standard
+    error."""
 
     def call(main, *arguments):
         with pytest.raises(SystemExit) as stop:
@@ -28,5 +35,7 @@ def saved_figures(monkeypatch):
     """The figures of matplotlib that the test saves."""
     figure = pytest.importorskip("matplotlib.figure").Figure
     save, saved = figure.savefig, []
-    monkeypatch.setattr(figure, "savefig", lambda self, *a, **kwargs: saved.append(self) or save(self, *a, **kwargs))
+    monkeypatch.setattr(
+        figure, "savefig", lambda self, *a, **kwargs: saved.append(self) or save(self, *a, **kwargs)
+    )
     return saved

@@ -1,8 +1,10 @@
-"""Data for the JavaScript: the compiled core, drivers, options, tables, networks, plants and episodes.
+"""Data for the JavaScript: the compiled core, drivers, options, tables, networks, plants and
+episodes.
 
-All data are in one archive: the length of a header in four bytes, the header as JSON, and the content, whose positions
-are in the header. Float64 arrays are stored column by column; for each column, the lowest bytes of all numbers come
-first, then the next bytes. Neighbouring bytes are then similar, which reduces the compressed size by a third.
+All data are in one archive: the length of a header in four bytes, the header as JSON, and the
+content, whose positions are in the header. Float64 arrays are stored column by column; for each
+column, the lowest bytes of all numbers come first, then the next bytes. Neighbouring bytes are then
+similar, which reduces the compressed size by a third.
 """
 
 import base64
@@ -30,7 +32,14 @@ from capsule_gym.envs.contract import (
 )
 from capsule_gym.envs.simulation import Simulation
 from capsule_gym.evaluation import sets
-from capsule_gym.parameters import CONSTANTS, DISTURBANCES, NOMINAL, SENSORS, Disturbances, Randomization
+from capsule_gym.parameters import (
+    CONSTANTS,
+    DISTURBANCES,
+    NOMINAL,
+    SENSORS,
+    Disturbances,
+    Randomization,
+)
 from capsule_gym.parameters.disturbances import LARGEST_DISTURBANCE
 from capsule_gym.parameters.limits import LARGEST, LONGEST_STEP, SHORTEST_STEP
 from capsule_gym.policies.policy import MOST_UNITS
@@ -47,13 +56,15 @@ LAW_NAMES = (DIRECT, *sorted(LAWS))
 SETS = (*sets.SET_NAMES, *sets.FURTHER_SET_NAMES, *sets.TASK_SET_NAMES)
 # Largest friction of the motor, N m, for the capsule and for disturbances.
 LARGEST_MOTOR_FRICTION = 0.2
-# Accepted values of the plant's constants. The largest friction is also accepted at the smallest mass.
+# Accepted values of the plant's constants. The largest friction is also accepted at the smallest
+# mass.
 RANGES = Randomization(
     M=(0.2, _core.M_BOUND * NOMINAL.M), mu=(0.0, _core.MU_BOUND), m=(0.1, 0.18), l=(0.25, 0.35), g=(1.0, 15.0),
     k=(0.2, 0.6), c=(0.05, 0.15), static_ratio=(1.0, 1.5), backward_ratio=(0.5, 1.5), viscous=(0.0, 2.0),
     stribeck_speed=(0.02, 1.0), slope=(-0.2, 0.2), motor_friction=(0.0, LARGEST_MOTOR_FRICTION),
 )  # fmt: skip
-# The stiffest plants that the page accepts; motors have the friction of the capsule and of disturbances.
+# The stiffest plants that the page accepts; motors have the friction of the capsule and of
+# disturbances.
 STIFFEST: dict[str, Any] = {
     "randomization": RANGES,
     "disturbances": Disturbances(motor_friction=LARGEST_MOTOR_FRICTION),
@@ -82,7 +93,9 @@ class Archive:
 
 
 def pack_data(module: bytes) -> str:
-    """The archive with all data for the JavaScript, compressed, in base64; `module` is the compiled core."""
+    """The archive with all data for the JavaScript, compressed, in base64; `module` is the compiled
+    core.
+    """
     archive = Archive()
     ranges = parameters.RANDOMIZATIONS.items()
     header = {
@@ -103,13 +116,21 @@ def pack_data(module: bytes) -> str:
             "padding": _core.PADDING,
         },
         "constants": {  # in SI units
-            **{name.lower(): getattr(task, name) for name in ("CONTROL_DT", "TORQUE_LIMIT", "THETA_LIMIT")},
+            **{
+                name.lower(): getattr(task, name)
+                for name in ("CONTROL_DT", "TORQUE_LIMIT", "THETA_LIMIT")
+            },
             "steps": task.EPISODE_STEPS,
-            "horizons": {each.name: each.episode_steps * task.CONTROL_DT for each in TASKS.values()},
+            "horizons": {
+                each.name: each.episode_steps * task.CONTROL_DT for each in TASKS.values()
+            },
             **{name: getattr(NOMINAL, name) for name in ("m", "l", "g")},
             "nominal": {name: getattr(NOMINAL, name) for name in ("M", "mu", *CONSTANTS)},
             "ranges": {name: {"M": each.M, "mu": each.mu} for name, each in ranges if each.M},
-            "limits": {name: getattr(RANGES, name) or (-LARGEST, LARGEST) for name in ("M", "mu", *CONSTANTS)},
+            "limits": {
+                name: getattr(RANGES, name) or (-LARGEST, LARGEST)
+                for name in ("M", "mu", *CONSTANTS)
+            },
             "real": asdict(parameters.REAL),
             "start": {"theta": task.START_THETA, "theta_dot": 0.0, "x": 0.0, "x_dot": 0.0},
             "largest_state": dict(zip(_core.ROW_NAMES, task.LARGEST_STATE, strict=False)),
@@ -117,7 +138,9 @@ def pack_data(module: bytes) -> str:
         "episodes": json.loads(FILE.read_text("utf-8")),
     }
     text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
-    return base64.b64encode(zlib.compress(len(text).to_bytes(4, "little") + text + archive.content, 9)).decode()
+    return base64.b64encode(
+        zlib.compress(len(text).to_bytes(4, "little") + text + archive.content, 9)
+    ).decode()
 
 
 def as_numbers(options: Options) -> dict[str, float | None]:
@@ -173,10 +196,16 @@ def describe_policy(name: str, policy: Policy | ScriptedPolicy) -> dict[str, Any
         ValueError: if the policy's environment is not one of the browser's.
     """
     options = EnvConfig(**policy.env_kwargs)
-    law = DIRECT if options.controller is None else str(options.controller).removeprefix("baselines:")
+    law = (
+        DIRECT if options.controller is None else str(options.controller).removeprefix("baselines:")
+    )
     if law not in LAW_NAMES:
         raise ValueError(f"controller must be None or a law of baselines, got {options.controller}")
-    described: dict[str, Any] = {"name": name, "description": policy.description, "task": find_task(options.task).name}
+    described: dict[str, Any] = {
+        "name": name,
+        "description": policy.description,
+        "task": find_task(options.task).name,
+    }
     described |= {"controller": law, "options": pack_options(options)}
     if isinstance(policy, Policy):
         described |= {"kind": "policy", "seed": policy.training_seed, "network": policy._network}
@@ -199,10 +228,16 @@ def describe_driver(policy: Policy | ScriptedPolicy, archive: Archive) -> dict[s
 
 
 def describe_set(found: sets.EvaluationSet) -> dict[str, Any]:
-    """A frozen set: its hash, the options of the core that its environments share, and its first plants."""
-    plants = [{key: value for key, value in plant.to_dict().items() if value != []} for plant in found.plants[:SEEDS]]
+    """A frozen set: its hash, the options of the core that its environments share, and its first
+    plants.
+    """
+    plants = [
+        {key: value for key, value in plant.to_dict().items() if value != []}
+        for plant in found.plants[:SEEDS]
+    ]
     kwargs = found.env_kwargs
-    # The capsule is given also where it is the default, since a driver may have been trained on another.
+    # The capsule is given also where it is the default, since a driver may have been trained on
+    # another.
     options = {
         **plant_options(kwargs["capsule"] or NOMINAL, Randomization()),
         **disturbance_options(Disturbances.named(kwargs["disturbances"])),

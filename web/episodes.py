@@ -1,12 +1,14 @@
-"""Whole episodes that the module replays: `python -m web.episodes` compares Python's with the committed ones.
+"""Whole episodes that the module replays: `python -m web.episodes` compares Python's with the
+committed ones.
 
-Every driver has an episode, on a plant of the frozen set `drift`, whose M and mu jump twice, or of its task's set. Some
-have another one on a disturbed plant of the set `real`, or with `actions`, each held for several steps, since the
-platform would not move otherwise. The hash covers, after every step, the observation and what `info` shows.
+Every driver has an episode, on a plant of the frozen set `drift`, whose M and mu jump twice, or of
+its task's set. Some have another one on a disturbed plant of the set `real`, or with `actions`,
+each held for several steps, since the platform would not move otherwise. The hash covers, after
+every step, the observation and what `info` shows.
 
-The tables of the optimum's policies are many times as large as the module, but their torques take few bytes. The module
-therefore contains recordings: for each of its plants, the index in `TORQUES` of each action. It replays the actions in
-its own step.
+The tables of the optimum's policies are many times as large as the module, but their torques take
+few bytes. The module therefore contains recordings: for each of its plants, the index in `TORQUES`
+of each action. It replays the actions in its own step.
 """
 
 import hashlib
@@ -43,11 +45,15 @@ OVER = 255
 
 @cache
 def drivers() -> dict[str, Any]:
-    """The policies in the browser by name, scripted and trained; of a trained one the run with the lowest seed."""
+    """The policies in the browser by name, scripted and trained; of a trained one the run with the
+    lowest seed.
+    """
     trained = map(capsule_gym.load_policy, policy_names())
     # Policies of other tasks come last.
     scripted = {name: policy for name, policy in ALL_SCRIPTED.items() if name not in LEFT_OUT}
-    return scripted | {each.name: each for each in sorted(trained, key=lambda policy: "task" in policy.env_kwargs)}
+    return scripted | {
+        each.name: each for each in sorted(trained, key=lambda policy: "task" in policy.env_kwargs)
+    }
 
 
 def compute(episode: dict[str, Any]) -> dict[str, Any]:
@@ -65,7 +71,9 @@ def compute(episode: dict[str, Any]) -> dict[str, Any]:
     digest, terminated, step = hashlib.sha256(), False, 0
     while not terminated and step < layout.steps:
         if "actions" in episode:
-            action = np.array([episode["actions"][step // episode["hold"] % len(episode["actions"])]], np.float32)
+            action = np.array(
+                [episode["actions"][step // episode["hold"] % len(episode["actions"])]], np.float32
+            )
         else:
             action = act(observation[None])[0]
         observation, _, terminated, _, _ = env.step(action)
@@ -83,7 +91,9 @@ def record_actions(name: str, plants: Sequence[PlantSpec]) -> np.ndarray:
     policy = ALL_SCRIPTED[name]
     env = capsule_gym.CapsuleVectorEnv(len(plants), autoreset_mode="DISABLED", **policy.env_kwargs)
     options = [plant.reset_options() for plant in plants]
-    observations, _ = env.reset(options={key: [each[key] for each in options] for key in options[0]})
+    observations, _ = env.reset(
+        options={key: [each[key] for each in options] for key in options[0]}
+    )
     act, running = policy.start([plant.seed for plant in plants]), np.ones(len(plants), bool)
     places = np.full((len(plants), EPISODE_STEPS), OVER, np.uint8)
     for step in range(EPISODE_STEPS):
@@ -96,7 +106,8 @@ def record_actions(name: str, plants: Sequence[PlantSpec]) -> np.ndarray:
 
 @command("python -m web.episodes")
 def main(write: bool = False) -> int:
-    """Computes the episodes of the live page and the optimum's actions; the exit status is 1 if they differ.
+    """Computes the episodes of the live page and the optimum's actions; the exit status is 1 if
+    they differ.
 
     Examples:
       python -m web.episodes --write
@@ -111,15 +122,23 @@ def main(write: bool = False) -> int:
             committed.append({"name": name, "driver": name, "set": found_set, "plant": n})
     found = [compute(episode) for episode in committed]
     pairs = [(name, load_set(each)) for name in RECORDED for each in SET_NAMES]
-    recorded = {f"{name} {each.name}": record_actions(name, each.plants[:SEEDS]) for name, each in pairs}
+    recorded = {
+        f"{name} {each.name}": record_actions(name, each.plants[:SEEDS]) for name, each in pairs
+    }
     if write:
-        write_atomically(FILE, "[\n" + ",\n".join(json.dumps(episode) for episode in found) + "\n]\n")
+        write_atomically(
+            FILE, "[\n" + ",\n".join(json.dumps(episode) for episode in found) + "\n]\n"
+        )
         with replacing(RECORDINGS) as temporary:
             np.savez_compressed(temporary, allow_pickle=False, **recorded)
         committed = found
     saved = np.load(RECORDINGS)
     wrong = [f"{episode['name']}: differs" for episode in found if episode not in committed]
-    wrong += [f"{key}: differs" for key, taken in recorded.items() if not np.array_equal(taken, saved[key])]
+    wrong += [
+        f"{key}: differs"
+        for key, taken in recorded.items()
+        if not np.array_equal(taken, saved[key])
+    ]
     print(*wrong, f"{len(found) + len(recorded)} compared, {len(wrong)} differ", sep="\n")
     return int(bool(wrong))
 

@@ -1,4 +1,6 @@
-"""Writes the tables and figures of the documentation's result pages: `python -m agents.analysis --help`."""
+"""Writes the tables and figures of the documentation's result pages: `python -m agents.analysis
+--help`.
+"""
 
 import sys
 from pathlib import Path
@@ -11,9 +13,13 @@ from capsule_gym.files import write_atomically
 
 COMMAND = "python -m agents.analysis"
 ROOT = Path(__file__).resolve().parents[2]
-# The function `document` of each returns Markdown by the name under which a page includes it, and functions that draw
-# figures of matplotlib by the names of their files.
-DOCUMENTS: dict[str, Any] = {"limit_cycle": limit_cycle, "curves": curves, "sensitivity": sensitivity}
+# The function `document` of each returns Markdown by the name under which a page includes it, and
+# functions that draw figures of matplotlib by the names of their files.
+DOCUMENTS: dict[str, Any] = {
+    "limit_cycle": limit_cycle,
+    "curves": curves,
+    "sensitivity": sensitivity,
+}
 
 
 @command(COMMAND, OSError)
@@ -41,11 +47,15 @@ def main(
         (sections, figures), path = DOCUMENTS[name].document(), output / f"{name}_tables.md"
         parts = [f"<!-- Written by {COMMAND}: do not edit. -->"]
         for section, table in sections.items():
-            parts.append(f"<!-- --8<-- [start:{section}] -->\n{table}\n<!-- --8<-- [end:{section}] -->")
+            parts.append(
+                f"<!-- --8<-- [start:{section}] -->\n{table}\n<!-- --8<-- [end:{section}] -->"
+            )
         text = "\n\n".join(parts) + "\n"
         if check:
             if not path.is_file() or path.read_text(encoding="utf-8") != text:
-                print(f"{path} is not up to date: run `{COMMAND} {name}` and commit what it writes.")
+                print(
+                    f"{path} is not up to date: run `{COMMAND} {name}` and commit what it writes."
+                )
                 stale = True
             continue
         with style():

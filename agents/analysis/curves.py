@@ -1,4 +1,6 @@
-"""Learning curves, and speed against cost of transport: a table and figures of the leaderboard's results."""
+"""Learning curves, and speed against cost of transport: a table and figures of the leaderboard's
+results.
+"""
 
 import csv
 import math
@@ -23,7 +25,8 @@ from capsule_gym.evaluation.statistics import estimate
 ROOT = Path(__file__).resolve().parents[2]
 SPEED = TABLE_METRICS["mean_speed"]
 FAINT = "#c5ccd6"
-# Evaluations on validation plants during training, by training seed: steps and values of the task's metric.
+# Evaluations on validation plants during training, by training seed: steps and values of the task's
+# metric.
 Learning = dict[int, tuple[np.ndarray, np.ndarray]]
 
 
@@ -35,7 +38,9 @@ def document() -> tuple[dict[str, str], dict[str, Callable[[], Any]]]:
     learning = read_learning([row.name for row in rows if row.trained], "speed")
     figures: dict[str, Callable[[], Any]] = {
         "curves_transport": lambda: draw_transport(rows),
-        "curves_learning": lambda: draw_learning({name: runs for name, runs in learning.items() if runs}),
+        "curves_learning": lambda: draw_learning(
+            {name: runs for name, runs in learning.items() if runs}
+        ),
     }
     for task in ("goal", "velocity"):
         names = [candidate.name for candidate in all_candidates(task) if candidate.trained]
@@ -49,7 +54,10 @@ def read_learning(names: Sequence[str], task: str) -> dict[str, Learning]:
     found: dict[str, Learning] = {}
     for name in names:
         paths = sorted((CHECKPOINTS / name).glob(f"seed-*/{EVALUATIONS}"))
-        found[name] = {int(path.parts[-2].removeprefix("seed-")): read_evaluations(path, task) for path in paths}
+        found[name] = {
+            int(path.parts[-2].removeprefix("seed-")): read_evaluations(path, task)
+            for path in paths
+        }
     return found
 
 
@@ -57,34 +65,50 @@ def read_evaluations(path: Path, task: str = "speed") -> tuple[np.ndarray, np.nd
     """The steps and the values of the task's metric in the evaluations of a run."""
     with path.open(newline="", encoding="utf-8") as file:
         # A run may be evaluated twice at the end of a stage; the last line is used.
-        lines = {int(line["steps"]): float(line[CRITERIA[task].column]) for line in csv.DictReader(file)}
+        lines = {
+            int(line["steps"]): float(line[CRITERIA[task].column]) for line in csv.DictReader(file)
+        }
     steps, values = np.array(sorted(lines.items()), np.float64).T
     return steps, values
 
 
 def learning_curve(runs: Learning) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The steps and, at each, the interquartile mean over the seeds with its interval; all runs have the same steps."""
+    """The steps and, at each, the interquartile mean over the seeds with its interval; all runs
+    have the same steps.
+    """
     (steps,) = {tuple(steps) for steps, _ in runs.values()}
-    found = [estimate(column[:, None]) for column in np.array([speeds for _, speeds in runs.values()]).T]
+    found = [
+        estimate(column[:, None]) for column in np.array([speeds for _, speeds in runs.values()]).T
+    ]
     value, low, high = np.array([[each.value, each.low, each.high] for each in found]).T
     return np.array(steps), value, low, high
 
 
 def table(learning: Mapping[str, Learning]) -> str:
     """A Markdown table of the speed at the end of training, and the steps to 90 % of this speed."""
-    lines = [["policy", "training seeds", "steps", f"{SPEED.label} at the end", "steps to 90 % of that"]]
+    lines = [
+        ["policy", "training seeds", "steps", f"{SPEED.label} at the end", "steps to 90 % of that"]
+    ]
     for name, runs in learning.items():
         if runs:
             steps, value, low, high = learning_curve(runs)
             reached = steps[value >= 0.9 * value[-1]][0]
-            cells = f"{steps[-1]:,.0f}", SPEED.with_interval((value[-1], low[-1], high[-1])), f"{reached:,.0f}"
+            cells = (
+                f"{steps[-1]:,.0f}",
+                SPEED.with_interval((value[-1], low[-1], high[-1])),
+                f"{reached:,.0f}",
+            )
             lines.append([name, str(len(runs)), *cells])
     without = [name for name, runs in learning.items() if not runs]
-    return markdown_table(lines) + (f"\n\nWithout committed evaluations: {', '.join(without)}." if without else "")
+    return markdown_table(lines) + (
+        f"\n\nWithout committed evaluations: {', '.join(without)}." if without else ""
+    )
 
 
 def draw_learning(learning: Mapping[str, Learning], label: str = SPEED.label) -> Any:
-    """Draws the metric of all seeds over steps, and its interquartile mean, one panel per row of `learning`."""
+    """Draws the metric of all seeds over steps, and its interquartile mean, one panel per row of
+    `learning`.
+    """
     from matplotlib.ticker import LogLocator
 
     columns = min(4, len(learning))
@@ -122,7 +146,9 @@ def draw_learning(learning: Mapping[str, Learning], label: str = SPEED.label) ->
 
 
 def draw_transport(rows: Sequence[LeaderboardRow]) -> Any:
-    """Draws speed against cost of transport on the nominal plant, with the front of dynamic programming."""
+    """Draws speed against cost of transport on the nominal plant, with the front of dynamic
+    programming.
+    """
     from matplotlib.ticker import LogLocator
 
     figure = new_figure(6.0)
@@ -132,19 +158,24 @@ def draw_transport(rows: Sequence[LeaderboardRow]) -> Any:
     axes.plot(*zip(*optimal_front(), strict=True), ".-", color=GREEN, label="dynamic programming")
     marks, absent = [], []
     for row in rows:
-        cost, speed = (estimate(row.score("nominal", metric)) for metric in ("cost_of_transport", SPEED.name))
+        cost, speed = (
+            estimate(row.score("nominal", metric)) for metric in ("cost_of_transport", SPEED.name)
+        )
         if not math.isfinite(cost.value):
             absent.append(row.name)
             continue
         colour = BLUE if row.trained else INK
-        if row.trained and all(math.isfinite(end) for end in (cost.low, cost.high, speed.low, speed.high)):
+        if row.trained and all(
+            math.isfinite(end) for end in (cost.low, cost.high, speed.low, speed.high)
+        ):
             axes.plot([cost.low, cost.high], [speed.value] * 2, color=colour)
             axes.plot([cost.value] * 2, [speed.low, speed.high], color=colour)
         axes.plot(cost.value, speed.value, "o" if row.trained else "s", color=colour)
         marks.append((cost.value, speed.value, row.name, colour))
     axes.plot([], [], "o-", color=BLUE, label="trained, 95 % over seeds")
     axes.plot([], [], "s", color=INK, label="scripted")
-    # Logarithmic: outside its training range, a policy can have thirty times the cost of the others.
+    # Logarithmic: outside its training range, a policy can have thirty times the cost of the
+    # others.
     axes.set_xscale("log")
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter("{x:g}")
@@ -152,13 +183,21 @@ def draw_transport(rows: Sequence[LeaderboardRow]) -> Any:
     axes.set(xlabel="cost of transport", ylabel="mean speed (cm/s)")
     # Names next to the axes, the highest mark's first, with a line to each mark.
     for n, (x, y, name, colour) in enumerate(sorted(marks, key=lambda mark: -mark[1])):
-        place = {"xytext": (1.01, 1.0 - (n + 0.5) / len(marks)), "textcoords": "axes fraction", "va": "center"}
+        place = {
+            "xytext": (1.01, 1.0 - (n + 0.5) / len(marks)),
+            "textcoords": "axes fraction",
+            "va": "center",
+        }
         line = {"arrowstyle": "-", "color": FAINT, "relpos": (0.0, 0.5)}
-        axes.annotate(name, (x, y), **place, color=colour, parse_math=False, arrowprops=line, zorder=1)
+        axes.annotate(
+            name, (x, y), **place, color=colour, parse_math=False, arrowprops=line, zorder=1
+        )
     # Outside: every corner inside the axes contains a front, a policy or a label's line.
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=4)
     axes.set_title("Speed against cost of transport, the paper's plant from 100 starts")
-    no_progress = f" Without forward progress, and so without a cost: {', '.join(absent)}." if absent else ""
+    no_progress = (
+        f" Without forward progress, and so without a cost: {', '.join(absent)}." if absent else ""
+    )
     add_note(
         figure,
         "Interquartile means over all episodes on nominal. Dynamic programming: with energy weights, over 33 s from "

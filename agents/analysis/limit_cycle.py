@@ -19,12 +19,17 @@ WINDOW = 20.0
 # Time between samples, s.
 DT = 0.002
 # Phases of the contact by the sign of the displacement, in the colours of the rendered robot, pale.
-PHASES = {1: ("slips forward", "#fde3cc"), 0: ("sticks", "#c8d9f0"), -1: ("slips backward", "#fbf2e9")}
+PHASES = {
+    1: ("slips forward", "#fde3cc"),
+    0: ("sticks", "#c8d9f0"),
+    -1: ("slips backward", "#fbf2e9"),
+}
 LABELS = ("θ (deg)", "x' (cm/s)", "N / ((M + m) g)", "u (N m)", "θ' (rad/s)")
 
 
 def sample_episode(policy: Any) -> np.ndarray:
-    """Samples an episode on the paper's plant: theta, theta_dot, x, x_dot, normal force and torque, `DT` apart.
+    """Samples an episode on the paper's plant: theta, theta_dot, x, x_dot, normal force and torque,
+    `DT` apart.
 
     The policy acts every `CONTROL_DT`; its action is held in between.
     """
@@ -59,8 +64,19 @@ def find_cycle(samples: np.ndarray) -> np.ndarray:
 
 def document() -> tuple[dict[str, str], dict[str, Callable[[], Any]]]:
     """The table and the figure."""
-    cycles = {name: find_cycle(sample_episode(find_candidate(name).policies[0])) for name in POLICIES}
-    lines = [["policy", "period (s)", "distance (cm)", "speed (cm/s)", "time in stick", "time at 1.5 N m"]]
+    cycles = {
+        name: find_cycle(sample_episode(find_candidate(name).policies[0])) for name in POLICIES
+    }
+    lines = [
+        [
+            "policy",
+            "period (s)",
+            "distance (cm)",
+            "speed (cm/s)",
+            "time in stick",
+            "time at 1.5 N m",
+        ]
+    ]
     for name, cycle in cycles.items():
         period, distance = DT * (len(cycle) - 1), 100.0 * (cycle[-1, 2] - cycle[0, 2])
         shares = (cycle[1:, 3] == 0.0).mean(), (np.abs(cycle[1:, 5]) >= TORQUE_LIMIT).mean()
@@ -70,7 +86,9 @@ def document() -> tuple[dict[str, str], dict[str, Callable[[], Any]]]:
 
 
 def draw(cycles: dict[str, np.ndarray]) -> Any:
-    """Draws angle, velocity, normal force and torque over time, and the phase portrait, one column per cycle."""
+    """Draws angle, velocity, normal force and torque over time, and the phase portrait, one column
+    per cycle.
+    """
     from matplotlib.patches import Patch
 
     figure = new_figure(8.2)

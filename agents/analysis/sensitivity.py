@@ -11,7 +11,13 @@ from tqdm import tqdm
 from agents.leaderboard.candidates import all_candidates
 from baselines.tables import markdown_table
 from capsule_gym.evaluation.candidates import Candidate
-from capsule_gym.evaluation.episodes import TABLE_METRICS, evaluate, failures, scores, validation_set
+from capsule_gym.evaluation.episodes import (
+    TABLE_METRICS,
+    evaluate,
+    failures,
+    scores,
+    validation_set,
+)
 from capsule_gym.evaluation.statistics import interquartile_mean
 from capsule_gym.parameters import DISTURBANCES, REAL, SENSORS, Disturbances
 
@@ -62,17 +68,27 @@ def run(candidates: Sequence[Candidate], horizon: float | None = None) -> dict[s
     for candidate in tqdm(candidates, "evaluating", file=sys.stderr, disable=None):
         cells = {}
         for condition, disturbances in conditions().items():
-            episodes = evaluate(candidate.policies[0], replace(plants, disturbances=disturbances), horizon=horizon)
-            cells[condition] = float(interquartile_mean(scores(episodes, SPEED.name)[0])), failures(episodes)
+            episodes = evaluate(
+                candidate.policies[0], replace(plants, disturbances=disturbances), horizon=horizon
+            )
+            cells[condition] = (
+                float(interquartile_mean(scores(episodes, SPEED.name)[0])),
+                failures(episodes),
+            )
         found[candidate.name] = cells
     return dict(sorted(found.items(), key=lambda row: -row[1][NONE][0]))
 
 
 def document() -> tuple[dict[str, str], dict[str, Any]]:
     """The tables for all rows; there is no figure."""
-    fields = {name: ", ".join(f"`{each}={size}`" for each, size in given.items()) for name, given in DISTURBED.items()}
+    fields = {
+        name: ", ".join(f"`{each}={size}`" for each, size in given.items())
+        for name, given in DISTURBED.items()
+    }
     fields[ALL] = '`disturbances="real"`'
-    sizes = markdown_table([["disturbance", "size"], *([name, text] for name, text in fields.items())])
+    sizes = markdown_table(
+        [["disturbance", "size"], *([name, text] for name, text in fields.items())]
+    )
     return {"sizes": sizes, "speeds": table(run(all_candidates()))}, {}
 
 
@@ -80,6 +96,9 @@ def table(results: Mapping[str, Cells]) -> str:
     """Speed (cm/s), and failures in brackets, under every disturbance."""
     lines = [["policy", *conditions()]]
     for policy, cells in results.items():
-        texts = [SPEED.format(speed) + (f" ({failed})" if failed else "") for speed, failed in cells.values()]
+        texts = [
+            SPEED.format(speed) + (f" ({failed})" if failed else "")
+            for speed, failed in cells.values()
+        ]
         lines.append([policy, *texts])
     return markdown_table(lines)

@@ -1,4 +1,6 @@
-"""The students of the optimum: what each observes, the episodes it is trained on, and the size of its training."""
+"""The students of the optimum: what each observes, the episodes it is trained on, and the size of
+its training.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -10,16 +12,20 @@ from capsule_gym.parameters import NOMINAL
 
 @dataclass(frozen=True)
 class Student:
-    """The training episodes of a student, and the size of its training. It observes online estimates of M and mu.
+    """The training episodes of a student, and the size of its training. It observes online
+    estimates of M and mu.
 
     Attributes:
         randomization: the distribution of M and mu.
         grid: the plants for which the expert is solved, with their static ratio.
-        change_rate: mean number of changes of M and mu per second of an episode, 1/s; the new values are of `wide`.
-        margin: normal force (N) below which a torque costs more, up to `max_regret` at 0 N. A student that does not
-            know M needs a larger margin than the expert.
-        deviations: number of standard deviations of the platform's estimated weight that are added to `margin`.
-        max_regret: upper bound on the regret of a torque in the data, cm; the end of an episode would cost more.
+        change_rate: mean number of changes of M and mu per second of an episode, 1/s; the new
+            values are of `wide`.
+        margin: normal force (N) below which a torque costs more, up to `max_regret` at 0 N. A
+            student that does not know M needs a larger margin than the expert.
+        deviations: number of standard deviations of the platform's estimated weight that are added
+            to `margin`.
+        max_regret: upper bound on the regret of a torque in the data, cm; the end of an episode
+            would cost more.
         num_envs: episodes in a round.
         steps: control steps in an episode.
         rounds: rounds of DAgger.
@@ -29,7 +35,8 @@ class Student:
         batch_size: states in a gradient step.
         learning_rate: step size of Adam; it falls to 0 at the end.
         evaluation_episodes: episodes in an evaluation.
-        failure_cost: weight of the share of failed episodes in the selection of the best policy, cm/s.
+        failure_cost: weight of the share of failed episodes in the selection of the best policy,
+            cm/s.
     """
 
     randomization: str
@@ -53,7 +60,12 @@ class Student:
     def env_kwargs(self) -> dict[str, Any]:
         """The arguments of the student's environment."""
         own = {"capsule": self.grid.capsule} if self.grid.capsule != NOMINAL else {}
-        return {"randomization": self.randomization, "observe_estimates": True, "observe_parameters": False, **own}
+        return {
+            "randomization": self.randomization,
+            "observe_estimates": True,
+            "observe_parameters": False,
+            **own,
+        }
 
 
 # Keys are names of rows on the leaderboard.

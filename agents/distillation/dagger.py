@@ -1,10 +1,12 @@
-"""Trains a student by DAgger: rounds of data in which the student acts more often, each with a fit, and a final fit.
+"""Trains a student by DAgger: rounds of data in which the student acts more often, each with a fit,
+and a final fit.
 
-The loss of a torque is its interpolated regret, not its distance from the expert's torque. The folder of a run holds
+The loss of a torque is its interpolated regret, not its distance from the expert's torque. The
+folder of a run holds
 
-    config.json          the fields of `Student`, and the git revision
-    policy.safetensors   the best policy so far, by evaluations on validation plants
-    finished.json        after the run: mean_speed (cm/s) and share of failed episodes of the best policy, processor
+    config.json          the fields of `Student`, and the git revision policy.safetensors   the best
+    policy so far, by evaluations on validation plants finished.json        after the run:
+    mean_speed (cm/s) and share of failed episodes of the best policy, processor
                          time of the run (core_seconds) and git revision
 """
 
@@ -46,7 +48,9 @@ MAX_GRADIENT_NORM = 1.0
 
 
 def interpolated_regret(regrets: torch.Tensor, torques: torch.Tensor) -> torch.Tensor:
-    """Interpolates the regrets at `TORQUES`, shape (n, NUM_TORQUES), linearly at torques in [-1, 1], shape (n,)."""
+    """Interpolates the regrets at `TORQUES`, shape (n, NUM_TORQUES), linearly at torques in [-1,
+    1], shape (n,).
+    """
     positions = 0.5 * (NUM_TORQUES - 1) * (torques + 1.0)
     below = positions.detach().long().clamp(0, NUM_TORQUES - 2)
     low, high = (regrets.gather(1, (below + n)[:, None])[:, 0] for n in (0, 1))
@@ -54,13 +58,22 @@ def interpolated_regret(regrets: torch.Tensor, torques: torch.Tensor) -> torch.T
 
 
 class Network:
-    """The student's network: two hidden layers, tanh after each layer, inputs normalised by a dataset's statistics."""
+    """The student's network: two hidden layers, tanh after each layer, inputs normalised by a
+    dataset's statistics.
+    """
 
     def __init__(self, dataset: Dataset, seed: int) -> None:
         inputs = dataset.inputs.astype(np.float64)
-        self._mean, self._variance = inputs.mean(axis=0), np.maximum(inputs.var(axis=0), MIN_VARIANCE)
+        self._mean, self._variance = (
+            inputs.mean(axis=0),
+            np.maximum(inputs.var(axis=0), MIN_VARIANCE),
+        )
         torch.manual_seed(seed)
-        first, second, last = nn.Linear(inputs.shape[1], HIDDEN), nn.Linear(HIDDEN, HIDDEN), nn.Linear(HIDDEN, 1)
+        first, second, last = (
+            nn.Linear(inputs.shape[1], HIDDEN),
+            nn.Linear(HIDDEN, HIDDEN),
+            nn.Linear(HIDDEN, 1),
+        )
         self._layers = first, second, last
         self._module = nn.Sequential(first, nn.Tanh(), second, nn.Tanh(), last, nn.Tanh())
         self._optimiser = torch.optim.Adam(self._module.parameters(), fused=True)
@@ -88,11 +101,17 @@ class Network:
         raw = np.concatenate([dataset.inputs for dataset in datasets])
         scaled = np.clip((raw - self._mean) / np.sqrt(self._variance + EPSILON), -CLIP, CLIP)
         inputs = torch.from_numpy(scaled.astype(np.float32))
-        regrets, losses = torch.from_numpy(np.concatenate([dataset.regrets for dataset in datasets])), []
+        regrets, losses = (
+            torch.from_numpy(np.concatenate([dataset.regrets for dataset in datasets])),
+            [],
+        )
         for n in range(updates):
             self._optimiser.param_groups[0]["lr"] = rates[0] + (rates[1] - rates[0]) * n / updates
             batch = torch.from_numpy(rng.integers(len(inputs), size=batch_size))
-            loss = interpolated_regret(regrets[batch], self._module(inputs[batch])[:, 0]).mean() / CONTROL_DT
+            loss = (
+                interpolated_regret(regrets[batch], self._module(inputs[batch])[:, 0]).mean()
+                / CONTROL_DT
+            )
             self._optimiser.zero_grad()
             loss.backward()
             nn.utils.clip_grad_norm_(self._module.parameters(), MAX_GRADIENT_NORM)
@@ -106,7 +125,8 @@ class Network:
             name=name,
             algorithm=IMITATION,
             layers=tuple(
-                (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy()) for layer in self._layers
+                (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy())
+                for layer in self._layers
             ),
             activation="tanh",
             squashing="tanh",
@@ -123,14 +143,17 @@ class Network:
 def schedule(student: Student) -> list[tuple[float | None, int, tuple[float, float]]]:
     """The rounds of DAgger and the parts of the final fit.
 
-    Each entry is the expert's share of the time (None if no data is collected), the number of gradient steps, and the
-    step sizes of Adam at the first and the last gradient step.
+    Each entry is the expert's share of the time (None if no data is collected), the number of
+    gradient steps, and the step sizes of Adam at the first and the last gradient step.
     """
     rate = student.learning_rate
     shares = (*EXPERT_SHARES, *[0.0] * student.rounds)[: student.rounds]
     final = [rate * (1.0 - n / student.final_parts) for n in range(student.final_parts + 1)]
     rounds = [(share, student.updates, (rate, FINAL_RATE * rate)) for share in shares]
-    return [*rounds, *((None, student.final_updates // student.final_parts, rates) for rates in pairwise(final))]
+    return [
+        *rounds,
+        *((None, student.final_updates // student.final_parts, rates) for rates in pairwise(final)),
+    ]
 
 
 def distil(name: str, student: Student, seed: int, folder: Path) -> None:
@@ -150,12 +173,16 @@ def distil(name: str, student: Student, seed: int, folder: Path) -> None:
     # Validation plants, never a frozen set.
     count = student.evaluation_episodes
     first = SELECTION_SEED + seed * count
-    plants = validation_set(student.randomization, "validation plants", first, count, student.grid.capsule)
+    plants = validation_set(
+        student.randomization, "validation plants", first, count, student.grid.capsule
+    )
     datasets: list[Dataset] = []
     network: Network | None = None
     policy: Policy | None = None
     best = (-math.inf, 0.0, 0.0)
-    bar = tqdm(schedule(student), f"{name}/{folder.name}", unit="fit", file=sys.stderr, disable=None)
+    bar = tqdm(
+        schedule(student), f"{name}/{folder.name}", unit="fit", file=sys.stderr, disable=None
+    )
     for expert_share, updates, rates in bar:
         if expert_share is not None:
             act = policy.start(range(student.num_envs)) if policy else None
@@ -164,12 +191,19 @@ def distil(name: str, student: Student, seed: int, folder: Path) -> None:
         network.fit(datasets, updates, rates, student.batch_size, rng)
         policy = network.policy(name, student, seed, revision)
         episodes = evaluate(policy, plants)
-        speed, failed = (float(scores(episodes, metric).mean()) for metric in ("mean_speed", "failed"))
+        speed, failed = (
+            float(scores(episodes, metric).mean()) for metric in ("mean_speed", "failed")
+        )
         bar.set_postfix_str(f"{speed:.2f} cm/s, {100.0 * failed:.0f} % failed")
         found = (speed - student.failure_cost * failed, speed, failed)
         if found > best:
             best = found
             policy.save(folder / POLICY)
     seconds = round(time.process_time() - began, 1)
-    result = {"mean_speed": best[1], "failed": best[2], "core_seconds": seconds, "revision": revision}
+    result = {
+        "mean_speed": best[1],
+        "failed": best[2],
+        "core_seconds": seconds,
+        "revision": revision,
+    }
     write_atomically(folder / FINISHED, to_json(result))

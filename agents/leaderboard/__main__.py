@@ -1,9 +1,11 @@
-"""Writes and checks the leaderboard, every policy on every frozen set: `python -m agents.leaderboard`.
+"""Writes and checks the leaderboard, every policy on every frozen set: `python -m
+agents.leaderboard`.
 
-The episodes of all policies are written to agents/leaderboard/results; leaderboard.json, the pages and the chart depend
-only on these files.
+The episodes of all policies are written to agents/leaderboard/results; leaderboard.json, the pages
+and the chart depend only on these files.
 
-The check compares headers, pages and every bit of every episode with the results, but not the versions of packages.
+The check compares headers, pages and every bit of every episode with the results, but not the
+versions of packages.
 """
 
 import os
@@ -18,12 +20,26 @@ import numpy as np
 from agents.leaderboard.candidates import all_candidates
 from agents.leaderboard.chart import CHART, digest, draw
 from agents.leaderboard.page import COMMAND, build, files
-from agents.leaderboard.rows import RESULTS, LeaderboardRow, evaluate, load_row, load_rows, save_row, static_header
+from agents.leaderboard.rows import (
+    RESULTS,
+    LeaderboardRow,
+    evaluate,
+    load_row,
+    load_rows,
+    save_row,
+    static_header,
+)
 from agents.training.signals import INTERRUPTED
 from capsule_gym.checks import check_count, nearest, require
 from capsule_gym.command_line import Count, Positional, arg, command
 from capsule_gym.evaluation.candidates import Candidate
-from capsule_gym.evaluation.sets import FURTHER_SET_NAMES, SET_NAMES, TASK_SET_NAMES, EvaluationSet, load_set
+from capsule_gym.evaluation.sets import (
+    FURTHER_SET_NAMES,
+    SET_NAMES,
+    TASK_SET_NAMES,
+    EvaluationSet,
+    load_set,
+)
 from capsule_gym.files import write_atomically
 from capsule_gym.tasks.registry import TASKS
 
@@ -33,12 +49,23 @@ SETS = SET_NAMES + FURTHER_SET_NAMES + TASK_SET_NAMES
 
 def uncommitted(candidates: Sequence[Candidate]) -> list[str]:
     """The policies that cannot be trained again, since their training code was not committed."""
-    policies = [(f"{each.name}/seed-{p.training_seed}", p.revision) for each in candidates for p in each.trained]
-    return [f"{name}: the revision {revision} is not committed" for name, revision in policies if "+" in revision]
+    policies = [
+        (f"{each.name}/seed-{p.training_seed}", p.revision)
+        for each in candidates
+        for p in each.trained
+    ]
+    return [
+        f"{name}: the revision {revision} is not committed"
+        for name, revision in policies
+        if "+" in revision
+    ]
 
 
-def find_stale(root: Path, candidates: Sequence[Candidate], sets: Sequence[EvaluationSet]) -> Iterator[str]:
-    """Lists what is stale in the project's folder without an evaluation: headers of rows, the pages, the chart.
+def find_stale(
+    root: Path, candidates: Sequence[Candidate], sets: Sequence[EvaluationSet]
+) -> Iterator[str]:
+    """Lists what is stale in the project's folder without an evaluation: headers of rows, the
+    pages, the chart.
 
     Raises:
         ValueError: if results are missing, or are those of other sets.
@@ -61,7 +88,9 @@ def find_stale(root: Path, candidates: Sequence[Candidate], sets: Sequence[Evalu
 
 
 def check_episodes(root: Path, rows: Iterable[LeaderboardRow]) -> Iterator[str]:
-    """Compares every bit of rows with the first episodes of the results; lists the first difference on each set."""
+    """Compares every bit of rows with the first episodes of the results; lists the first difference
+    on each set.
+    """
     for row in rows:
         recorded = load_row(root / RESULTS / f"{row.name}.npz")
         for set_name, now in row.scores.items():
@@ -70,7 +99,9 @@ def check_episodes(root: Path, rows: Iterable[LeaderboardRow]) -> Iterator[str]:
             if differs.size:
                 metric, run, episode = first = tuple(differs[0].tolist())
                 seed = f"training seed {row.header['training_seeds'][run]}, " if row.trained else ""
-                numbers = f"is {before[first].item()!r} in its results and {now[first].item()!r} now"
+                numbers = (
+                    f"is {before[first].item()!r} in its results and {now[first].item()!r} now"
+                )
                 where = f"({seed}episode {episode}; {len(differs)} of {now.size} differ)"
                 yield f"{row.name} on {set_name}: {row.header['metrics'][metric]} {numbers} {where}"
 
@@ -98,21 +129,35 @@ def main(
         plants: With --check, number of plants per set that are evaluated again; all by default.
         jobs: Processes.
     """
-    candidates, sets = [each for task in TASKS for each in all_candidates(task)], [load_set(name) for name in SETS]
+    candidates, sets = (
+        [each for task in TASKS for each in all_candidates(task)],
+        [load_set(name) for name in SETS],
+    )
     known = [candidate.name for candidate in candidates]
     chosen = [] if from_results else [each for each in candidates if each.name in (names or known)]
     check_count("--jobs", jobs)
-    require(plants is None or (plants >= 1 and check), "--plants", "an integer >= 1, with --check", plants)
+    require(
+        plants is None or (plants >= 1 and check),
+        "--plants",
+        "an integer >= 1, with --check",
+        plants,
+    )
     require(not (names and from_results), "--from-results", "given without names", " ".join(names))
     for name in names:
         if name not in known:
-            raise ValueError(f"names must be among {', '.join(known)}, got {name}{nearest(name, known)}")
+            raise ValueError(
+                f"names must be among {', '.join(known)}, got {name}{nearest(name, known)}"
+            )
     if check:
         stale = [*find_stale(ROOT, candidates, sets)]
         if not stale:
             sets = [replace(each, plants=each.plants[:plants]) for each in sets]
             stale += check_episodes(ROOT, evaluate(chosen, sets, jobs=jobs))
-        print("The leaderboard is stale:" if stale else "The leaderboard is up to date.", *stale, sep="\n- ")
+        print(
+            "The leaderboard is stale:" if stale else "The leaderboard is up to date.",
+            *stale,
+            sep="\n- ",
+        )
         return int(bool(stale))
     for line in uncommitted(chosen):
         raise ValueError(line)

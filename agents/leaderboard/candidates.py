@@ -9,7 +9,8 @@ def all_candidates(task: str = "speed") -> list[Candidate]:
     """All rows of a task's leaderboard: scripted policies, then checkpoints.
 
     Raises:
-        ValueError: if a checkpoint is incomplete, or has another torque limit than the scripted policies.
+        ValueError: if a checkpoint is incomplete, or has another torque limit than the scripted
+            policies.
     """
     scripted = SCRIPTED if task == "speed" else TASK_SCRIPTED
     found = [find_candidate(name) for name in (*scripted, *checkpoint_names())]

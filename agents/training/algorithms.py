@@ -1,4 +1,5 @@
-"""Creates the environments and the agent of a run from its configuration, with Stable-Baselines3's own classes.
+"""Creates the environments and the agent of a run from its configuration, with Stable-Baselines3's
+own classes.
 
 To train with another algorithm, pass it the environments that `make_env(config, seed)` returns.
 """
@@ -16,12 +17,24 @@ from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import NStepReplayBuffer
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, OrnsteinUhlenbeckActionNoise
+from stable_baselines3.common.noise import (
+    ActionNoise,
+    NormalActionNoise,
+    OrnsteinUhlenbeckActionNoise,
+)
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 from torch import nn
 
-from agents.training.config import Algorithm, Config, OffPolicyConfig, PPOConfig, RunError, SACConfig, TQCConfig
+from agents.training.config import (
+    Algorithm,
+    Config,
+    OffPolicyConfig,
+    PPOConfig,
+    RunError,
+    SACConfig,
+    TQCConfig,
+)
 from capsule_gym.checks import prefix_errors
 from capsule_gym.envs.config import EnvConfig
 from capsule_gym.envs.contract import entries_of
@@ -33,7 +46,9 @@ CLASSES: dict[Algorithm, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "td3": 
 
 
 class EpisodeMetrics(gym.Wrapper[Any, Any, Any, Any]):
-    """Adds the episode's "metrics" (`capsule_gym.tasks.task.METRICS`) to the info of the last step."""
+    """Adds the episode's "metrics" (`capsule_gym.tasks.task.METRICS`) to the info of the last
+    step.
+    """
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Steps the environment."""
@@ -43,7 +58,8 @@ class EpisodeMetrics(gym.Wrapper[Any, Any, Any, Any]):
             env: Any = self.env.unwrapped
             metrics = env.episode_metrics(steps)
             if terminated and not metrics["failed"]:
-                # By a wrapper. As for the environment's own terminations, the speed is that over a whole episode.
+                # By a wrapper. As for the environment's own terminations, the speed is that over a
+                # whole episode.
                 seconds = steps * env.simulation.options.control_dt
                 metrics |= {"failed": 1.0, "mean_speed": 100.0 * metrics["distance"] / seconds}
             info = {**info, "metrics": metrics}
@@ -54,9 +70,12 @@ def wrapped_env(config: Config, env_kwargs: Mapping[str, Any], steps: int) -> gy
     """Creates one environment with the run's wrappers, inside SB3's `Monitor`.
 
     Raises:
-        RunError: if a wrapper is not a subclass of `gymnasium.Wrapper` that takes only an environment.
+        RunError: if a wrapper is not a subclass of `gymnasium.Wrapper` that takes only an
+            environment.
     """
-    env: Any = gym.make(f"capsule_gym:{config.env}", max_episode_steps=steps, disable_env_checker=True, **env_kwargs)
+    env: Any = gym.make(
+        f"capsule_gym:{config.env}", max_episode_steps=steps, disable_env_checker=True, **env_kwargs
+    )
     for name in config.wrapper:
         try:
             kind: Any = pkgutil.resolve_name(name)
@@ -72,7 +91,8 @@ def wrapped_env(config: Config, env_kwargs: Mapping[str, Any], steps: int) -> gy
 
 
 def make_env(config: Config, seed: int, **changes: Any) -> VecNormalize:
-    """Creates the training environments with normalised observations and, for PPO, normalised rewards.
+    """Creates the training environments with normalised observations and, for PPO, normalised
+    rewards.
 
     Args:
         config: the configuration.
@@ -82,7 +102,8 @@ def make_env(config: Config, seed: int, **changes: Any) -> VecNormalize:
     A wrong argument of the environment raises a TypeError or ValueError that names it.
     """
     kwargs = {**config.env_kwargs(), **changes}
-    # Only for training: policies are selected with `residual_limit`, and the task's commands and sensors.
+    # Only for training: policies are selected with `residual_limit`, and the task's commands and
+    # sensors.
     if config.training_limit is not None:
         kwargs["residual_limit"] = config.training_limit
     if config.command_range:
@@ -99,11 +120,19 @@ def make_env(config: Config, seed: int, **changes: Any) -> VecNormalize:
         venv = DummyVecEnv([lambda: wrapped_env(config, kwargs, steps)] * config.num_envs)
         spaces = venv.observation_space, venv.action_space
         if not all(isinstance(space, gym.spaces.Box) for space in spaces):
-            raise RunError(f"--wrapper must leave observations and actions Box, got {spaces[0]} and {spaces[1]}")
+            raise RunError(
+                f"--wrapper must leave observations and actions Box, got {spaces[0]} and {spaces[1]}"
+            )
         venv.seed(seed)
     else:
-        venv = CapsuleSB3VecEnv(config.num_envs, seed, privileged=config.asymmetric, max_episode_steps=steps, **kwargs)
-    rewards = {"clip_reward": config.clip_reward} if isinstance(config, PPOConfig) else {"norm_reward": False}
+        venv = CapsuleSB3VecEnv(
+            config.num_envs, seed, privileged=config.asymmetric, max_episode_steps=steps, **kwargs
+        )
+    rewards = (
+        {"clip_reward": config.clip_reward}
+        if isinstance(config, PPOConfig)
+        else {"norm_reward": False}
+    )
     env = VecNormalize(venv, gamma=config.gamma, **rewards)
     if config.observation_scale is not None:
         statistics: Any = env.obs_rms
@@ -111,7 +140,8 @@ def make_env(config: Config, seed: int, **changes: Any) -> VecNormalize:
         factors = np.ones(observed.mean.shape)
         of = dict(zip(("theta", "theta_dot", "x_dot"), config.observation_scale, strict=True))
         of |= {"theta_d": of["theta"], "theta_d_dot": of["theta_dot"]}
-        # Wrappers may add entries, or remove some; the names of stacked observations end with a number.
+        # Wrappers may add entries, or remove some; the names of stacked observations end with a
+        # number.
         for i, name in zip(range(len(factors)), entries_of(EnvConfig(**kwargs)), strict=False):
             factors[i] = of.get(name.partition(" ")[0], 1.0)
         fixed: Any = FixedScale(factors)

@@ -30,9 +30,11 @@ from capsule_gym.evaluation.statistics import interquartile_mean
 from capsule_gym.files import write_atomically
 from capsule_gym.tasks.registry import find_task
 
-# Far from the seeds 0, 1, .. of training runs and evaluation sets, so that no other plants select models.
+# Far from the seeds 0, 1, .. of training runs and evaluation sets, so that no other plants select
+# models.
 SELECTION_SEED = 1_000_000
-# Agent steps between two lines of the log of off-policy algorithms; on-policy algorithms log every rollout.
+# Agent steps between two lines of the log of off-policy algorithms; on-policy algorithms log every
+# rollout.
 LOG_EVERY = 2_000
 
 
@@ -41,7 +43,9 @@ class Stopped(Exception):  # noqa: N818 (it is no error)
 
 
 def validation_plants(config: Config) -> EvaluationSet:
-    """The plants that select a run's best model: from its training ranges, with seeds that are used only for this."""
+    """The plants that select a run's best model: from its training ranges, with seeds that are used
+    only for this.
+    """
     first = SELECTION_SEED + config.seed * config.evaluation_episodes
     options = EnvConfig(**config.env_kwargs())
     name, count = f"validation plants from {config.randomization}", config.evaluation_episodes
@@ -52,8 +56,8 @@ def validation_plants(config: Config) -> EvaluationSet:
 class TrainingCallback(BaseCallback):
     """Progress bar, log, evaluations on validation plants, checkpoints and the best model.
 
-    `restore_streams` is called when the agent begins to learn; `latest` is the checkpoint from which the run is
-    resumed, if any, and `revision` the git revision of its start.
+    `restore_streams` is called when the agent begins to learn; `latest` is the checkpoint from
+    which the run is resumed, if any, and `revision` the git revision of its start.
     """
 
     def __init__(
@@ -68,16 +72,27 @@ class TrainingCallback(BaseCallback):
     ) -> None:
         super().__init__()
         self.run, self.config, self.revision = run, config, revision
-        self.progress, self.latest, self.stop, self.restore_streams = progress, latest, stop, restore_streams
+        self.progress, self.latest, self.stop, self.restore_streams = (
+            progress,
+            latest,
+            stop,
+            restore_streams,
+        )
         self.plants = validation_plants(config)
         self.criteria = CRITERIA[config.task]
         baseline = evaluate(self.criteria.baseline, self.plants)
-        self.baseline_value = float(interquartile_mean(scores(baseline, self.criteria.metric.name))[0])
+        self.baseline_value = float(
+            interquartile_mean(scores(baseline, self.criteria.metric.name))[0]
+        )
         self.evaluated_at = int(progress.evaluations[-1]["steps"]) if progress.evaluations else 0
         self.core_began = time.process_time() - progress.core_seconds
         # The bar is shown only on a terminal; evaluations are always printed.
         self.bar = tqdm(
-            total=config.total_steps, initial=self.evaluated_at, unit=" steps", unit_scale=True, disable=None
+            total=config.total_steps,
+            initial=self.evaluated_at,
+            unit=" steps",
+            unit_scale=True,
+            disable=None,
         )
 
     def _on_training_start(self) -> None:
@@ -102,17 +117,31 @@ class TrainingCallback(BaseCallback):
     def _on_rollout_end(self) -> None:
         if self.model.ep_info_buffer:
             self._record_episodes()
-        # SB3 logs off-policy algorithms at the ends of episodes, and all episodes end at the same time.
+        # SB3 logs off-policy algorithms at the ends of episodes, and all episodes end at the same
+        # time.
         made = self.num_timesteps - self.training_env.num_envs
-        if isinstance(self.model, OffPolicyAlgorithm) and made // LOG_EVERY < self.num_timesteps // LOG_EVERY:
+        if (
+            isinstance(self.model, OffPolicyAlgorithm)
+            and made // LOG_EVERY < self.num_timesteps // LOG_EVERY
+        ):
             self.model.dump_logs()
 
     def _record_episodes(self) -> None:
         """Records the last episodes in the log and on the progress bar."""
         assert self.model.ep_info_buffer is not None
         config, task, criteria = self.config, find_task(self.config.task), self.criteria
-        names = ("r", "distance", "energy", "cost_of_transport", "stuck_fraction", *criteria.weights)
-        of = {name: np.array([episode[name] for episode in self.model.ep_info_buffer]) for name in names}
+        names = (
+            "r",
+            "distance",
+            "energy",
+            "cost_of_transport",
+            "stuck_fraction",
+            *criteria.weights,
+        )
+        of = {
+            name: np.array([episode[name] for episode in self.model.ep_info_buffer])
+            for name in names
+        }
         # The terms of the reward; progress is the rest.
         failure = -config.termination_penalty * of["failed"]
         energy = -config.energy_weight * of["energy"]
@@ -132,17 +161,31 @@ class TrainingCallback(BaseCallback):
 
     def policy(self) -> Policy | None:
         """The current deterministic policy of the agent; None under wrappers."""
-        return None if self.config.wrapper else export(self.run.name, self.model, self.config, self.revision)
+        return (
+            None
+            if self.config.wrapper
+            else export(self.run.name, self.model, self.config, self.revision)
+        )
 
     def evaluate(self) -> None:
-        """Evaluates the deterministic policy; writes a line, a checkpoint, and the model if it is the best so far."""
+        """Evaluates the deterministic policy; writes a line, a checkpoint, and the model if it is
+        the best so far.
+        """
         policy, criteria, plants = self.policy(), self.criteria, self.plants
-        episodes = evaluate(policy, plants) if policy else evaluate_wrapped(self.model, self.config, plants)
+        episodes = (
+            evaluate(policy, plants)
+            if policy
+            else evaluate_wrapped(self.model, self.config, plants)
+        )
         names = (*criteria.weights, "energy", "stuck_fraction")
         means = {name: float(scores(episodes, name).mean()) for name in names}
-        score = criteria.score(means) - self.config.energy_weight * means.pop("energy") / self.config.horizon
+        score = (
+            criteria.score(means)
+            - self.config.energy_weight * means.pop("energy") / self.config.horizon
+        )
         value, cost = (
-            float(interquartile_mean(scores(episodes, name))[0]) for name in (criteria.metric.name, "cost_of_transport")
+            float(interquartile_mean(scores(episodes, name))[0])
+            for name in (criteria.metric.name, "cost_of_transport")
         )
         values = means | {criteria.metric.name: value}
         for name, logged in (values | {"score": score, "cost_of_transport": cost}).items():
@@ -150,12 +193,21 @@ class TrainingCallback(BaseCallback):
                 self.logger.record(f"evaluation/{name}", logged)
         self.evaluated_at = self.num_timesteps
         shares = {name: values[name] for name in criteria.weights if name != criteria.metric.name}
-        line = {"steps": self.num_timesteps, "core_seconds": round(time.process_time() - self.core_began, 1)}
-        line |= {criteria.column: round(value, 4), **shares, f"score_{criteria.suffix}": round(score, 4)}
+        line = {
+            "steps": self.num_timesteps,
+            "core_seconds": round(time.process_time() - self.core_began, 1),
+        }
+        line |= {
+            criteria.column: round(value, 4),
+            **shares,
+            f"score_{criteria.suffix}": round(score, 4),
+        }
         line[f"baseline_{criteria.column}"] = round(self.baseline_value, 4)
         self.progress.evaluations.append(line)
         lines = [",".join(map(str, line.values())) for line in self.progress.evaluations]
-        write_atomically(self.run / EVALUATIONS, "\n".join([",".join(self.progress.evaluations[0]), *lines, ""]))
+        write_atomically(
+            self.run / EVALUATIONS, "\n".join([",".join(self.progress.evaluations[0]), *lines, ""])
+        )
         reference = f"{criteria.baseline} {self.baseline_value:.2f} {criteria.unit}"
         self.bar.write(f"{self.num_timesteps:12,} steps: {criteria.describe(values)} ({reference})")
         if score > self.progress.best_score:
@@ -172,8 +224,13 @@ class TrainingCallback(BaseCallback):
 
 
 def evaluate_wrapped(model: BaseAlgorithm, config: Config, plants: EvaluationSet) -> list[Episode]:
-    """Runs an episode from rest on every plant, with the run's wrappers; returns the episodes as `evaluate` does."""
-    settings, steps = {**config.env_kwargs(), **plants.env_kwargs}, round(config.horizon / config.control_dt)
+    """Runs an episode from rest on every plant, with the run's wrappers; returns the episodes as
+    `evaluate` does.
+    """
+    settings, steps = (
+        {**config.env_kwargs(), **plants.env_kwargs},
+        round(config.horizon / config.control_dt),
+    )
     venv = DummyVecEnv([lambda: wrapped_env(config, settings, steps)] * len(plants.plants))
     venv.seed(plants.plants[0].seed)
     venv.set_options([plant.reset_options() for plant in plants.plants])
@@ -189,4 +246,7 @@ def evaluate_wrapped(model: BaseAlgorithm, config: Config, plants: EvaluationSet
 
     evaluate_policy(model, env, len(plants.plants), callback=keep, warn=False)
     env.close()
-    return [{"M": each.M, "mu": each.mu, "seed": each.seed, **found[i]} for i, each in enumerate(plants.plants)]
+    return [
+        {"M": each.M, "mu": each.mu, "seed": each.seed, **found[i]}
+        for i, each in enumerate(plants.plants)
+    ]

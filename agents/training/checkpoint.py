@@ -1,9 +1,9 @@
 """The folder of a training run, whose files docs/training.md lists, its lock and its checkpoints.
 
-A run that is resumed from a checkpoint ends with the same policy, bit for bit, as an uninterrupted run. A checkpoint is
-written atomically between two updates; afterwards, all older ones but the previous one are deleted. Archives, .pkl
-files and checkpoints contain pickles, which can run any code when loaded: resume only runs of your own. A policy file
-contains no pickle.
+A run that is resumed from a checkpoint ends with the same policy, bit for bit, as an uninterrupted
+run. A checkpoint is written atomically between two updates; afterwards, all older ones but the
+previous one are deleted. Archives, .pkl files and checkpoints contain pickles, which can run any
+code when loaded: resume only runs of your own. A policy file contains no pickle.
 """
 
 import errno
@@ -33,8 +33,12 @@ from capsule_gym.policies.policy import POLICY
 
 LOCK = "lock"
 CHECKPOINTS = "checkpoint-" + 12 * "[0-9]"
-# Names, without suffix, of the files that the process with the lock replaces; temporary files shorten them.
-WRITTEN = ("checkpoint-*", *(Path(name).stem for name in (CONFIG, EVALUATIONS, MODEL, NORMALISATION, POLICY)))
+# Names, without suffix, of the files that the process with the lock replaces; temporary files
+# shorten them.
+WRITTEN = (
+    "checkpoint-*",
+    *(Path(name).stem for name in (CONFIG, EVALUATIONS, MODEL, NORMALISATION, POLICY)),
+)
 DIGEST_SIZE = hashlib.sha256().digest_size
 
 
@@ -50,7 +54,8 @@ class Progress:
 
 @contextmanager
 def locked(run: Path) -> Iterator[None]:
-    """Locks a run's folder for this process. The system releases the lock when the process ends, also in a crash.
+    """Locks a run's folder for this process. The system releases the lock when the process ends,
+    also in a crash.
 
     Raises:
         RunError: if another process holds the lock.
@@ -64,7 +69,10 @@ def locked(run: Path) -> Iterator[None]:
     except OSError as error:
         if error.errno not in (errno.ENOLCK, errno.EOPNOTSUPP):
             raise
-        print(f"{run}: this file system has no locks; make sure that no second process trains it", file=sys.stderr)
+        print(
+            f"{run}: this file system has no locks; make sure that no second process trains it",
+            file=sys.stderr,
+        )
     try:
         yield
     finally:
@@ -72,8 +80,19 @@ def locked(run: Path) -> Iterator[None]:
 
 
 def git_revision(folder: Path) -> str:
-    """The short git revision of a checkout, with "+" for uncommitted changes; "unknown" outside a checkout."""
-    command = ["git", "-C", str(folder), "describe", "--always", "--exclude=*", "--abbrev=12", "--dirty=+"]
+    """The short git revision of a checkout, with "+" for uncommitted changes; "unknown" outside a
+    checkout.
+    """
+    command = [
+        "git",
+        "-C",
+        str(folder),
+        "describe",
+        "--always",
+        "--exclude=*",
+        "--abbrev=12",
+        "--dirty=+",
+    ]
     try:
         return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
@@ -113,7 +132,8 @@ def is_whole(checkpoint: Path) -> bool:
 
 
 def write(run: Path, model: BaseAlgorithm, progress: Progress, before: Path | None) -> Path:
-    """Writes a checkpoint between two updates, deletes all others but `before`, and returns its path.
+    """Writes a checkpoint between two updates, deletes all others but `before`, and returns its
+    path.
 
     Raises:
         OSError: if the checkpoint cannot be written; the older ones are unchanged.
@@ -127,7 +147,8 @@ def write(run: Path, model: BaseAlgorithm, progress: Progress, before: Path | No
             # VecNormalize pickles itself without its environments.
             "normalize": env,
             "venv": env.venv,
-            # Discounted sums, from which the scale of the rewards is measured; VecNormalize leaves them out.
+            # Discounted sums, from which the scale of the rewards is measured; VecNormalize leaves
+            # them out.
             "returns": env.returns,
             "torch": torch.get_rng_state(),
             "numpy": np.random.get_state(),
@@ -151,16 +172,19 @@ def write(run: Path, model: BaseAlgorithm, progress: Progress, before: Path | No
 def restore(
     checkpoint: Path, kind: type[BaseAlgorithm], env: VecNormalize
 ) -> tuple[BaseAlgorithm, Progress, Callable[[], None]]:
-    """Unpickles the agent and the progress of an undamaged, trusted checkpoint, whose environments replace `env`.
+    """Unpickles the agent and the progress of an undamaged, trusted checkpoint, whose environments
+    replace `env`.
 
-    Also returns a function that restores the random streams and the log, to be called when the agent begins to learn.
+    Also returns a function that restores the random streams and the log, to be called when the
+    agent begins to learn.
 
     Raises:
         RunError: if the checkpoint cannot be read, for example because other versions wrote it.
     """
     try:
         state: dict[str, Any] = pickle.loads(checkpoint.read_bytes()[DIGEST_SIZE:])
-        # `load` seeds the environments that it gets, so the checkpoint's environments are set afterwards.
+        # `load` seeds the environments that it gets, so the checkpoint's environments are set
+        # afterwards.
         model = kind.load(io.BytesIO(state["model"]), env=env, device="cpu", force_reset=False)
         if isinstance(model, OffPolicyAlgorithm):
             model.replay_buffer = state["replay_buffer"]
@@ -179,7 +203,11 @@ def restore(
         random.setstate(state["python"])
         model.action_space.np_random.bit_generator.state = state["actions"]
         log = model.logger
-        kept: tuple[dict[str, Any], ...] = (log.name_to_value, log.name_to_count, log.name_to_excluded)
+        kept: tuple[dict[str, Any], ...] = (
+            log.name_to_value,
+            log.name_to_count,
+            log.name_to_excluded,
+        )
         for present, saved in zip(kept, state["log"], strict=True):
             present.update(saved)
 

@@ -1,4 +1,5 @@
-"""The hyperparameters of a run: a dataclass per algorithm, whose fields are the options of train.py.
+"""The hyperparameters of a run: a dataclass per algorithm, whose fields are the options of
+train.py.
 
 The docstring of a field is its help text. This module does not import torch.
 """
@@ -29,8 +30,8 @@ LARGEST_SEED = 2**32 - 1
 CONFIG, MODEL, NORMALISATION, BEST = "config.json", "model.zip", "vecnormalize.pkl", "best"
 LOGS, EVALUATIONS = "logs", "evaluations.csv"
 
-# The action: a torque in addition to that of a control law, or the motor torque. The command line and config.json call
-# the mode "task"; in Python, the task is that of the environment.
+# The action: a torque in addition to that of a control law, or the motor torque. The command line
+# and config.json call the mode "task"; in Python, the task is that of the environment.
 ActionMode = Literal["residual", "direct"]
 Environment = Literal["CapsuleStickSlip-v0", "CapsuleGoal-v0", "CapsuleVelocity-v0"]
 Algorithm = Literal["ppo", "sac", "td3", "tqc"]
@@ -43,13 +44,16 @@ def _option(name: str, more: str = "") -> Any:
 
 # Smallest values of the counts; 1 for all others.
 LEAST = {"seed": 0, "batch_size": 2, "learning_starts": 0, "dropped_quantiles": 0}
-# Ranges of the other numbers: description, lower and upper end, and whether the lower end is excluded.
+# Ranges of the other numbers: description, lower and upper end, and whether the lower end is
+# excluded.
 POSITIVE = ("a finite number > 0", 0.0, math.inf, True)
 NONNEGATIVE = ("a finite number >= 0", 0.0, math.inf, False)
 SHARE = ("a number in [0, 1]", 0.0, 1.0, False)
 MOST = {"seed": LARGEST_SEED, "hidden": MOST_UNITS}
 RANGES: dict[str, tuple[str, float, float, bool]] = {
-    **dict.fromkeys(("learning_rate", "episode_seconds", "training_limit", "observation_scale"), POSITIVE),
+    **dict.fromkeys(
+        ("learning_rate", "episode_seconds", "training_limit", "observation_scale"), POSITIVE
+    ),
     **dict.fromkeys(("final_learning_rate", "ent_coef", "action_noise", "noise_time"), NONNEGATIVE),
     **dict.fromkeys(("gamma", "gae_lambda"), SHARE),
     "log_std_init": ("a number in [-20, 2]", -20.0, 2.0, False),
@@ -60,7 +64,9 @@ RANGES: dict[str, tuple[str, float, float, bool]] = {
 
 
 class RunError(ValueError):
-    """Raised if a run cannot be started or resumed; the message names the option or the file, and the reason."""
+    """Raised if a run cannot be started or resumed; the message names the option or the file, and
+    the reason.
+    """
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,14 +86,16 @@ class Config:
     """Number of parallel environments."""
     controller: str | None = "baselines:adaptive"
     """Control law under a residual torque, as module:attribute."""
-    residual_limit: Annotated[float, _option("residual_limit", "; twice the torque limit can cancel any law")] = (
-        2.0 * EnvConfig.torque_limit
-    )
+    residual_limit: Annotated[
+        float, _option("residual_limit", "; twice the torque limit can cancel any law")
+    ] = 2.0 * EnvConfig.torque_limit
     training_limit: float | None = None
     """Residual limit in training, N m; None for that of the policy, residual_limit."""
     total_torque: Annotated[bool, _option("total_torque")] = EnvConfig.total_torque
     torque_limit: Annotated[float, _option("torque_limit")] = EnvConfig.torque_limit
-    randomization: Literal["default", "none", "paper", "wide", "broad", "sticky", "real", "real-wide"] = "paper"
+    randomization: Literal[
+        "default", "none", "paper", "wide", "broad", "sticky", "real", "real-wide"
+    ] = "paper"
     """Distribution of the plants; "default": that of the environment."""
     mass_range: tuple[float, float] | None = None
     """Ends of the range of M, kg; None for those of the distribution."""
@@ -99,8 +107,11 @@ class Config:
     """Static over kinetic friction coefficient of the floor; None for the environment's default."""
     disturbances: Annotated[Literal["none", "real"], _option("disturbances")] = "none"
     latency_range: tuple[float, float] | None = None
-    """Ends of the range of the sensors' latency in training, s; None for that of the disturbances."""
-    observe_parameters: Annotated[bool, _option("observe_parameters")] = EnvConfig.observe_parameters
+    """Ends of the range of the sensors' latency in training, s; None for that of the
+    disturbances."""
+    observe_parameters: Annotated[bool, _option("observe_parameters")] = (
+        EnvConfig.observe_parameters
+    )
     observe_estimates: Annotated[bool, _option("observe_estimates")] = EnvConfig.observe_estimates
     stack_size: Annotated[Count, _option("stack_size")] = 1
     initial_range: Annotated[tuple[float, float] | None, _option("initial_range")] = None
@@ -120,15 +131,17 @@ class Config:
     activation: Literal["tanh", "relu"] = "tanh"
     """Activation of the hidden layers."""
     observation_scale: tuple[float, float, float] | None = None
-    """Factors of the observed angle (rad), angular velocity (rad/s) and x_dot (m/s), those of a reference included;
-    without them the observation is normalised by its running statistics."""
+    """Factors of the observed angle (rad), angular velocity (rad/s) and x_dot (m/s), those of a
+    reference included; without them the observation is normalised by its running statistics."""
     batch_size: Count = 2048
     """Samples in a gradient step."""
     evaluate_every: Count = 500_000
     """Environment steps between evaluations and checkpoints."""
     evaluation_episodes: Count = 128
     """Episodes in an evaluation, on validation plants."""
-    wrapper: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="MODULE:ATTRIBUTE")] = ()
+    wrapper: Annotated[
+        tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="MODULE:ATTRIBUTE")
+    ] = ()
     """A gymnasium.Wrapper around each environment, the first one innermost; repeatable."""
 
     def env_kwargs(self) -> dict[str, Any]:
@@ -140,7 +153,13 @@ class Config:
         if self.randomization == "default":
             del kwargs["randomization"]
         # Policies that are older than these options do not contain them.
-        for name in ("total_torque", "disturbances", "observe_estimates", "stack_size", "initial_range"):
+        for name in (
+            "total_torque",
+            "disturbances",
+            "observe_estimates",
+            "stack_size",
+            "initial_range",
+        ):
             if kwargs[name] == getattr(EnvConfig, name):
                 del kwargs[name]
         if self.static_ratio is not None:
@@ -151,7 +170,10 @@ class Config:
             with prefix_errors("mass_range and friction_range"):
                 kwargs["randomization"] = dataclasses.replace(distribution, M=M, mu=mu)
         if self.action_mode == "direct":
-            kwargs |= {"controller": None, "residual_limit": min(self.residual_limit, self.torque_limit)}
+            kwargs |= {
+                "controller": None,
+                "residual_limit": min(self.residual_limit, self.torque_limit),
+            }
         return kwargs
 
     @property
@@ -212,7 +234,8 @@ class PPOConfig(Config):
     clip_reward: float = 10.0
     """Largest absolute value of a normalised reward."""
     privileged: bool = False
-    """The critic also observes the true plant and, where sensors are disturbed, the true state; not under wrappers."""
+    """The critic also observes the true plant and, where sensors are disturbed, the true state; not
+    under wrappers."""
 
 
 @dataclass(frozen=True)
@@ -226,14 +249,16 @@ class OffPolicyConfig(Config):
     gradient_steps: Count = 8
     """Updates after each step of all environments."""
     n_steps: Count = 1
-    """Steps whose rewards the target of a value sums before it adds the value of the state after them."""
+    """Steps whose rewards the target of a value sums before it adds the value of the state after
+    them."""
     tau: float = 0.01
     """Rate of the moving average that the target networks are."""
     activation: Literal["tanh", "relu"] = "relu"
     action_noise: float = 0.0
     """Standard deviation of the noise that training adds to the actions."""
     noise_time: float = 0.0
-    """Time over which that noise is correlated, s: uncorrelated noise hardly swings the pendulum."""
+    """Time over which that noise is correlated, s: uncorrelated noise hardly swings the
+    pendulum."""
 
 
 @dataclass(frozen=True)
@@ -268,10 +293,14 @@ class TQCConfig(SACConfig):
         """Also checks that at least one quantile remains in the target."""
         super().check()
         if self.dropped_quantiles >= self.quantiles:
-            raise ValueError(f"dropped_quantiles must be an integer < {self.quantiles}, got {self.dropped_quantiles!r}")
+            raise ValueError(
+                f"dropped_quantiles must be an integer < {self.quantiles}, got {self.dropped_quantiles!r}"
+            )
 
 
-ALGORITHMS: dict[Algorithm, type[Config]] = {kind.algo: kind for kind in (PPOConfig, SACConfig, TD3Config, TQCConfig)}
+ALGORITHMS: dict[Algorithm, type[Config]] = {
+    kind.algo: kind for kind in (PPOConfig, SACConfig, TD3Config, TQCConfig)
+}
 
 
 def read_config(run: Path) -> Config:
@@ -292,7 +321,11 @@ def read_config(run: Path) -> Config:
         config = ALGORITHMS[content["algo"]](action_mode=action_mode, **given)
         config.check()
     except FileNotFoundError:
-        raise RunError(f"--resume must name the folder of a run, got {str(run)!r}, which has no {CONFIG}") from None
+        raise RunError(
+            f"--resume must name the folder of a run, got {str(run)!r}, which has no {CONFIG}"
+        ) from None
     except (OSError, AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
-        raise RunError(f"{path} is not the configuration of a run: {type(error).__name__}: {error}") from error
+        raise RunError(
+            f"{path} is not the configuration of a run: {type(error).__name__}: {error}"
+        ) from error
     return config

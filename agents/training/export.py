@@ -1,4 +1,6 @@
-"""An agent's files: Stable-Baselines3's archive, the normalisation of observations, and the policy file."""
+"""An agent's files: Stable-Baselines3's archive, the normalisation of observations, and the policy
+file.
+"""
 
 import io
 import pickle
@@ -17,7 +19,9 @@ from capsule_gym.policies.policy import POLICY
 
 
 def archive(model: BaseAlgorithm) -> bytes:
-    """SB3's archive of an agent, written to memory since SB3's writer hides the OSError of a full disk."""
+    """SB3's archive of an agent, written to memory since SB3's writer hides the OSError of a full
+    disk.
+    """
     content = io.BytesIO()
     model.save(content)
     return content.getvalue()
@@ -51,7 +55,10 @@ def export(name: str, model: BaseAlgorithm, config: Config, revision: str) -> Po
         actor: Any = model.policy.actor
         modules = [*actor.latent_pi, actor.mu]
     layers = [module for module in modules if isinstance(module, nn.Linear)]
-    arrays = ((layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy()) for layer in layers)
+    arrays = (
+        (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy())
+        for layer in layers
+    )
     env = normalisation(model)
     # With a privileged critic, the observations are dicts.
     rms: Any = env.obs_rms["policy"] if isinstance(env.obs_rms, dict) else env.obs_rms

@@ -1,4 +1,5 @@
-"""Handlers of Ctrl-C and SIGTERM: exit at once if no progress is lost, else stop after the current update.
+"""Handlers of Ctrl-C and SIGTERM: exit at once if no progress is lost, else stop after the current
+update.
 
 Imports only the standard library, so that train.py can handle signals before its slow imports.
 """
@@ -26,8 +27,8 @@ def _print_to_stderr(text: str) -> None:
 class QuietExit:
     """A signal handler that ends the process without a traceback, and prints `message` to stderr.
 
-    An exception from the handler could be raised in imports or destructors, some of which print a traceback or swallow
-    it. Files are written atomically, so the process may end at any moment.
+    An exception from the handler could be raised in imports or destructors, some of which print a
+    traceback or swallow it. Files are written atomically, so the process may end at any moment.
     """
 
     message = "Stopped."
@@ -46,10 +47,11 @@ class QuietExit:
 
 
 class Stop:
-    """A context in which the first signal sets `requested` and a second signal has its previous effect.
-
-    An outer context is told of the first one, too. Outside the main thread, which alone may handle signals, it has no
+    """A context in which the first signal sets `requested` and a second signal has its previous
     effect.
+
+    An outer context is told of the first one, too. Outside the main thread, which alone may handle
+    signals, it has no effect.
     """
 
     def __init__(self, *signals: signal.Signals) -> None:
@@ -59,7 +61,9 @@ class Stop:
 
     def __enter__(self) -> "Stop":
         if threading.current_thread() is threading.main_thread():
-            self._before = {number: signal.signal(number, self._request) for number in self._signals}
+            self._before = {
+                number: signal.signal(number, self._request) for number in self._signals
+            }
         return self
 
     def __exit__(self, *exception: object) -> None:

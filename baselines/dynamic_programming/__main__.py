@@ -8,7 +8,12 @@ from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
 
-from baselines.dynamic_programming.archive import extrapolated, load_archive, set_plants, solve_plants
+from baselines.dynamic_programming.archive import (
+    extrapolated,
+    load_archive,
+    set_plants,
+    solve_plants,
+)
 from baselines.dynamic_programming.problem import PROBLEMS
 from capsule_gym.command_line import command
 from capsule_gym.evaluation.optimum import FOLDER
@@ -16,22 +21,27 @@ from capsule_gym.evaluation.optimum import FOLDER
 
 @command("python -m baselines.dynamic_programming", OSError, ValueError)
 def main(check: bool = False, report: bool = False, folder: Path = FOLDER) -> int:
-    """Computes the results of dynamic programming that the archive lacks. Ctrl-C keeps finished results.
+    """Computes the results of dynamic programming that the archive lacks. Ctrl-C keeps finished
+    results.
 
     Examples:
-      python -m baselines.dynamic_programming                      all that is missing
-      python -m baselines.dynamic_programming --report             print what is on file
-      python -m baselines.dynamic_programming --check              repeat every trajectory and write nothing
+      python -m baselines.dynamic_programming                      all that is missing python -m
+      baselines.dynamic_programming --report             print what is on file python -m
+      baselines.dynamic_programming --check              repeat every trajectory and write nothing
       python -m baselines.dynamic_programming --folder new         compute everything again
 
     Args:
-        check: Repeat every trajectory on file, write nothing; the exit status is 1 if a speed differs in the last bit.
-        report: Only print the results on file, with the limit of their gains on ever finer grids, cm/s.
+        check: Repeat every trajectory on file, write nothing; the exit status is 1 if a speed
+            differs in the last bit.
+        report: Only print the results on file, with the limit of their gains on ever finer grids,
+            cm/s.
         folder: Folder of the archive.
     """
     archive = load_archive(folder)
     if (check or report) and not archive.results:
-        raise ValueError(f"{'--check' if check else '--report'} needs results on file, and {folder} has none")
+        raise ValueError(
+            f"{'--check' if check else '--report'} needs results on file, and {folder} has none"
+        )
     if check:
         stale = archive.check()
         count = len(archive.results) + len(archive.plant_speeds)
@@ -41,7 +51,11 @@ def main(check: bool = False, report: bool = False, folder: Path = FOLDER) -> in
         # Needs an extra of the package.
         from baselines.tables import fields_table
 
-        print(fields_table([{**asdict(each), "limit": extrapolated(each)} for each in archive.results.values()]))
+        print(
+            fields_table(
+                [{**asdict(each), "limit": extrapolated(each)} for each in archive.results.values()]
+            )
+        )
         return 0
     missing = [problem for problem in PROBLEMS if problem.key not in archive.results]
     plants = [plant for plant in set_plants() if plant not in archive.plant_speeds]
@@ -54,7 +68,9 @@ def main(check: bool = False, report: bool = False, folder: Path = FOLDER) -> in
     except KeyboardInterrupt:
         archive.save(folder)
         status = 130
-    print(f"{len(archive.results)} problems and {len(archive.plant_speeds)} plants of sets on file in {folder}")
+    print(
+        f"{len(archive.results)} problems and {len(archive.plant_speeds)} plants of sets on file in {folder}"
+    )
     return status
 
 

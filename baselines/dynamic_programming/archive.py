@@ -1,6 +1,7 @@
 """The archive of the results: trajectories with their speeds, and values of the coarse grids.
 
-Each archived speed is that of a trajectory, whose torques, repeated from rest, give it on every machine.
+Each archived speed is that of a trajectory, whose torques, repeated from rest, give it on every
+machine.
 """
 
 import io
@@ -33,7 +34,8 @@ from capsule_gym.evaluation.sets import load_set
 from capsule_gym.files import replacing, write_atomically
 from capsule_gym.tasks.task import CONTROL_DT, START_THETA
 
-# cm: step of the stored values, larger if two bytes cannot count the steps; a control interval earns half a cm.
+# cm: step of the stored values, larger if two bytes cannot count the steps; a control interval
+# earns half a cm.
 RESOLUTION, MAX_STEPS = 0.005, 65535
 # Evaluation sets whose plants are solved themselves.
 SETS = ("paper", "wide")
@@ -59,24 +61,32 @@ class Result(Problem):
 class Archive:
     """The results by key, and their arrays by key and kind.
 
-    The kinds are `torques` of the trajectory (indices of `ACTIONS`, uint8), `differences` and `numbers` of the values;
-    for plants of evaluation sets `plants` with M, mu and speed, and `plants torques`, shape (plants, steps).
+    The kinds are `torques` of the trajectory (indices of `ACTIONS`, uint8), `differences` and
+    `numbers` of the values; for plants of evaluation sets `plants` with M, mu and speed, and
+    `plants torques`, shape (plants, steps).
     """
 
     results: dict[str, Result] = field(default_factory=dict)
     arrays: dict[str, np.ndarray] = field(default_factory=dict)
 
     def solve(self, problems: Sequence[Problem]) -> Iterator[None]:
-        """Solves one problem per iteration and adds its result, with the trajectory of the largest reward."""
+        """Solves one problem per iteration and adds its result, with the trajectory of the largest
+        reward.
+        """
         for n, problem in enumerate(problems):
             print(f"{n + 1}/{len(problems)} {problem} ..", flush=True)
             began, own_interval = perf_counter(), problem.control_dt == CONTROL_DT
-            solved = solver.solve_on_grids(problem, GRIDS[: (4 if problem == Problem() else 2) if own_interval else 3])
+            solved = solver.solve_on_grids(
+                problem, GRIDS[: (4 if problem == Problem() else 2) if own_interval else 3]
+            )
             runs = [trajectory for _, trajectory in solved]
             distance, energy, failed = (
-                np.array([run.metrics[key][0] for run in runs]) for key in ("distance", "energy", "failed")
+                np.array([run.metrics[key][0] for run in runs])
+                for key in ("distance", "energy", "failed")
             )
-            best = runs[int((100.0 * distance - problem.energy_weight * energy - 1e9 * failed).argmax())]
+            best = runs[
+                int((100.0 * distance - problem.energy_weight * energy - 1e9 * failed).argmax())
+            ]
             self.results[problem.key] = Result(
                 **asdict(problem),
                 grids=[list(solution.grid.shape) for solution, _ in solved],
@@ -85,8 +95,8 @@ class Archive:
                 **_performance(best),
             )
             self.arrays[f"{problem.key} torques"] = best.choices[:, 0]
-            # The policies look ahead with the values of the speed problems. Rounded differences along all axes, modulo
-            # 65536, compress better.
+            # The policies look ahead with the values of the speed problems. Rounded differences
+            # along all axes, modulo 65536, compress better.
             if problem.energy_weight == 0.0 and own_interval:
                 solution = solved[0][0]
                 low, high = float(solution.values.min()), float(solution.values.max())
@@ -95,14 +105,28 @@ class Archive:
                 for axis in range(steps.ndim):
                     steps = np.diff(steps, axis=axis, prepend=np.uint16(0))
                 self.arrays[f"{problem.key} differences"] = steps
-                numbers = [low, step, *solution.grid.y, *solution.grid.w, solution.curvature, solution.gain]
+                numbers = [
+                    low,
+                    step,
+                    *solution.grid.y,
+                    *solution.grid.w,
+                    solution.curvature,
+                    solution.gain,
+                ]
                 self.arrays[f"{problem.key} numbers"] = np.array(numbers)
-            print(f"{self.results[problem.key].mean_speed:.2f} cm/s, {perf_counter() - began:.0f} s", flush=True)
+            print(
+                f"{self.results[problem.key].mean_speed:.2f} cm/s, {perf_counter() - began:.0f} s",
+                flush=True,
+            )
             yield
 
     def solution(self, problem: Problem) -> Solution:
-        """The stored values of a problem; they exist for every plant of the grids and for the margin."""
-        steps, numbers = (self.arrays[f"{problem.key} {kind}"] for kind in ("differences", "numbers"))
+        """The stored values of a problem; they exist for every plant of the grids and for the
+        margin.
+        """
+        steps, numbers = (
+            self.arrays[f"{problem.key} {kind}"] for kind in ("differences", "numbers")
+        )
         low, step, *limits, curvature, gain = numbers.tolist()
         for axis in range(steps.ndim):
             steps = np.cumsum(steps, axis=axis, dtype=np.uint16)
@@ -112,7 +136,9 @@ class Archive:
     @property
     def plant_speeds(self) -> dict[tuple[float, float], float]:
         """Mean speeds, cm/s, of the plants of evaluation sets by M, kg, and mu."""
-        return {(M, mu): speed for M, mu, speed in self.arrays.get("plants", np.empty((0, 3))).tolist()}
+        return {
+            (M, mu): speed for M, mu, speed in self.arrays.get("plants", np.empty((0, 3))).tolist()
+        }
 
     def repeat(self, problem: Problem) -> Trajectory:
         """Repeats the trajectory of a problem."""
@@ -129,24 +155,38 @@ class Archive:
             plants, torques = self.arrays["plants"], self.arrays["plants torques"]
             thetas = np.full(len(plants), START_THETA)
             run = run_episodes(
-                Problem(), thetas, torques.shape[1], lambda step, states: torques[:, step], plants[:, :2]
+                Problem(),
+                thetas,
+                torques.shape[1],
+                lambda step, states: torques[:, step],
+                plants[:, :2],
             )
             found = zip(plants.tolist(), run.metrics["mean_speed"].tolist(), strict=True)
-            stale += [f"M, mu, cm/s: {filed} on file, {now} cm/s now" for filed, now in found if filed[2] != now]
+            stale += [
+                f"M, mu, cm/s: {filed} on file, {now} cm/s now"
+                for filed, now in found
+                if filed[2] != now
+            ]
         return stale
 
     def save(self, folder: Path = FOLDER) -> None:
-        """Writes the archive, each file atomically and the results last, so that no result lacks its arrays."""
+        """Writes the archive, each file atomically and the results last, so that no result lacks
+        its arrays.
+        """
         folder.mkdir(parents=True, exist_ok=True)
         ordered: dict[str, Any] = dict(sorted(self.arrays.items()))
         with replacing(folder / ARRAYS) as temporary:
             np.savez_compressed(temporary, **ordered)
-        lines = ",\n".join(f"  {json.dumps(asdict(result))}" for _, result in sorted(self.results.items()))
+        lines = ",\n".join(
+            f"  {json.dumps(asdict(result))}" for _, result in sorted(self.results.items())
+        )
         write_atomically(folder / ARCHIVE, f'{{\n "results": [\n{lines}\n ]\n}}\n')
 
 
 def load_archive(folder: Path = FOLDER) -> Archive:
-    """Reads the archive of a folder, or returns an empty one; a malformed file raises a ValueError."""
+    """Reads the archive of a folder, or returns an empty one; a malformed file raises a
+    ValueError.
+    """
     if not (folder / ARCHIVE).is_file():
         return Archive()
     try:
@@ -162,7 +202,9 @@ def load_archive(folder: Path = FOLDER) -> Archive:
 
 def _performance(trajectory: Trajectory) -> dict[str, float]:
     """Mean speed, cm/s, and cost of transport of the first episode."""
-    return {name: float(trajectory.metrics[name][0]) for name in ("mean_speed", "cost_of_transport")}
+    return {
+        name: float(trajectory.metrics[name][0]) for name in ("mean_speed", "cost_of_transport")
+    }
 
 
 @cache
@@ -173,17 +215,27 @@ def known_results() -> Archive:
 
 def set_plants() -> list[tuple[float, float]]:
     """M in kg and mu of all plants of `SETS`, without repetitions."""
-    return list(dict.fromkeys((plant.M, plant.mu) for name in SETS for plant in load_set(name).plants))
+    return list(
+        dict.fromkeys((plant.M, plant.mu) for name in SETS for plant in load_set(name).plants)
+    )
 
 
-def solve_plant(problem: Problem, archive: Archive, shape: tuple[int, int, int] = GRIDS[0]) -> Trajectory:
-    """The trajectory of a plant within `GRID`, solved over the ranges and from the values of the plants around it."""
+def solve_plant(
+    problem: Problem, archive: Archive, shape: tuple[int, int, int] = GRIDS[0]
+) -> Trajectory:
+    """The trajectory of a plant within `GRID`, solved over the ranges and from the values of the
+    plants around it.
+    """
     corners, along_M, along_mu = GRID.cell(problem.M, problem.mu)
     near = [archive.solution(plant_problems(GRID)[corner]) for corner in corners]
     weights = np.outer([1.0 - along_M, along_M], [1.0 - along_mu, along_mu]).ravel()
     limits = np.array([[solution.grid.y, solution.grid.w] for solution in near])
-    y, w = zip(limits[..., 0].min(axis=0).tolist(), limits[..., 1].max(axis=0).tolist(), strict=True)
-    curvature = sum(weight * solution.curvature for weight, solution in zip(weights.tolist(), near, strict=True))
+    y, w = zip(
+        limits[..., 0].min(axis=0).tolist(), limits[..., 1].max(axis=0).tolist(), strict=True
+    )
+    curvature = sum(
+        weight * solution.curvature for weight, solution in zip(weights.tolist(), near, strict=True)
+    )
     grid = Grid(solver.divide_nodes(shape, y, w), y, w, problem.M)
     solution = solver.solve(problem, grid, curvature=curvature, start=near[int(weights.argmax())])
     return solver.run_policy(solution, STARTS[:1], final=solver.final_solutions(solution))
@@ -193,7 +245,10 @@ def solve_plants(archive: Archive, missing: Sequence[tuple[float, float]]) -> It
     """Solves plants, M in kg and mu, and adds them to an archive with the values of `GRID`."""
     for n, (M, mu) in enumerate(missing):
         trajectory = solve_plant(Problem(M=M, mu=mu), archive)
-        rows = {"plants": [M, mu, *trajectory.metrics["mean_speed"]], "plants torques": trajectory.choices[:, 0]}
+        rows = {
+            "plants": [M, mu, *trajectory.metrics["mean_speed"]],
+            "plants torques": trajectory.choices[:, 0],
+        }
         for name, row in rows.items():
             archive.arrays[name] = np.array([*archive.arrays.get(name, ()), row])
         print(f"{n + 1}/{len(missing)} plants of the sets", flush=True)
@@ -201,11 +256,15 @@ def solve_plants(archive: Archive, missing: Sequence[tuple[float, float]]) -> It
 
 
 def optimal_front() -> list[tuple[float, float]]:
-    """The undominated costs of transport and mean speeds (cm/s) of the energy weights, nominal plant, slowest first."""
+    """The undominated costs of transport and mean speeds (cm/s) of the energy weights, nominal
+    plant, slowest first.
+    """
     results = known_results().results
     own = [results[Problem(energy_weight=weight).key] for weight in (0.0, *ENERGY_WEIGHTS)]
     found = [(each.cost_of_transport, each.mean_speed) for each in own]
-    undominated = [(cost, speed) for cost, speed in found if not any(c <= cost and s > speed for c, s in found)]
+    undominated = [
+        (cost, speed) for cost, speed in found if not any(c <= cost and s > speed for c, s in found)
+    ]
     return sorted(undominated, key=lambda point: point[1])
 
 

@@ -2,12 +2,12 @@
 
 A state (theta, theta_dot, x_dot) becomes (theta, s, w), with q = m l / (M + m):
 
-    w = x_dot / q - cos(theta) theta_dot        the velocity of the centre of mass over q, rad/s
-    y = x_dot / (q max(cos(theta), 0.3))        the velocity of the platform, as a rate of the pendulum, rad/s
-    s = y / (STRETCH + |y|)                     finer near stick
+    w = x_dot / q - cos(theta) theta_dot        the velocity of the centre of mass over q, rad/s y =
+    x_dot / (q max(cos(theta), 0.3))        the velocity of the platform, as a rate of the pendulum,
+    rad/s s = y / (STRETCH + |y|)                     finer near stick
 
-Only friction changes w, at a low rate. Along x_dot a step would cross many cells, each with an interpolation error.
-Stick is the plane s = 0, where the value has a kink; nodes lie on it.
+Only friction changes w, at a low rate. Along x_dot a step would cross many cells, each with an
+interpolation error. Stick is the plane s = 0, where the value has a kink; nodes lie on it.
 """
 
 from collections.abc import Sequence
@@ -33,8 +33,12 @@ def stretched(y: np.ndarray) -> np.ndarray:
     return y / (STRETCH + abs(y))
 
 
-def coordinates(states: np.ndarray, q: np.ndarray | float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """theta, s and w of states theta (rad), theta_dot (rad/s) and x_dot (m/s), shape (3, ..); q is m l / (M + m), m."""
+def coordinates(
+    states: np.ndarray, q: np.ndarray | float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """theta, s and w of states theta (rad), theta_dot (rad/s) and x_dot (m/s), shape (3, ..); q is
+    m l / (M + m), m.
+    """
     theta, theta_dot, x_dot = states
     cos, rate = sincos(theta)[1], x_dot / q
     return theta, stretched(rate / np.maximum(cos, MIN_COSINE)), rate - cos * theta_dot
@@ -46,9 +50,14 @@ def clamped(positions: np.ndarray, last: np.ndarray | float) -> np.ndarray:
 
 
 def interpolate(
-    values: np.ndarray, positions: Sequence[np.ndarray], nodes: Sequence[Any], curvature: Any, first: Any = 0
+    values: np.ndarray,
+    positions: Sequence[np.ndarray],
+    nodes: Sequence[Any],
+    curvature: Any,
+    first: Any = 0,
 ) -> np.ndarray:
-    """The values, flat and float32, at positions on a grid with these nodes along theta, s and w, from index `first`.
+    """The values, flat and float32, at positions on a grid with these nodes along theta, s and w,
+    from index `first`.
 
     They are linear, and along w less the parabola of `cell_curvature`.
     """
@@ -72,7 +81,9 @@ def interpolate(
 
 @dataclass(frozen=True)
 class Grid:
-    """A regular grid over (theta, s, w) for one mass of the platform; a state off the grid counts as failed."""
+    """A regular grid over (theta, s, w) for one mass of the platform; a state off the grid counts
+    as failed.
+    """
 
     shape: tuple[int, int, int]  # nodes, at least 4 along each
     y: tuple[float, float]  # range around 0, rad/s
@@ -97,7 +108,10 @@ class Grid:
 
     def nodes(self) -> np.ndarray:
         """theta, theta_dot and x_dot of all nodes in order, shape (3, nodes)."""
-        theta, s, w = (a + spacing * np.arange(n) for (a, spacing), n in zip(self.axes, self.shape, strict=True))
+        theta, s, w = (
+            a + spacing * np.arange(n)
+            for (a, spacing), n in zip(self.axes, self.shape, strict=True)
+        )
         s[np.abs(s).argmin()] = 0.0
         theta, s, w = (each.reshape(-1) for each in np.meshgrid(theta, s, w, indexing="ij"))
         cos = sincos(theta)[1]
@@ -106,7 +120,9 @@ class Grid:
         return np.stack([theta, np.clip(theta_dot, -MAX_NODE_RATE, MAX_NODE_RATE), self.q * rate])
 
     def positions(self, states: np.ndarray) -> np.ndarray:
-        """Positions of states of shape (3, n) in cells from the first node, shape (n, 3), float32; or FAILED."""
+        """Positions of states of shape (3, n) in cells from the first node, shape (n, 3), float32;
+        or FAILED.
+        """
         last = np.array(self.shape) - 1.0
         first, spacing = self.axes.T
         positions = (np.stack(coordinates(states, self.q), axis=1) - first) / spacing

@@ -20,8 +20,27 @@ ACTIONS = np.linspace(-1.0, 1.0, 121)
 SETTLED = HORIZON / 2.0  # s: time after which every trajectory is close to its limit cycle
 CONTROL_INTERVALS = (0.01, 0.005)  # s
 # cm/J
-ENERGY_WEIGHTS = (0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0)
-# N: normal force that `dp-nominal` leaves; the lightest platform of `wide` weighs 1.47 N less than the nominal one.
+ENERGY_WEIGHTS = (
+    0.1,
+    0.2,
+    0.4,
+    0.7,
+    1.0,
+    1.5,
+    2.0,
+    3.0,
+    4.0,
+    6.0,
+    8.0,
+    12.0,
+    16.0,
+    24.0,
+    32.0,
+    48.0,
+    64.0,
+)
+# N: normal force that `dp-nominal` leaves; the lightest platform of `wide` weighs 1.47 N less than
+# the nominal one.
 NOMINAL_MARGIN = 1.6
 
 
@@ -73,7 +92,9 @@ PROBLEMS = (
 
 
 class Transitions:
-    """A batch of environments that takes one step from each of `count` states, on the problem's plant or others."""
+    """A batch of environments that takes one step from each of `count` states, on the problem's
+    plant or others.
+    """
 
     def __init__(self, problem: Problem, count: int) -> None:
         self._simulation = Simulation(count, problem.options)
@@ -91,7 +112,9 @@ class Transitions:
         """The smallest normal force in the last step, N, shape (count,)."""
         return self._simulation.row(Row.normal_force)
 
-    def step(self, states: np.ndarray, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def step(
+        self, states: np.ndarray, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The next states, rewards in cm, and whether the steps fail.
 
         States are theta (rad), theta_dot (rad/s) and x_dot (m/s), shape (3, count).
@@ -102,15 +125,20 @@ class Transitions:
             simulation.write(row, values)
         simulation.step(actions)
         failed = (simulation.row(Row.termination) != 0.0) | (self.normal_force <= self.margin)
-        return simulation.rows(Row.theta, Row.x_dot + 1)[[0, 1, 3]], simulation.row(Row.reward), failed
+        return (
+            simulation.rows(Row.theta, Row.x_dot + 1)[[0, 1, 3]],
+            simulation.row(Row.reward),
+            failed,
+        )
 
 
 @dataclass(frozen=True)
 class Trajectory:
     """The trajectories of a batch of episodes, and their metrics by name, of shape (episodes,).
 
-    `states` are theta (rad), theta_dot (rad/s), x (m) and x_dot (m/s) at the beginning of every step, shape (steps, 4,
-    episodes), and `choices` the torques as indices of `ACTIONS`, uint8, shape (steps, episodes).
+    `states` are theta (rad), theta_dot (rad/s), x (m) and x_dot (m/s) at the beginning of every
+    step, shape (steps, 4, episodes), and `choices` the torques as indices of `ACTIONS`, uint8,
+    shape (steps, episodes).
     """
 
     metrics: dict[str, np.ndarray]
@@ -118,15 +146,25 @@ class Trajectory:
     choices: np.ndarray
 
     def cycle_starts(self, control_dt: float) -> np.ndarray:
-        """The steps after `SETTLED` at which the first pendulum, left of upright, reverses to move forwards."""
+        """The steps after `SETTLED` at which the first pendulum, left of upright, reverses to move
+        forwards.
+        """
         theta, theta_dot = self.states[:, 0, 0], self.states[:, 1, 0]
-        starts = np.flatnonzero((theta_dot[:-1] <= 0.0) & (theta_dot[1:] > 0.0) & (theta[1:] < 0.0)) + 1
+        starts = (
+            np.flatnonzero((theta_dot[:-1] <= 0.0) & (theta_dot[1:] > 0.0) & (theta[1:] < 0.0)) + 1
+        )
         return starts[starts >= round(SETTLED / control_dt)]
 
     def steady_speed(self, control_dt: float) -> float:
-        """The first episode's mean speed over whole cycles after `SETTLED`, cm/s, or without cycles over that time."""
+        """The first episode's mean speed over whole cycles after `SETTLED`, cm/s, or without cycles
+        over that time.
+        """
         starts = self.cycle_starts(control_dt)
-        begin, end = starts[[0, -1]] if starts.size > 1 else (round(SETTLED / control_dt), len(self.states) - 1)
+        begin, end = (
+            starts[[0, -1]]
+            if starts.size > 1
+            else (round(SETTLED / control_dt), len(self.states) - 1)
+        )
         x = self.states[:, 2, 0]
         return float(100.0 * (x[end] - x[begin]) / ((end - begin) * control_dt))
 
@@ -138,9 +176,11 @@ def run_episodes(
     choose: Callable[[int, np.ndarray], Any],
     plants: np.ndarray | None = None,
 ) -> Trajectory:
-    """Runs episodes from rest at the angles `thetas`, rad, on the problem's plant or `plants`, M in kg and mu of each.
+    """Runs episodes from rest at the angles `thetas`, rad, on the problem's plant or `plants`, M in
+    kg and mu of each.
 
-    choose(step, states) gives the torques as indices of `ACTIONS` for states of shape (4, episodes).
+    choose(step, states) gives the torques as indices of `ACTIONS` for states of shape (4,
+    episodes).
     """
     count = thetas.size
     M, mu = (np.tile([problem.M, problem.mu], (count, 1)) if plants is None else plants).T
@@ -157,5 +197,9 @@ def run_episodes(
 
 
 def repeat(problem: Problem, choices: np.ndarray) -> Trajectory:
-    """Repeats the torques of one episode from the task's start; `choices` are indices of `ACTIONS`, shape (steps,)."""
-    return run_episodes(problem, np.array([START_THETA]), choices.size, lambda step, states: choices[step])
+    """Repeats the torques of one episode from the task's start; `choices` are indices of `ACTIONS`,
+    shape (steps,).
+    """
+    return run_episodes(
+        problem, np.array([START_THETA]), choices.size, lambda step, states: choices[step]
+    )

@@ -9,17 +9,21 @@ from capsule_gym.command_line import command
 
 @command("python -m baselines.paper", ValueError)
 def main(figures: Path | None = None) -> None:
-    """Prints the paper's numbers and claims next to the computed ones; draws its figures. About a minute.
+    """Prints the paper's numbers and claims next to the computed ones; draws its figures. About a
+    minute.
 
     Examples:
       python -m baselines.paper                           all tables
       python -m baselines.paper --figures docs/figures    and all figures, as SVG and PNG
 
     Args:
-        figures: Also draw the figures into this folder, which is created if necessary (needs matplotlib).
+        figures: Also draw the figures into this folder, which is created if necessary (needs
+            matplotlib).
     """
     if figures is not None:
-        if not next(path for path in (figures, *figures.absolute().parents) if path.exists()).is_dir():
+        if not next(
+            path for path in (figures, *figures.absolute().parents) if path.exists()
+        ).is_dir():
             raise ValueError(f"--figures must name a folder, got {str(figures)!r}")
         if find_spec("matplotlib") is None:
             raise ValueError("--figures needs matplotlib: pip install 'capsule-gym[paper]'")

@@ -1,6 +1,8 @@
-"""The adaptive law (37) to (39) over the paper's ranges, open choices and long runs, and its Lyapunov function (40).
+"""The adaptive law (37) to (39) over the paper's ranges, open choices and long runs, and its
+Lyapunov function (40).
 
-Two forms of the law run: regularised (`adaptive`), and corrected without regularisation (`adaptive_as_published`).
+Two forms of the law run: regularised (`adaptive`), and corrected without regularisation
+(`adaptive_as_published`).
 """
 
 import itertools
@@ -13,7 +15,13 @@ import numpy as np
 from baselines.paper.published import M_RANGE, MU_RANGE
 from baselines.paper.tracking import CYCLES, UNLIMITED, Trajectory, make_simulation, simulate
 from capsule_gym.control.controller import LAW_DT, Controller
-from capsule_gym.control.laws.adaptive import MEMORY, adaptive, eta_of, nominal_estimates, sliding_variables
+from capsule_gym.control.laws.adaptive import (
+    MEMORY,
+    adaptive,
+    eta_of,
+    nominal_estimates,
+    sliding_variables,
+)
 from capsule_gym.control.laws.gains import PUBLISHED, REGULARISED, UNREGULARISED
 from capsule_gym.control.laws.profiles import PROPOSED
 from capsule_gym.core.layout import Row
@@ -27,19 +35,26 @@ GRID = 5
 # beta, eta(0) and n, which the paper leaves open, and the rate of the law in Hz.
 BETAS, ETAS, EXPONENTS = (1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0), (0.1, 0.3, 1.0), (1, 2, 3)
 RATES = (1000, 2000, 5000, 10_000)
-# The long runs: the nominal plant, then the corners of the ranges, and the cycles that are compared.
+# The long runs: the nominal plant, then the corners of the ranges, and the cycles that are
+# compared.
 LONG_PLANTS = [(NOMINAL.M, NOMINAL.mu), *itertools.product(M_RANGE, MU_RANGE)]
 LONG_CYCLES = (1, 60, 600)
 
 
 def sliding(run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """delta_theta (rad/s) and delta_x (m/s) of (37b) over a run of the adaptive law with the published gains."""
-    state, anchors = (run.theta, run.theta_dot, run.x, run.x_dot), run.memory[:, MEMORY.index("x_anchor")]
+    """delta_theta (rad/s) and delta_x (m/s) of (37b) over a run of the adaptive law with the
+    published gains.
+    """
+    state, anchors = (
+        (run.theta, run.theta_dot, run.x, run.x_dot),
+        run.memory[:, MEMORY.index("x_anchor")],
+    )
     return sliding_variables(state, anchors, run.reference.T, PUBLISHED)
 
 
 def lyapunov(run: Trajectory, start: tuple[float, ...], plant: Plant) -> np.ndarray:
-    """The Lyapunov function V of Eq. (40) at every call of a run of the adaptive law with the published gains.
+    """The Lyapunov function V of Eq. (40) at every call of a run of the adaptive law with the
+    published gains.
 
     `start` is the law's memory before its first call; the parameters of `plant` are the true ones.
     """
@@ -49,17 +64,26 @@ def lyapunov(run: Trajectory, start: tuple[float, ...], plant: Plant) -> np.ndar
     kinetic = 0.5 * (ml * plant.l * delta_theta**2 + (plant.M + plant.m) * delta_x**2)
     kinetic -= ml * np.cos(run.theta) * delta_theta * delta_x
     squares = (before[:, :9] - nominal_estimates(plant)) ** 2
-    wrong = squares[:, :5].sum(axis=1) / PUBLISHED.Gamma_1 + squares[:, 5:].sum(axis=1) / PUBLISHED.Gamma_2
-    return kinetic + 0.5 * wrong + (2.0 * n + 1.0) / (2.0 * n) * eta_of(before) ** (2.0 * n / (2.0 * n + 1.0))
+    wrong = (
+        squares[:, :5].sum(axis=1) / PUBLISHED.Gamma_1
+        + squares[:, 5:].sum(axis=1) / PUBLISHED.Gamma_2
+    )
+    return (
+        kinetic
+        + 0.5 * wrong
+        + (2.0 * n + 1.0) / (2.0 * n) * eta_of(before) ** (2.0 * n / (2.0 * n + 1.0))
+    )
 
 
 @dataclass(frozen=True)
 class LawStudy:
-    """One form of the adaptive law, with a torque limit in N m, five cycles on each plant of the grid.
+    """One form of the adaptive law, with a torque limit in N m, five cycles on each plant of the
+    grid.
 
-    A run has `M` (kg), `mu`, `failed` (whether it ended early), `error_rms` of theta - theta_d (rad), `peak_velocity`
-    (rad/s), `peak_torque` (N m), `mean_speed` (cm/s), `eta` at its end, the sum of all rises of the Lyapunov function
-    (40) (`rise`) and the fraction of the time in which it rises (`rising`).
+    A run has `M` (kg), `mu`, `failed` (whether it ended early), `error_rms` of theta - theta_d
+    (rad), `peak_velocity` (rad/s), `peak_torque` (N m), `mean_speed` (cm/s), `eta` at its end, the
+    sum of all rises of the Lyapunov function (40) (`rise`) and the fraction of the time in which it
+    rises (`rising`).
     """
 
     law: str
@@ -77,7 +101,9 @@ class LawStudy:
 
 
 def plant_grid() -> list[tuple[float, float]]:
-    """The plants (M, mu) of the adaptive runs: 5 x 5 over the paper's ranges, corners and centre included."""
+    """The plants (M, mu) of the adaptive runs: 5 x 5 over the paper's ranges, corners and centre
+    included.
+    """
     masses, frictions = (np.linspace(*limits, GRID).tolist() for limits in (M_RANGE, MU_RANGE))
     return list(itertools.product(masses, frictions))
 
@@ -85,11 +111,21 @@ def plant_grid() -> list[tuple[float, float]]:
 def study_law(regularised: bool, torque_limit: float = UNLIMITED) -> LawStudy:
     """Runs one form of the adaptive law over the grid."""
     controller, plants, runs = adaptive(regularised=regularised), plant_grid(), []
-    for (M, mu), run in zip(plants, simulate(controller, plants, torque_limit=torque_limit), strict=True):
+    for (M, mu), run in zip(
+        plants, simulate(controller, plants, torque_limit=torque_limit), strict=True
+    ):
         change = np.diff(lyapunov(run, controller.memory, NOMINAL.plant(M, mu)))
         rises = change[change > 1e-12]  # below is rounding
-        values: dict[str, Any] = {"M": M, "mu": mu, "failed": not run.completed, "error_rms": run.error_rms}
-        values |= {"peak_velocity": float(run.theta_dot.max()), "peak_torque": run.metrics["peak_torque"]}
+        values: dict[str, Any] = {
+            "M": M,
+            "mu": mu,
+            "failed": not run.completed,
+            "error_rms": run.error_rms,
+        }
+        values |= {
+            "peak_velocity": float(run.theta_dot.max()),
+            "peak_torque": run.metrics["peak_torque"],
+        }
         speed = 100.0 * run.metrics["distance"] / run.metrics["duration"]
         values |= {"mean_speed": speed, "eta": float(eta_of(run.memory[-1]))}
         runs.append({**values, "rise": float(rises.sum()), "rising": len(rises) / len(change)})
@@ -97,18 +133,24 @@ def study_law(regularised: bool, torque_limit: float = UNLIMITED) -> LawStudy:
 
 
 def run_cycles(
-    controller: Controller, plants: Sequence[tuple[float, float]], cycles: int = CYCLES, shown: Sequence[int] = ()
+    controller: Controller,
+    plants: Sequence[tuple[float, float]],
+    cycles: int = CYCLES,
+    shown: Sequence[int] = (),
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Runs an adaptive law with the published gains from rest at -pi/3 on all plants (M, mu) at once.
+    """Runs an adaptive law with the published gains from rest at -pi/3 on all plants (M, mu) at
+    once.
 
     Returns:
-        Whether contact was lost or the pendulum reached the platform, shape (plants,), and the largest of each of
-        `ERRORS` at the calls of the law in the cycles `shown`, counted from 1, shape (shown, 3, plants).
+        Whether contact was lost or the pendulum reached the platform, shape (plants,), and the
+        largest of each of `ERRORS` at the calls of the law in the cycles `shown`, counted from 1,
+        shape (shown, 3, plants).
     """
     options = {"torque_limit": UNLIMITED, "physics_dt": min(controller.dt, LAW_DT)}
     # A cycle that is not shown is one step. In others, a step is one call of the law.
     simulation, recorded = (
-        make_simulation(controller, plants, control_dt, **options) for control_dt in (PROPOSED.period, controller.dt)
+        make_simulation(controller, plants, control_dt, **options)
+        for control_dt in (PROPOSED.period, controller.dt)
     )
     running, nothing = np.ones(len(plants), np.bool_), np.zeros(len(plants))
     errors = np.zeros((len(shown), len(ERRORS), len(plants)))
@@ -133,14 +175,18 @@ def run_cycles(
 def study_variants() -> list[tuple[float, float, int, int, int]]:
     """The unregularised law with other choices, five cycles on every plant of the grid.
 
-    The choices change one at a time from the law's own, then at the corners; at 10 kHz, the slowest runs, with n = 1.
+    The choices change one at a time from the law's own, then at the corners; at 10 kHz, the slowest
+    runs, with n = 1.
 
     Returns:
         beta (rad^2/s^2), eta(0), n, rate (Hz), and the number of plants that fail.
     """
     own = (UNREGULARISED.beta, UNREGULARISED.eta_0, UNREGULARISED.n, RATES[0])
     ranges: tuple[tuple[Any, ...], ...] = (BETAS, ETAS, EXPONENTS, RATES)
-    settings = [own, *((*own[:i], value, *own[i + 1 :]) for i, values in enumerate(ranges) for value in values)]
+    settings = [
+        own,
+        *((*own[:i], value, *own[i + 1 :]) for i, values in enumerate(ranges) for value in values),
+    ]
     corners = itertools.product(*((values[0], values[-1]) for values in ranges))
     settings += [corner for corner in corners if corner[3] == RATES[0] or corner[2] == own[2]]
     variants = []

@@ -1,17 +1,18 @@
 """Principles 3 and 4 (Eqs. 7 and 8) and Lemmas 1 and 2 of the paper, and a proof about its torques.
 
-A principle or lemma is evaluated as load and limit over a cycle of a profile, or over samples of any motion: it is met
-where the load does not exceed the limit. Cycles are sampled phase by phase with both ends, so that the acceleration's
-jumps count from either side.
+A principle or lemma is evaluated as load and limit over a cycle of a profile, or over samples of
+any motion: it is met where the load does not exceed the limit. Cycles are sampled phase by phase
+with both ends, so that the acceleration's jumps count from either side.
 
-A plant with the paper's normal force has the contact of (7) and (8) as printed: they add the torque of spring and
-damper, k theta + c theta', to forces. That torque acts between pendulum and platform, never on the floor, and its
-dimension is N m.
+A plant with the paper's normal force has the contact of (7) and (8) as printed: they add the torque
+of spring and damper, k theta + c theta', to forces. That torque acts between pendulum and platform,
+never on the floor, and its dimension is N m.
 
-The proof is that the published torques cannot give the published velocities on the published plant. It does not depend
-on the reference, the gains or the law: it holds for every motor torque that stays within the limit. It is certified:
-sampled quantities are widened by a bound on their change between the samples. It covers either direction of slip,
-stick, and both options for the normal force. It bounds the torque against the rate, not the mean speed.
+The proof is that the published torques cannot give the published velocities on the published plant.
+It does not depend on the reference, the gains or the law: it holds for every motor torque that
+stays within the limit. It is certified: sampled quantities are widened by a bound on their change
+between the samples. It covers either direction of slip, stick, and both options for the normal
+force. It bounds the torque against the rate, not the mean speed.
 """
 
 import math
@@ -29,17 +30,20 @@ from capsule_gym.tasks.task import START_THETA
 # Samples of a phase, and of the angle in the proof.
 SAMPLES_PER_PHASE, SAMPLES = 2001, 20_001
 THETA_0 = math.pi / 3.0  # the boundary condition of Sect. 3.2, rad
-# Definition 4: the restoring stage. In the profile (9) these are phases IV to VII, in EPC's its last four.
+# Definition 4: the restoring stage. In the profile (9) these are phases IV to VII, in EPC's its
+# last four.
 RESTORING_PHASES = 4
 NEWTON, PAPER = NOMINAL.plant(), Capsule(normal_force="paper").plant()
-# Largest |theta'| (rad/s) and |theta''| (rad/s^2) of the random states: beyond the profiles for Lemma 1, which is about
-# loss of contact, and around rest for Lemma 2, whose limit is 1.5 rad/s^2.
+# Largest |theta'| (rad/s) and |theta''| (rad/s^2) of the random states: beyond the profiles for
+# Lemma 1, which is about loss of contact, and around rest for Lemma 2, whose limit is 1.5 rad/s^2.
 FAST, SLOW = (20.0, 400.0), (1.3, 20.0)
 
 
 @dataclass(frozen=True)
 class Cycle:
-    """The samples of a motion, in SI units, with the number of their phase from 0; both phases at its ends count."""
+    """The samples of a motion, in SI units, with the number of their phase from 0; both phases at
+    its ends count.
+    """
 
     t: np.ndarray
     phase: np.ndarray
@@ -67,23 +71,32 @@ class Demand(NamedTuple):
 
 
 def sample(profile: Profile, samples: int = SAMPLES_PER_PHASE) -> Cycle:
-    """A cycle of the profile with the given number of samples in each phase, both of its ends included."""
+    """A cycle of the profile with the given number of samples in each phase, both of its ends
+    included.
+    """
     phase = np.repeat(np.arange(len(profile.segments)), samples)
-    s = np.concatenate([np.linspace(0.0, segment.duration, samples) for segment in profile.segments])
-    return Cycle(np.append(0.0, profile.times)[phase] + s, phase, *profile.evaluate_phases(phase, s))
+    s = np.concatenate(
+        [np.linspace(0.0, segment.duration, samples) for segment in profile.segments]
+    )
+    return Cycle(
+        np.append(0.0, profile.times)[phase] + s, phase, *profile.evaluate_phases(phase, s)
+    )
 
 
 def principle_3(cycle: Cycle, p: Plant) -> Demand:
-    """Eq. (7): the platform keeps contact with the floor. Load: the pendulum's lift, N; limit: the weight, N."""
+    """Eq. (7): the platform keeps contact with the floor. Load: the pendulum's lift, N; limit: the
+    weight, N.
+    """
     weight = (p.M + p.m) * p.g
     return Demand(weight - dynamics.normal_force(*cycle.motion, p), weight)
 
 
 def principle_4(cycle: Cycle, p: Plant) -> Demand:
-    """Eq. (8): a platform at rest stays at rest. Load: the pendulum's force, N; limit: the static friction, N.
+    """Eq. (8): a platform at rest stays at rest. Load: the pendulum's force, N; limit: the static
+    friction, N.
 
-    The principle applies to the restoring stage, the last `RESTORING_PHASES`. In the phases before, a violation is what
-    moves the capsule.
+    The principle applies to the restoring stage, the last `RESTORING_PHASES`. In the phases before,
+    a violation is what moves the capsule.
     """
     force = dynamics.driving_force(*cycle.motion, p) + _pivot_torque(cycle, p) * np.cos(cycle.theta)
     mu = p.mu * p.static_ratio * np.where(force < 0.0, p.backward_ratio, 1.0)
@@ -91,11 +104,13 @@ def principle_4(cycle: Cycle, p: Plant) -> Demand:
 
 
 def lemma_1(cycle: Cycle, p: Plant, *, sufficient: bool = False) -> Demand:
-    """Lemma 1, Eq. (10), which the paper presents as sufficient for Principle 3; `sufficient` gives its premise (12).
+    """Lemma 1, Eq. (10), which the paper presents as sufficient for Principle 3; `sufficient` gives
+    its premise (12).
 
-    With a = m l theta'' + k theta + c theta' and b = m l theta'^2, (12), sqrt(a^2 + b^2) < (M + m) g, is sufficient by
-    Cauchy and Schwarz. (10) follows from (12) and is sufficient for nothing: at theta = 0 with a = 0 it holds at every
-    speed. Nor is it necessary for (7), in which a drops out at theta = 0.
+    With a = m l theta'' + k theta + c theta' and b = m l theta'^2, (12), sqrt(a^2 + b^2) < (M + m)
+    g, is sufficient by Cauchy and Schwarz. (10) follows from (12) and is sufficient for nothing: at
+    theta = 0 with a = 0 it holds at every speed. Nor is it necessary for (7), in which a drops out
+    at theta = 0.
     """
     ml, weight = p.m * p.l, (p.M + p.m) * p.g
     a = ml * cycle.theta_ddot + _pivot_torque(cycle, p)
@@ -105,9 +120,11 @@ def lemma_1(cycle: Cycle, p: Plant, *, sufficient: bool = False) -> Demand:
 
 
 def lemma_2(cycle: Cycle, p: Plant, *, sufficient: bool = False) -> Demand:
-    """Lemma 2, Eq. (15), which the paper presents as sufficient for Principle 4; `sufficient` gives the corrected form.
+    """Lemma 2, Eq. (15), which the paper presents as sufficient for Principle 4; `sufficient` gives
+    the corrected form.
 
-    As printed a strong deceleration meets it, and the terms of spring and damper lack 1 / (m l). Corrected,
+    As printed a strong deceleration meets it, and the terms of spring and damper lack 1 / (m l).
+    Corrected,
     |theta'' + (k theta + c theta') / (m l)| + theta'^2 <= (M + m) g / (m l) mu / sqrt(mu^2 + 1) is sufficient for (8)
     by Cauchy and Schwarz. Friction is that of a plant with one coefficient.
     """
@@ -130,11 +147,12 @@ def _pivot_torque(cycle: Cycle, p: Plant) -> np.ndarray:
 
 
 def evaluate_demands() -> list[dict[str, Any]]:
-    """The demands on both profiles, nominal plant: the largest load over limit, above 1 where it is violated.
+    """The demands on both profiles, nominal plant: the largest load over limit, above 1 where it is
+    violated.
 
     Returns:
-        By row: the name of the `profile`, the `demand` and whether it is "as printed"; the ratio over the `whole_cycle`
-        and in each of the phases of the `restoring` stage.
+        By row: the name of the `profile`, the `demand` and whether it is "as printed"; the ratio
+        over the `whole_cycle` and in each of the phases of the `restoring` stage.
     """
     rows = []
     for profile in (PROPOSED, EPC):
@@ -157,9 +175,9 @@ def check_lemmas(states: int = 200_000, seed: int = 0) -> list[dict[str, Any]]:
     """Both lemmas, as printed and corrected, each on random states with |theta| < pi/2.
 
     Returns:
-        By row: the `lemma`, which `forces`, the number of random `states` that meet the lemma, the number of these that
-        violate the principle for which it should be sufficient (`violations`), and the largest load over limit of the
-        principle among them (`worst`).
+        By row: the `lemma`, which `forces`, the number of random `states` that meet the lemma, the
+        number of these that violate the principle for which it should be sufficient (`violations`),
+        and the largest load over limit of the principle among them (`worst`).
     """
     rng, rows = np.random.default_rng(seed), []
     for lemma, principle, names, limits in (
@@ -168,15 +186,23 @@ def check_lemmas(states: int = 200_000, seed: int = 0) -> list[dict[str, Any]]:
     ):
         values = np.array([0.5 * math.pi, *limits]) * rng.uniform(-1.0, 1.0, (states, 3))
         random = Cycle(np.zeros(states), np.zeros(states, np.int64), *values.T)
-        for sufficient, forces, p in ((False, "printed", PAPER), (True, "printed", PAPER), (True, "Newton's", NEWTON)):
+        for sufficient, forces, p in (
+            (False, "printed", PAPER),
+            (True, "printed", PAPER),
+            (True, "Newton's", NEWTON),
+        ):
             met = lemma(random, p, sufficient=sufficient).ratio <= 1.0
             ratio = principle(random, p).ratio[met]
             row = {"lemma": names[sufficient], "forces": forces, "states": int(met.sum())}
-            rows.append({**row, "violations": int((ratio > 1.0).sum()), "worst": float(ratio.max())})
+            rows.append(
+                {**row, "violations": int((ratio > 1.0).sum()), "worst": float(ratio.max())}
+            )
     return rows
 
 
-def torque_without_acceleration(theta: np.ndarray, theta_dot: float, slip: float, p: Plant) -> np.ndarray:
+def torque_without_acceleration(
+    theta: np.ndarray, theta_dot: float, slip: float, p: Plant
+) -> np.ndarray:
     """Motor torque in N m at theta'' = 0, from Eq. (1); `slip` is +1.0, -1.0 or, for stick, 0.0."""
     ml = p.m * p.l
     sin, cos = np.sin(theta), np.cos(theta)
@@ -196,18 +222,23 @@ def _slope_of_torque(largest_theta: float, theta_dot: float, p: Plant) -> float:
     return ml * p.g + p.k + ml * (centrifugal + friction) / total
 
 
-def torque_at_peak(velocity: float, low: float, high: float, slips: tuple[float, ...] = (0.0, 1.0, -1.0)) -> float:
-    """A lower bound in N m on the largest torque of every motion whose theta' peaks at a given value (rad/s).
+def torque_at_peak(
+    velocity: float, low: float, high: float, slips: tuple[float, ...] = (0.0, 1.0, -1.0)
+) -> float:
+    """A lower bound in N m on the largest torque of every motion whose theta' peaks at a given
+    value (rad/s).
 
-    Theorem. Let theta' > 0 attain its maximum V at an angle in [low, high]. Then the torque is, at or just before the
-    peak, at least min over [low, high] and over the contact modes of the torque of Eq. (1) at theta'' = 0, theta' = V.
+    Theorem. Let theta' > 0 attain its maximum V at an angle in [low, high]. Then the torque is, at
+    or just before the peak, at least min over [low, high] and over the contact modes of the torque
+    of Eq. (1) at theta'' = 0, theta' = V.
 
-    Argument. In every mode Eq. (1) gives u = J theta'' + u_0(theta, theta') with J > 0: m l^2 in stick and
-    m l^2 (1 - m cos (cos +- mu sin) / (M + m)) in slip, positive where the contact is regular. Where u is continuous,
-    theta'' = 0 at the peak and u = u_0. Where u or the mode jumps there, theta' still grew towards its maximum, so
-    theta'' >= 0 at times arbitrarily close before it, and there u >= u_0, which is continuous within a mode. The
-    torque's friction enters by N at theta'' = 0, so both options for the normal force are searched. The minimum over a
-    grid is lowered by the largest slope times half the spacing, which makes it a bound.
+    Argument. In every mode Eq. (1) gives u = J theta'' + u_0(theta, theta') with J > 0: m l^2 in
+    stick and m l^2 (1 - m cos (cos +- mu sin) / (M + m)) in slip, positive where the contact is
+    regular. Where u is continuous, theta'' = 0 at the peak and u = u_0. Where u or the mode jumps
+    there, theta' still grew towards its maximum, so theta'' >= 0 at times arbitrarily close before
+    it, and there u >= u_0, which is continuous within a mode. The torque's friction enters by N at
+    theta'' = 0, so both options for the normal force are searched. The minimum over a grid is
+    lowered by the largest slope times half the spacing, which makes it a bound.
     """
     theta = np.linspace(low, high, SAMPLES)
     margin = 0.5 * (high - low) / (SAMPLES - 1)
@@ -220,14 +251,24 @@ def torque_at_peak(velocity: float, low: float, high: float, slips: tuple[float,
 
 
 def check_torques() -> list[dict[str, Any]]:
-    """For both profiles certified lower bounds on the torque at the peak, in any contact and `sticking`, N m.
+    """For both profiles certified lower bounds on the torque at the peak, in any contact and
+    `sticking`, N m.
 
     The proof holds where the `published` torque is below the `bound`.
     """
     found = []
     for name, numbers in published.RUNS.items():
-        velocity, torque, swing = (numbers[key].value for key in ("peak_velocity", "peak_torque", "swing"))
+        velocity, torque, swing = (
+            numbers[key].value for key in ("peak_velocity", "peak_torque", "swing")
+        )
         row: dict[str, Any] = {"name": name, "velocity": velocity, "published": torque}
         row["bound"] = torque_at_peak(velocity, START_THETA, math.radians(swing))
-        found.append({**row, "sticking": torque_at_peak(velocity, START_THETA, math.radians(swing), slips=(0.0,))})
+        found.append(
+            {
+                **row,
+                "sticking": torque_at_peak(
+                    velocity, START_THETA, math.radians(swing), slips=(0.0,)
+                ),
+            }
+        )
     return found

@@ -1,4 +1,5 @@
-"""The output of `python -m baselines.paper`: every result as a table, and every claim with its verdict.
+"""The output of `python -m baselines.paper`: every result as a table, and every claim with its
+verdict.
 
 The page *The paper* explains the results and gives the reasons.
 """
@@ -11,7 +12,14 @@ from typing import Any, get_args
 import numpy as np
 
 from baselines.paper import principles, published, selection, tracking
-from baselines.paper.adaptive import ERRORS, LONG_CYCLES, LONG_PLANTS, run_cycles, study_law, study_variants
+from baselines.paper.adaptive import (
+    ERRORS,
+    LONG_CYCLES,
+    LONG_PLANTS,
+    run_cycles,
+    study_law,
+    study_variants,
+)
 from baselines.paper.optimal_profiles import Solution, load
 from baselines.paper.published import Number
 from baselines.paper.tracking import speed_ratio
@@ -25,7 +33,8 @@ Results = dict[str, Any]
 Row = Mapping[str, Any]
 
 WIDTH = 118
-# Share of its limit from which a demand counts as binding; the search keeps a reserve of about one percent.
+# Share of its limit from which a demand counts as binding; the search keeps a reserve of about one
+# percent.
 BINDING = 0.98
 AGREEMENT = 0.02  # curves read off a figure, and printed digits, are no more accurate
 SUPPRESSED = 0.1  # travel backwards over forwards that still counts as suppressed
@@ -36,13 +45,16 @@ CONVERGED = 0.1  # an error has converged once it has fallen to this share of th
 def compute() -> Results:
     """Computes all results, each by the function that describes it.
 
-    The results of both profiles are by profile and normal force, those of the adaptive law for the regularised law, the
-    corrected, unregularised one, and the latter with the motor's torque limited.
+    The results of both profiles are by profile and normal force, those of the adaptive law for the
+    regularised law, the corrected, unregularised one, and the latter with the motor's torque
+    limited.
     """
     forces, profiles = get_args(NormalForce), tracking.PROFILES
     _, long_runs = run_cycles(adaptive(), LONG_PLANTS, cycles=LONG_CYCLES[-1], shown=LONG_CYCLES)
     results = {
-        "tracking": {p.name: {force: tracking.track(p, force) for force in forces} for p in profiles},
+        "tracking": {
+            p.name: {force: tracking.track(p, force) for force in forces} for p in profiles
+        },
         "maps": [tracking.speed_map(profile, *tracking.grid()) for profile in profiles],
         "laws": [study_law(True), study_law(False), study_law(False, TORQUE_LIMIT)],
         "variants": study_variants(),
@@ -63,17 +75,31 @@ def compute() -> Results:
 def compare_numbers(results: Results) -> list[Row]:
     """Every published number compared with ours.
 
-    The kind of a number is "calibrated" where a free parameter was set to meet it, "predicted" where nothing was set,
-    and "constant" where it restates the plant.
+    The kind of a number is "calibrated" where a free parameter was set to meet it, "predicted"
+    where nothing was set, and "constant" where it restates the plant.
     """
     rows: list[Row] = []
 
     def add(run: str, number: Number, found: float, kind: str) -> None:
-        difference, given = found / number.value - 1.0, {"run": run, "quantity": number.quantity, "unit": number.unit}
+        difference, given = (
+            found / number.value - 1.0,
+            {"run": run, "quantity": number.quantity, "unit": number.unit},
+        )
         # One more digit than printed, so that rounding hides no difference.
-        own = {"published": f"{number.value:.{number.digits}f}", "found": f"{found:.{number.digits + 1}f}"}
+        own = {
+            "published": f"{number.value:.{number.digits}f}",
+            "found": f"{found:.{number.digits + 1}f}",
+        }
         verdict = VERDICTS[abs(difference) <= AGREEMENT]
-        rows.append({**given, **own, "difference": f"{100.0 * difference:+.1f} %", "kind": kind, "": verdict})
+        rows.append(
+            {
+                **given,
+                **own,
+                "difference": f"{100.0 * difference:+.1f} %",
+                "kind": kind,
+                "": verdict,
+            }
+        )
 
     for name, numbers in published.RUNS.items():
         for quantity, number in numbers.items():
@@ -84,7 +110,9 @@ def compare_numbers(results: Results) -> list[Row]:
     fastest = results["laws"][0].worst("peak_velocity")["peak_velocity"]
     add("adaptive", published.ADAPTIVE_PEAK_VELOCITY, fastest, "calibrated")
     add("plant", published.NATURAL_FREQUENCY, math.sqrt(NOMINAL.g / NOMINAL.l), "constant")
-    for number, value in zip(published.BASE_PARAMETERS, nominal_estimates(NOMINAL.plant()), strict=True):
+    for number, value in zip(
+        published.BASE_PARAMETERS, nominal_estimates(NOMINAL.plant()), strict=True
+    ):
         add("plant", number, value, "constant")
     return rows
 
@@ -129,7 +157,10 @@ def judge_claims(results: Results) -> dict[str, tuple[str, bool]]:
             f"regularised: rms error at most {exact:.1e} rad; {failing}",
             corrected.failures == 0,
         ),
-        "the system is globally asymptotically stabilized (Theorem 1 (1))": (failing, max(failures) == 0),
+        "the system is globally asymptotically stabilized (Theorem 1 (1))": (
+            failing,
+            max(failures) == 0,
+        ),
         "all signals in the closed loop are bounded and uniformly continuous (Theorem 1 (2))": (
             f"corrected, unregularised, with a limited motor eta reaches {highest:.0e}, its numerical bound",
             highest < 0.99 * UNREGULARISED.eta_bound,
@@ -148,12 +179,15 @@ def judge_claims(results: Results) -> dict[str, tuple[str, bool]]:
 
 
 def text(results: Results) -> str:
-    """All tables, for a terminal; quantities without a unit are in rad, rad/s, N m, J and cm a cycle, and cm/s."""
+    """All tables, for a terminal; quantities without a unit are in rad, rad/s, N m, J and cm a
+    cycle, and cm/s.
+    """
     laws, ratio = results["laws"], speed_ratio(*results["maps"])
     sections: dict[str, Sequence[Any]] = {
         "Section 5 of the paper: published and found": results["numbers"],
         "What the paper claims": [
-            f"{claim}: {VERDICTS[holds]}. Found: {found}." for claim, (found, holds) in results["claims"].items()
+            f"{claim}: {VERDICTS[holds]}. Found: {found}."
+            for claim, (found, holds) in results["claims"].items()
         ],
         "Both profiles under feedback linearisation (35)": [
             {"profile": name, "N by": force, **run}
@@ -178,27 +212,44 @@ def text(results: Results) -> str:
         "Principles 3 and 4 and Lemma 2: largest load over limit": results["demands"],
         "Random states that meet a lemma": results["lemmas"],
         "The fastest profiles (9) under Principles 1 to 4": [
-            _optimum(each) for each in sorted(results["optimal_profiles"], key=lambda each: each.problem.torque_limit)
+            _optimum(each)
+            for each in sorted(
+                results["optimal_profiles"], key=lambda each: each.problem.torque_limit
+            )
         ],
         f"Adaptive law: {len(laws[0].runs)} plants, M in {published.M_RANGE} kg, mu in {published.MU_RANGE}": [
-            {"law": law.law, "torque_limit": law.torque_limit, "failures": law.failures, "of": name, **run}
+            {
+                "law": law.law,
+                "torque_limit": law.torque_limit,
+                "failures": law.failures,
+                "of": name,
+                **run,
+            }
             for law in laws
             for name, run in (
                 ("the nominal plant", law.runs[len(law.runs) // 2]),
-                *((f"the largest {each}", law.worst(each)) for each in ("error_rms", "peak_torque", "mean_speed")),
+                *(
+                    (f"the largest {each}", law.worst(each))
+                    for each in ("error_rms", "peak_torque", "mean_speed")
+                ),
                 ("the smallest mean_speed", law.worst("mean_speed", smallest=True)),
             )
         ],
         f"What the paper leaves open: plants of {len(laws[1].runs)} that fail, unregularised": [
-            dict(zip(("beta", "eta(0)", "n", "Hz", "fail"), row, strict=True)) for row in results["variants"]
+            dict(zip(("beta", "eta(0)", "n", "Hz", "fail"), row, strict=True))
+            for row in results["variants"]
         ],
         "Long runs of the regularised law: the largest errors of a cycle": [
             {"M": M, "mu": mu, "cycle": cycle, **dict(zip(ERRORS, errors, strict=True))}
-            for (M, mu), by_plant in zip(LONG_PLANTS, results["long_runs"].transpose(2, 0, 1), strict=True)
+            for (M, mu), by_plant in zip(
+                LONG_PLANTS, results["long_runs"].transpose(2, 0, 1), strict=True
+            )
             for cycle, errors in zip(LONG_CYCLES, by_plant.tolist(), strict=True)
         ],
     }
-    return "\n\n".join(f"{title}\n{'=' * len(title)}\n{_section(parts)}" for title, parts in sections.items())
+    return "\n\n".join(
+        f"{title}\n{'=' * len(title)}\n{_section(parts)}" for title, parts in sections.items()
+    )
 
 
 def _section(parts: Sequence[Any]) -> str:
@@ -210,7 +261,15 @@ def _section(parts: Sequence[Any]) -> str:
 
 def _optimum(found: Solution) -> Row:
     """The numbers of an optimised profile."""
-    row = {name: getattr(found, name) for name in ("cost_of_transport", "peak_torque", "backward_ratio")}
+    row = {
+        name: getattr(found, name)
+        for name in ("cost_of_transport", "peak_torque", "backward_ratio")
+    }
     binding = [name for name, share in found.shares.items() if share >= BINDING]
     speed = printed_below(100.0 * found.mean_speed, 3)
-    return {"torque limit, plants, changes": found.problem.label, "cm/s": speed, **row, "binding": binding}
+    return {
+        "torque limit, plants, changes": found.problem.label,
+        "cm/s": speed,
+        **row,
+        "binding": binding,
+    }

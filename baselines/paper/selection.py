@@ -1,7 +1,8 @@
 """Sect. 3.2 of the paper: the selection of the parameters of the profile (9), Eqs. (20) to (31).
 
-It presents the times of Table 1 as the outcome of these equations. They are kept as printed, errors included:
-several add an angle to a velocity times a time, or a radian to a second. V1 = P1 omega; theta_0 = pi/3; N = 1.
+It presents the times of Table 1 as the outcome of these equations. They are kept as printed, errors
+included: several add an angle to a velocity times a time, or a radian to a second. V1 = P1 omega;
+theta_0 = pi/3; N = 1.
 """
 
 import itertools
@@ -21,7 +22,9 @@ ROUNDING = (0.0005, 0.0005, 0.005, 0.05, 0.05, 0.05, 0.05)
 
 
 def _equations(t: tuple[float, ...]) -> list[tuple[str, str, str, float, float, str]]:
-    """Equation, quantity, unit, the value it gives, the one that Table 1 implies, and a remark; t are t1 to t7, s."""
+    """Equation, quantity, unit, the value it gives, the one that Table 1 implies, and a remark; t
+    are t1 to t7, s.
+    """
     t1, t2, t3, t4, t5, t6, t7 = t
     p, ml, bound = NOMINAL.plant(), NOMINAL.m * NOMINAL.l, friction_bound(NOMINAL.plant())
     omega, omega_26, omega_n = math.pi / (2.0 * t1), math.pi / t3, NATURAL_FREQUENCY.value
@@ -31,8 +34,9 @@ def _equations(t: tuple[float, ...]) -> list[tuple[str, str, str, float, float, 
     # (23): the P3 whose return covers phase IV and 2 theta_0.
     own_p3 = (0.5 * own_p2 * (t4 - t3) + 2.0 * THETA_0) / (0.5 * ((t7 - t4) + (t6 - t5)))
 
-    # (21) is the momentum balance (20) between two instants at rest, its integrals taken along (9). The bracket of c is
-    # the antiderivative between 0 and t3; without its slip it would be cos(theta(0)) - cos(theta(t3)) = 0.
+    # (21) is the momentum balance (20) between two instants at rest, its integrals taken along (9).
+    # The bracket of c is the antiderivative between 0 and t3; without its slip it would be
+    # cos(theta(0)) - cos(theta(t3)) = 0.
     s = np.linspace(0.0, t3, 3001)
     theta, _, _ = seven_phases(t, V1, P2).evaluate(s)
     int_sin, int_cos = (float(trapezoid(theta * each(theta), s)) for each in (np.sin, np.cos))
@@ -49,7 +53,8 @@ def _equations(t: tuple[float, ...]) -> list[tuple[str, str, str, float, float, 
 
     # (24) is Lemma 1 at t1 with theta(t1) = V1 t1, which leaves out the start at -theta_0.
     t1_24 = (((p.M + p.m) * p.g) ** 2 / (2.0 * p.m * p.l) / V1**3 - p.c) / p.k
-    # (25) gives radians, which the paper reads as seconds; III falls from V1 to P2 on the other branch of the arcsin.
+    # (25) gives radians, which the paper reads as seconds; III falls from V1 to P2 on the other
+    # branch of the arcsin.
     arcsin = math.asin(P2 / V1)
     t4_27 = -P2 / (bound - P2 * P2 - p.k * P2 * t3 - p.c * P2) + t3
     # (28) is the printed Lemma 2 at t5 with theta(t5) = P3 t5 and theta'(t5) = +P3; it is -P3.
@@ -63,7 +68,14 @@ def _equations(t: tuple[float, ...]) -> list[tuple[str, str, str, float, float, 
         ("(22)", "swing", "rad", swing(omega_n), 2.0 * THETA_0, "omega = omega_n"),
         ("(22)", "swing", "rad", swing(omega_26), 2.0 * THETA_0, "omega of (26)"),
         ("(22)", "swing", "rad", swing(omega), 2.0 * THETA_0, "omega = pi / (2 t1)"),
-        ("(23)", "theta(t3)", "rad", float(theta[-1]), THETA_0, f"the condition of (23), at V1 = {V1} rad/s"),
+        (
+            "(23)",
+            "theta(t3)",
+            "rad",
+            float(theta[-1]),
+            THETA_0,
+            f"the condition of (23), at V1 = {V1} rad/s",
+        ),
         ("(24)", "t1", "s", t1_24, t1, f"at V1 = {V1} rad/s"),
         ("(25)", "t2", "s", omega * t3 - arcsin, t2, "radians as seconds, as printed"),
         ("(25)", "t2", "s", omega * t3 - (math.pi - arcsin), t2, "on the falling branch"),
@@ -80,9 +92,12 @@ def _equations(t: tuple[float, ...]) -> list[tuple[str, str, str, float, float, 
 def evaluate_selection() -> list[dict[str, Any]]:
     """The value that each equation `gives` and the one that Table 1 states or implies (`implied`).
 
-    `rounding` is the most by which the digits of Table 1 can change their difference; if not less, the value `follows`.
+    `rounding` is the most by which the digits of Table 1 can change their difference; if not less,
+    the value `follows`.
     """
-    corners = itertools.product(*((t - half, t + half) for t, half in zip(TABLE_1, ROUNDING, strict=True)))
+    corners = itertools.product(
+        *((t - half, t + half) for t, half in zip(TABLE_1, ROUNDING, strict=True))
+    )
     found = [_equations(t) for t in (TABLE_1, *corners)]
     differences = np.array([[row[3] - row[4] for row in rows] for rows in found])
     roundings = np.abs(differences - differences[0]).max(axis=0).tolist()

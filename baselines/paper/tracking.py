@@ -1,7 +1,8 @@
-"""Sect. 5 of the paper: both profiles on the platform, tracked exactly and under feedback linearisation (35).
+"""Sect. 5 of the paper: both profiles on the platform, tracked exactly and under feedback
+linearisation (35).
 
-Under exact tracking the platform's motion follows from M, m, l, g and mu alone: `speed_map` evaluates it on many
-plants. `simulate` and `track` run the environment's own simulation.
+Under exact tracking the platform's motion follows from M, m, l, g and mu alone: `speed_map`
+evaluates it on many plants. `simulate` and `track` run the environment's own simulation.
 """
 
 import math
@@ -26,13 +27,16 @@ CYCLES = 5
 M_RANGE, MU_RANGE = (0.3, 1.0), (0.003, 1.0)
 # s. Fivefold refinement changes no speed of the map by more than 1e-5 cm/s.
 MAP_STEP = 1e-4
-# Below this speed in cm/s a profile moves only during its first push, and a ratio of speeds is meaningless.
+# Below this speed in cm/s a profile moves only during its first push, and a ratio of speeds is
+# meaningless.
 AT_REST = 0.01
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """One run in SI units, a sample per millisecond from the start, each array of shape (n,) or (n, columns)."""
+    """One run in SI units, a sample per millisecond from the start, each array of shape (n,) or (n,
+    columns).
+    """
 
     t: np.ndarray
     theta: np.ndarray
@@ -46,7 +50,9 @@ class Trajectory:
 
     @property
     def completed(self) -> bool:
-        """Whether the run ended without loss of contact or collision of the pendulum with the platform."""
+        """Whether the run ended without loss of contact or collision of the pendulum with the
+        platform.
+        """
         return self.metrics["failed"] == 0.0
 
     @property
@@ -93,11 +99,16 @@ def simulate(
     trajectories = []
     for i, end in enumerate(last):
         own = states[: end + 1, :, i]
-        columns = {name: own[:, getattr(Row, name)] for name in ("theta", "theta_dot", "x", "x_dot", "torque")}
+        columns = {
+            name: own[:, getattr(Row, name)]
+            for name in ("theta", "theta_dot", "x", "x_dot", "torque")
+        }
         reference = simulation.reference[own[:, Row.clock].astype(np.int64)]
         found = {name: float(values[i]) for name, values in metrics.items()}
         t, memory = np.arange(end + 1) * LAW_DT, own[:, NUM_ROWS:]
-        trajectories.append(Trajectory(t, **columns, reference=reference, memory=memory, metrics=found))
+        trajectories.append(
+            Trajectory(t, **columns, reference=reference, memory=memory, metrics=found)
+        )
     return trajectories
 
 
@@ -106,18 +117,22 @@ def make_simulation(
 ) -> Simulation:
     """The environment's simulation of plants (M, mu) at rest at -pi/3, without residual torque."""
     settings = {"randomization": "none", "residual_limit": 0.0, "physics_dt": LAW_DT, **options}
-    simulation = Simulation(len(plants), EnvConfig(controller=controller, control_dt=control_dt, **settings))
+    simulation = Simulation(
+        len(plants), EnvConfig(controller=controller, control_dt=control_dt, **settings)
+    )
     simulation.reset(np.arange(len(plants)), M=[M for M, _ in plants], mu=[mu for _, mu in plants])
     return simulation
 
 
 def track(profile: Profile, contact: NormalForce = "newton") -> dict[str, float]:
-    """Five cycles of a profile under (35) at 1 kHz, with one option for the normal force in both plant and law.
+    """Five cycles of a profile under (35) at 1 kHz, with one option for the normal force in both
+    plant and law.
 
     Returns:
-        `peak_velocity` (rad/s), `swing` (largest angle, degrees), `mean_speed` (cm/s), `peak_torque` (N m), `energy`
-        (mechanical energy per cycle, J), `cost_of_transport`, `backward` (travel backwards per cycle, cm),
-        `backward_ratio` (over travel forwards) and `error` (rms of theta - theta_d, rad).
+        `peak_velocity` (rad/s), `swing` (largest angle, degrees), `mean_speed` (cm/s),
+        `peak_torque` (N m), `energy` (mechanical energy per cycle, J), `cost_of_transport`,
+        `backward` (travel backwards per cycle, cm), `backward_ratio` (over travel forwards) and
+        `error` (rms of theta - theta_d, rad).
     """
     capsule = Capsule(normal_force=contact)
     (run,) = simulate(feedback_linearising(profile, nominal=capsule), capsule=capsule)
@@ -138,12 +153,15 @@ def track(profile: Profile, contact: NormalForce = "newton") -> dict[str, float]
 def displacement(motion: Sequence[np.ndarray], p: Plant, h: float) -> float:
     """The position in m of the platform after `CYCLES` cycles from rest.
 
-    `motion` is theta (rad), theta' and theta'' in the middle of every step of h seconds of one cycle.
+    `motion` is theta (rad), theta' and theta'' in the middle of every step of h seconds of one
+    cycle.
     """
 
     def slide(cycles: int) -> np.ndarray:
         # With the first step of the next cycle, whose start is the end.
-        theta, theta_dot, theta_ddot = (np.append(np.tile(each, cycles), each[0]) for each in motion)
+        theta, theta_dot, theta_ddot = (
+            np.append(np.tile(each, cycles), each[0]) for each in motion
+        )
         return platform_motion(theta, theta_dot, theta_ddot, h, p)[:2, -1]
 
     x, x_dot = slide(1)
@@ -157,9 +175,13 @@ def grid(rows: int = 29, columns: int = 61) -> tuple[list[float], list[float]]:
 
 
 def speed_map(
-    profile: Profile, M: Sequence[float] = (NOMINAL.M,), mu: Sequence[float] = (NOMINAL.mu,), h: float = MAP_STEP
+    profile: Profile,
+    M: Sequence[float] = (NOMINAL.M,),
+    mu: Sequence[float] = (NOMINAL.mu,),
+    h: float = MAP_STEP,
 ) -> np.ndarray:
-    """Mean speed along a profile over five cycles from rest, exact tracking in steps of h seconds, for every M and mu.
+    """Mean speed along a profile over five cycles from rest, exact tracking in steps of h seconds,
+    for every M and mu.
 
     Where the motion would lift the platform, the floor is without friction.
 

@@ -1,8 +1,9 @@
 """Control laws that users write in Python, called by the core's step.
 
-With numba installed (the extra `law`) a law is compiled by `numba.cfunc`, once per process and controller; nothing is
-kept on disk. Without numba, or where numba cannot compile the law, the interpreter calls it for each environment, which
-takes many times as long in a batch (docs/controllers.md). The torques are the same up to rounding.
+With numba installed (the extra `law`) a law is compiled by `numba.cfunc`, once per process and
+controller; nothing is kept on disk. Without numba, or where numba cannot compile the law, the
+interpreter calls it for each environment, which takes many times as long in a batch
+(docs/controllers.md). The torques are the same up to rounding.
 """
 
 import importlib.util
@@ -21,11 +22,12 @@ from capsule_gym.control.controller import Controller
 from capsule_gym.core import _core
 from capsule_gym.core.layout import NUM_ROWS
 
-# Loops over the environments of a block. The source is generated since numba's public interface cannot make a tuple of
-# a part of an array. All rows are at constant offsets from one pointer: with a pointer for each kind of row LLVM cannot
-# exclude that they overlap, and does not vectorise the loop. Nor does it vectorise a loop that catches exceptions: only
-# after an exception each environment is called by itself, from the failed one on, and those that fail keep NaN. On
-# Python 3.13 numba misses exceptions in a function with two `try`.
+# Loops over the environments of a block. The source is generated since numba's public interface
+# cannot make a tuple of a part of an array. All rows are at constant offsets from one pointer: with
+# a pointer for each kind of row LLVM cannot exclude that they overlap, and does not vectorise the
+# loop. Nor does it vectorise a loop that catches exceptions: only after an exception each
+# environment is called by itself, from the failed one on, and those that fail keep NaN. On Python
+# 3.13 numba misses exceptions in a function with two `try`.
 SOURCE = """
 @njit(**options)
 def call_each(b, u, first, last):
@@ -58,7 +60,9 @@ _compiled: WeakKeyDictionary[Any, dict[tuple[int, int], Any]] = WeakKeyDictionar
 _lock = threading.Lock()
 
 
-def bind_user_law(controller: Controller, lanes: int, state: int, raised: list[Exception]) -> dict[str, Any]:
+def bind_user_law(
+    controller: Controller, lanes: int, state: int, raised: list[Exception]
+) -> dict[str, Any]:
     """Makes the law of a `Controller` callable for the core.
 
     Args:
@@ -68,7 +72,8 @@ def bind_user_law(controller: Controller, lanes: int, state: int, raised: list[E
         raised: receives the exceptions of a law that Python calls.
 
     Returns:
-        The fields `user_law` and `user_data` of the core's `Batch`, and what must be kept alive while they are used.
+        The fields `user_law` and `user_data` of the core's `Batch`, and what must be kept alive
+        while they are used.
     """
     if importlib.util.find_spec("numba") is not None:
         with _lock:
@@ -87,18 +92,22 @@ def bind_user_law(controller: Controller, lanes: int, state: int, raised: list[E
 
 
 def _plain(controller: Controller, raised: list[Exception]) -> Callable[..., tuple[float, ...]]:
-    """The law as the core calls it: with separate numbers, for one tuple of the torque, or NaN, and the memory."""
+    """The law as the core calls it: with separate numbers, for one tuple of the torque, or NaN, and
+    the memory.
+    """
     law: Any = controller.law
     cells = len(controller.memory)
 
-    def call(theta: float, theta_dot: float, x: float, x_dot: float, *numbers: float) -> tuple[float, ...]:
+    def call(
+        theta: float, theta_dot: float, x: float, x_dot: float, *numbers: float
+    ) -> tuple[float, ...]:
         try:
             found = tuple(law(theta, theta_dot, x, x_dot, numbers[:cells], numbers[cells:]))
             if len(found) != 2 or len(renewed := tuple(found[1])) != cells:
-                must = (
-                    f"the control law of {controller.name!r} must return (torque, memory) with {cells} cells of memory"
+                must = f"the control law of {controller.name!r} must return (torque, memory) with {cells} cells of memory"
+                raise TypeError(
+                    f"{must}, got {short_repr(found)} at theta = {theta:g}, theta_dot = {theta_dot:g}"
                 )
-                raise TypeError(f"{must}, got {short_repr(found)} at theta = {theta:g}, theta_dot = {theta_dot:g}")
             return found[0], *renewed
         except Exception as error:
             raised.append(error)
@@ -108,7 +117,9 @@ def _plain(controller: Controller, raised: list[Exception]) -> Callable[..., tup
 
 
 def _compile(controller: Controller, lanes: int, state: int) -> Any:
-    """The law in a loop over a block, compiled; None with a warning where numba cannot compile it."""
+    """The law in a loop over a block, compiled; None with a warning where numba cannot compile
+    it.
+    """
     law: Any = controller.law
     given: tuple[Any, ...] = ()
     named: dict[str, Any] = {}
@@ -127,7 +138,8 @@ def _compile(controller: Controller, lanes: int, state: int) -> Any:
         named="".join(f", {name}=named_{name}" for name in named),
         stores="\n".join(f"        {name} = renewed[{n}]" for n, name in enumerate(names[:cells])),
     )
-    # A division by zero gives infinity, as in the core: an exception would prevent vectorised loops.
+    # A division by zero gives infinity, as in the core: an exception would prevent vectorised
+    # loops.
     options: dict[str, Any] = {"error_model": "numpy"}
     try:
         import numba

@@ -1,4 +1,6 @@
-"""The compiled core, `_core`, with its C++ sources; access to its functions and its arrays from Python."""
+"""The compiled core, `_core`, with its C++ sources; access to its functions and its arrays from
+Python.
+"""
 
 from importlib.util import find_spec
 

@@ -1,7 +1,8 @@
-"""The build backend: scikit-build-core, which compiles with PyPI's `ziglang` where it finds no C++ compiler.
+"""The build backend: scikit-build-core, which compiles with PyPI's `ziglang` where it finds no C++
+compiler.
 
-The environment variable CXX names another compiler. The environment variable REPOSITORY_URL sets the repository's
-address: the metadata gets its URLs, and the README gets absolute links.
+The environment variable CXX names another compiler. The environment variable REPOSITORY_URL sets
+the repository's address: the metadata gets its URLs, and the README gets absolute links.
 """
 
 import os
@@ -25,7 +26,9 @@ PROGRAM = b"#if __GNUC__ < 12 && !defined(__clang__)\n#error\n#endif\n"
 COMPILERS = () if os.name == "nt" else ("c++", "g++", "clang++")
 
 if sys.implementation.name != "cpython" or sysconfig.get_config_var("Py_GIL_DISABLED"):
-    raise SystemExit("capsule-gym needs CPython with its global lock: its module has the stable ABI, others have none")
+    raise SystemExit(
+        "capsule-gym needs CPython with its global lock: its module has the stable ABI, others have none"
+    )
 # The modes of files in a wheel do not depend on who builds it.
 os.umask(0o022)
 
@@ -57,7 +60,8 @@ def with_compiler(hook: Callable[..., str]) -> Callable[..., str]:
         import ziglang
 
         zig = Path(ziglang.__file__).with_name("zig.exe" if os.name == "nt" else "zig")
-        # As a C compiler it links no C++ library, of which nothing is used, and which it would compile first.
+        # As a C compiler it links no C++ library, of which nothing is used, and which it would
+        # compile first.
         option = shlex.quote(f"-DCMAKE_CXX_COMPILER={zig.as_posix()};cc")
         os.environ["CMAKE_ARGS"] = f"{os.environ.get('CMAKE_ARGS', '')} {option}"
         os.environ.setdefault("CMAKE_GENERATOR", "Ninja")
@@ -75,7 +79,9 @@ build_editable = with_compiler(build.build_editable)
 
 
 def link_absolutely(text: str, files: str) -> str:
-    """Makes relative links of Markdown text absolute below the URL `files`; without a URL, keeps only their words."""
+    """Makes relative links of Markdown text absolute below the URL `files`; without a URL, keeps
+    only their words.
+    """
 
     def link(match: re.Match[str]) -> str:
         image, words, target = match.groups()
@@ -91,5 +97,12 @@ def dynamic_metadata(settings: Mapping[str, Any], project: Mapping[str, Any]) ->
     repository = os.environ.get("REPOSITORY_URL", "").rstrip("/")
     files = f"{repository}/blob/v{project['version']}" if repository else ""
     text = link_absolutely(Path("README.md").read_text(encoding="utf-8"), files)
-    urls = {"Repository": repository, "Issues": f"{repository}/issues", "Changelog": f"{files}/CHANGELOG.md"}
-    return {"readme": {"text": text, "content-type": "text/markdown"}, "urls": urls if repository else {}}
+    urls = {
+        "Repository": repository,
+        "Issues": f"{repository}/issues",
+        "Changelog": f"{files}/CHANGELOG.md",
+    }
+    return {
+        "readme": {"text": text, "content-type": "text/markdown"},
+        "urls": urls if repository else {},
+    }

@@ -1,9 +1,11 @@
-"""The rows of `Simulation.world`, whose names the core defines (`capsule_gym/core/step/layout.hpp`).
+"""The rows of `Simulation.world`, whose names the core defines
+(`capsule_gym/core/step/layout.hpp`).
 
-The environments lie in one float64 array `world` of shape (blocks, rows, lanes). The first rows are those of `Row`, one
-per quantity; a `Layout` names the first rows of the parts behind them, which follow from the options of the
-environments. A batch has blocks of LANES environments, which are stepped together; a single environment is a block of
-one lane. The arithmetic is the same, and so are the results, bit for bit.
+The environments lie in one float64 array `world` of shape (blocks, rows, lanes). The first rows are
+those of `Row`, one per quantity; a `Layout` names the first rows of the parts behind them, which
+follow from the options of the environments. A batch has blocks of LANES environments, which are
+stepped together; a single environment is a block of one lane. The arithmetic is the same, and so
+are the results, bit for bit.
 """
 
 from capsule_gym.core import _core

@@ -1,8 +1,8 @@
 """Access to the compiled core, `_core`, which takes arrays by their addresses.
 
-The core contains the same code for several levels of instructions, which give the same bits. The best level that the
-processor runs is chosen at import (`core/bindings/instruction_levels.hpp`); the environment variable CAPSULE_GYM_LEVEL
-chooses another one.
+The core contains the same code for several levels of instructions, which give the same bits. The
+best level that the processor runs is chosen at import (`core/bindings/instruction_levels.hpp`); the
+environment variable CAPSULE_GYM_LEVEL chooses another one.
 """
 
 import math
@@ -17,7 +17,9 @@ from capsule_gym.core import _core
 
 LEVEL = os.environ.get("CAPSULE_GYM_LEVEL", _core.LEVELS[0])
 if LEVEL not in _core.LEVELS:
-    raise ImportError(f"CAPSULE_GYM_LEVEL must be one of {_core.LEVELS} on this processor, got {short_repr(LEVEL)}")
+    raise ImportError(
+        f"CAPSULE_GYM_LEVEL must be one of {_core.LEVELS} on this processor, got {short_repr(LEVEL)}"
+    )
 _core.select_level(_core.LEVELS.index(LEVEL))
 
 # Float64 in a cache line.
@@ -25,7 +27,9 @@ LINE = 8
 
 
 def aligned_zeros(shape: tuple[int, ...]) -> np.ndarray:
-    """Zeros, float64, whose first entry begins a cache line: a wide load that crosses one takes twice as long."""
+    """Zeros, float64, whose first entry begins a cache line: a wide load that crosses one takes
+    twice as long.
+    """
     size = math.prod(shape)
     room = np.zeros(size + LINE)
     start = -(room.ctypes.data // 8) % LINE
@@ -49,11 +53,12 @@ def addressed(values: Iterable[Any]) -> list[float]:
 
 
 def call(name: str, *values: np.ndarray | float) -> int:
-    """Calls a function of `core/bindings/level.cpp` with numbers and arrays, and returns what it returns.
+    """Calls a function of `core/bindings/level.cpp` with numbers and arrays, and returns what it
+    returns.
 
     Raises:
-        TypeError: if the number of arguments or the type of one is not that of the C++ function. An int is converted
-            where a real number is due.
+        TypeError: if the number of arguments or the type of one is not that of the C++ function. An
+            int is converted where a real number is due.
         ValueError: if there is no such function, or an array is not contiguous.
     """
     return _core.call(name, *addressed(values))
@@ -64,7 +69,9 @@ def ordered(names: Iterable[str], values: Mapping[str, float]) -> np.ndarray:
     return np.array([values[name] for name in names], np.float64)
 
 
-def evaluate(name: str, *arguments: np.ndarray | float, plant: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
+def evaluate(
+    name: str, *arguments: np.ndarray | float, plant: np.ndarray | None = None
+) -> tuple[np.ndarray, ...]:
     """Evaluates a function of the core at every entry of its arguments, which are broadcast.
 
     Args:

@@ -1,16 +1,21 @@
 // A trained policy in strict double precision: inputs, layers, action.
 //
-// Each unit adds its inputs in their order, bias first, by fused multiply-adds, so that an action depends only on its
-// own observation, not on the batch or the instruction set. A register holds several units of one environment.
+// Each unit adds its inputs in their order, bias first, by fused multiply-adds, so that an action
+// depends only on its own observation, not on the batch or the instruction set. A register holds
+// several units of one environment.
 #pragma once
 #include "numbers/elementary.hpp"
 
 namespace LEVEL {
-// Number of layers; whether max(0, .) follows the hidden layers, else tanh; whether tanh brings the last output to
+// Number of layers; whether max(0, .) follows the hidden layers, else tanh; whether tanh brings the
+// last output to
 // [-1, 1], else it is clipped (1.0 or 0.0); largest size of a normalised input.
-struct Header { double layers, relu, tanh_squashing, clip; };
+struct Header {
+  double layers, relu, tanh_squashing, clip;
+};
 
-constexpr int PADDING = 8;   // units are padded to multiples of it: the numbers of the widest register
+constexpr int PADDING =
+    8;  // units are padded to multiples of it: the numbers of the widest register
 constexpr int TOGETHER = 4;  // environments for which a weight is read once
 constexpr int padded(int width) { return (width + PADDING - 1) / PADDING * PADDING; }
 
@@ -19,8 +24,8 @@ struct Layer {
   const double *bias, *weights;
 };
 
-// The sums of PACKS registers of units, from unit k on, for several environments. The numbers of the next environment
-// lie `width` further.
+// The sums of PACKS registers of units, from unit k on, for several environments. The numbers of
+// the next environment lie `width` further.
 template <class T, int ENVIRONMENTS, int PACKS>
 INLINE void add_inputs(const Layer& layer, int k, const double* values, double* sums, int width) {
   T s[ENVIRONMENTS][PACKS];
@@ -47,9 +52,9 @@ template <class T> INLINE void activate(double* sums, int count, bool relu) {
 
 // The actions in [-1, 1] for observations of shape (ENVIRONMENTS, inputs).
 //
-// `network` is aligned to 64 bytes. Its parts follow each other, each padded with zeros to a multiple of PADDING:
-// header, widths (inputs and the units of each layer), mean and scale of the inputs, and for each layer the biases and
-// the weights, one row of padded units for each input.
+// `network` is aligned to 64 bytes. Its parts follow each other, each padded with zeros to a
+// multiple of PADDING: header, widths (inputs and the units of each layer), mean and scale of the
+// inputs, and for each layer the biases and the weights, one row of padded units for each input.
 template <class T, int ENVIRONMENTS>
 NOINLINE void act_together(const double* network, const float* observations, float* actions) {
   const Header& header = *(const Header*)network;
@@ -58,15 +63,20 @@ NOINLINE void act_together(const double* network, const float* observations, flo
   const double* mean = widths + padded(layers + 1);
   const double *scale = mean + padded(inputs), *next = scale + padded(inputs);
   int width = 0;  // largest number of inputs or units, padded
-  for (int i = 0; i <= layers; i++) width = padded((int)widths[i]) > width ? padded((int)widths[i]) : width;
+  for (int i = 0; i <= layers; i++)
+    width = padded((int)widths[i]) > width ? padded((int)widths[i]) : width;
   // A wide load that crosses a cache line takes twice as long.
-  double *values = (double*)__builtin_alloca_with_align(2 * ENVIRONMENTS * width * sizeof(double), 512),
+  double *values =
+             (double*)__builtin_alloca_with_align(2 * ENVIRONMENTS * width * sizeof(double), 512),
          *sums = values + ENVIRONMENTS * width;
   for (int r = 0; r < ENVIRONMENTS; r++)
     for (int i = 0; i < inputs; i++)
-      values[r * width + i] = clip((observations[r * inputs + i] - mean[i]) * scale[i], header.clip);
+      values[r * width + i] =
+          clip((observations[r * inputs + i] - mean[i]) * scale[i], header.clip);
   // Registers of PADDING units, and as many as can be added to at once.
-  constexpr int NARROW = PADDING / WIDTH<T>, WIDE = ENVIRONMENTS == 1 ? 8 : NARROW == 1 ? 4 : NARROW;
+  constexpr int NARROW = PADDING / WIDTH<T>, WIDE = ENVIRONMENTS == 1 ? 8
+                                                    : NARROW == 1     ? 4
+                                                                      : NARROW;
   for (int n = 0; n < layers; n++) {
     Layer layer = {(int)widths[n], padded((int)widths[n + 1]), next, next};
     layer.weights += layer.units;
@@ -74,9 +84,11 @@ NOINLINE void act_together(const double* network, const float* observations, flo
     int k = 0;
     for (; k + WIDE * WIDTH<T> <= layer.units; k += WIDE * WIDTH<T>)
       add_inputs<T, ENVIRONMENTS, WIDE>(layer, k, values, sums, width);
-    for (; k < layer.units; k += PADDING) add_inputs<T, ENVIRONMENTS, NARROW>(layer, k, values, sums, width);
+    for (; k < layer.units; k += PADDING)
+      add_inputs<T, ENVIRONMENTS, NARROW>(layer, k, values, sums, width);
     if (n < layers - 1)
-      for (int r = 0; r < ENVIRONMENTS; r++) activate<T>(sums + r * width, layer.units, header.relu != 0.0);
+      for (int r = 0; r < ENVIRONMENTS; r++)
+        activate<T>(sums + r * width, layer.units, header.relu != 0.0);
     double* other = values;
     values = sums, sums = other;
   }
@@ -91,7 +103,8 @@ inline void act(const double* network, const float* observations, long long n, f
   const long long inputs = (long long)network[padded(WIDTH<Header>)];
   for (long long i = 0; i < n;) {
     bool together = n - i >= TOGETHER;
-    (together ? act_together<Pack, TOGETHER> : act_together<Pack, 1>)(network, observations + i * inputs, actions + i);
+    (together ? act_together<Pack, TOGETHER>
+              : act_together<Pack, 1>)(network, observations + i * inputs, actions + i);
     i += together ? TOGETHER : 1;
   }
 }

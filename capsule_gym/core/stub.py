@@ -1,6 +1,8 @@
-"""Writes `_core.pyi`, the types of the compiled core: `python capsule_gym/core/stub.py`, which the build runs.
+"""Writes `_core.pyi`, the types of the compiled core: `python capsule_gym/core/stub.py`, which the
+build runs.
 
-Rows, settings and all other names of the core are lists in C++. The stub shows them to type checkers and editors.
+Rows, settings and all other names of the core are lists in C++. The stub shows them to type
+checkers and editors.
 """
 
 import importlib.util
@@ -18,12 +20,14 @@ TAIL = """
 def select_level(place: int, /) -> None: ...  # in LEVELS
 def describe(options: dict[str, float | None], /) -> Description: ...
 
-# Both call a function of capsule_gym/core/bindings/level.cpp: the result is the index of an environment whose law has
-# failed, or -1; of functions over arrays it is the number of their results. `call` releases the lock.
+# Both call a function of capsule_gym/core/bindings/level.cpp: the result is the index of an
+# environment whose law has failed, or -1; of functions over arrays it is the number of their
+# results. `call` releases the lock.
 def call(name: str, /, *arguments: float) -> int: ...
 def call_locked(name: str, /, *arguments: float) -> int: ...
 
-# A function of capsule_gym/core/bindings/recorded_functions.hpp, with the address of the constants; returns the rows.
+# A function of capsule_gym/core/bindings/recorded_functions.hpp, with the address of the constants;
+# returns the rows.
 def trace(function: str, number: int, constants: int, /) -> list[tuple[Any, ...]]: ...
 """
 FIELD_TYPES = {
@@ -59,7 +63,10 @@ def write_types(core: ModuleType) -> str:
         fields = getattr(core, name).__match_args__
         lines.append(f"class {name}(tuple[Any, ...]):")
         for field in fields:
-            lines += ["    @property", f"    def {field}(self) -> {types.get(field) or NUMBER_TYPES[name]}: ..."]
+            lines += [
+                "    @property",
+                f"    def {field}(self) -> {types.get(field) or NUMBER_TYPES[name]}: ...",
+            ]
         lines.append("")
     lines.append("class Row:")
     lines += [f"    {name}: Final = {getattr(core.Row, name)}" for name in core.ROW_NAMES]

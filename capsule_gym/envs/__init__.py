@@ -1,1 +1,3 @@
-"""The environments: a single one, a batch, and a batch for Stable-Baselines3; their arguments and their state."""
+"""The environments: a single one, a batch, and a batch for Stable-Baselines3; their arguments and
+their state.
+"""

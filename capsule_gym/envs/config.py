@@ -1,4 +1,6 @@
-"""Options of the environments, `EnvConfig`, with their checks. The docstring of `CapsuleEnv` describes them."""
+"""Options of the environments, `EnvConfig`, with their checks. The docstring of `CapsuleEnv`
+describes them.
+"""
 
 from __future__ import annotations
 
@@ -41,12 +43,18 @@ def _number(low: float, high: float, unit: str, *, open_low: bool = False) -> Ch
     """A check of a number with that unit between two limits."""
     bounds = f"> {low:g} ({unit})" if open_low else f">= {low:g} ({unit})"
     return partial(
-        check_number, accepted=f"a finite number {bounds}, at most {high:g}", low=low, high=high, open_low=open_low
+        check_number,
+        accepted=f"a finite number {bounds}, at most {high:g}",
+        low=low,
+        high=high,
+        open_low=open_low,
     )
 
 
 def check_object(name: str, value: Any, kind: Any) -> Any:
-    """Checks a `Capsule`, a `Randomization` or a `Disturbances`, or makes it of the dict that JSON contains instead."""
+    """Checks a `Capsule`, a `Randomization` or a `Disturbances`, or makes it of the dict that JSON
+    contains instead.
+    """
     if isinstance(value, dict):
         return from_fields(kind, name, value)
     if kind is Capsule:
@@ -57,16 +65,21 @@ def check_object(name: str, value: Any, kind: Any) -> Any:
 
 
 def _check_range(name: str, value: Any) -> tuple[float, float]:
-    """Checks half widths of the initial theta and theta_dot; lists are accepted, as policy files contain lists only."""
+    """Checks half widths of the initial theta and theta_dot; lists are accepted, as policy files
+    contain lists only.
+    """
     largest, fastest = math.nextafter(task.THETA_LIMIT, 0.0), task.LARGEST_STATE[1]
     accepted = f"None or (theta < pi/2 in rad, theta_dot <= {fastest:g} in rad/s), both >= 0"
     require(isinstance(value, (tuple, list)) and len(value) == 2, name, accepted, value, TypeError)
     theta, theta_dot = value
-    return check_number(name, theta, accepted, 0.0, largest), check_number(name, theta_dot, accepted, 0.0, fastest)
+    return check_number(name, theta, accepted, 0.0, largest), check_number(
+        name, theta_dot, accepted, 0.0, fastest
+    )
 
 
 def _option(default: Any, check: Check) -> Any:
-    """A field with its check, which returns the value to keep or raises an error that names the option.
+    """A field with its check, which returns the value to keep or raises an error that names the
+    option.
 
     An option whose default is None accepts None, too.
     """
@@ -74,7 +87,9 @@ def _option(default: Any, check: Check) -> Any:
 
 
 def _advice(name: str, known: Iterable[str]) -> str:
-    """The end of the message for an unknown option: where a quantity of this name is set, or a similar option."""
+    """The end of the message for an unknown option: where a quantity of this name is set, or a
+    similar option.
+    """
     if name in ("M", "mu"):
         return f"; every reset draws it from randomization=Randomization({name}=(low, high)), or options[{name!r}]"
     for kind in (Capsule, Disturbances):
@@ -87,7 +102,8 @@ def _advice(name: str, known: Iterable[str]) -> str:
 class EnvConfig:
     """The options of an environment; None stands for a value that follows from the other options.
 
-    An omitted option has the default of the task, or else that of the field, which is the speed task's.
+    An omitted option has the default of the task, or else that of the field, which is the speed
+    task's.
 
     Raises:
         TypeError: if an option is unknown or of the wrong type.
@@ -98,7 +114,9 @@ class EnvConfig:
     controller: str | Controller | Callable[[], Controller] | None = None
     residual_limit: float | None = _option(None, _number(0.0, LARGEST_TORQUE, "N m"))
     total_torque: bool = _option(False, check_flag)
-    torque_limit: float = _option(task.TORQUE_LIMIT, _number(0.0, LARGEST_TORQUE, "N m", open_low=True))
+    torque_limit: float = _option(
+        task.TORQUE_LIMIT, _number(0.0, LARGEST_TORQUE, "N m", open_low=True)
+    )
     randomization: str | Randomization = _option("paper", partial(check_object, kind=Randomization))
     disturbances: str | Disturbances = _option("none", partial(check_object, kind=Disturbances))
     capsule: Capsule | None = _option(None, partial(check_object, kind=Capsule))
@@ -130,4 +148,9 @@ class EnvConfig:
                 value = check(name, value)
             object.__setattr__(self, name, value)
         name = find_task(self.task).name
-        require(name == "goal" or not self.goal_env, "goal_env", f"False for the task {name!r}", self.goal_env)
+        require(
+            name == "goal" or not self.goal_env,
+            "goal_env",
+            f"False for the task {name!r}",
+            self.goal_env,
+        )

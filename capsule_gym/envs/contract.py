@@ -1,4 +1,6 @@
-"""What follows from the options of an environment: the core describes it (`capsule_gym/core/step/contract.hpp`)."""
+"""What follows from the options of an environment: the core describes it
+(`capsule_gym/core/step/contract.hpp`).
+"""
 
 import math
 from functools import lru_cache
@@ -12,7 +14,15 @@ from capsule_gym.core import _core
 from capsule_gym.core.layout import Description, Settings
 from capsule_gym.core.native import evaluate
 from capsule_gym.envs.config import EnvConfig
-from capsule_gym.parameters import CONSTANTS, DISTURBANCES, NOMINAL, SENSORS, Capsule, Disturbances, Randomization
+from capsule_gym.parameters import (
+    CONSTANTS,
+    DISTURBANCES,
+    NOMINAL,
+    SENSORS,
+    Capsule,
+    Disturbances,
+    Randomization,
+)
 from capsule_gym.tasks.registry import find_task
 
 DEFAULTS = EnvConfig()
@@ -35,13 +45,15 @@ NUMBERS = (
     "goal_env",
     "initial_noise",
 )
-# The half of the disc of this radius that lies to the left of the imaginary axis is in the region of stability of the
-# classical Runge-Kutta method (Hairer and Wanner, Solving Ordinary Differential Equations II, Sect. IV.2).
+# The half of the disc of this radius that lies to the left of the imaginary axis is in the region
+# of stability of the classical Runge-Kutta method (Hairer and Wanner, Solving Ordinary Differential
+# Equations II, Sect. IV.2).
 STABLE = 2.6
 
 
 def describe(options: EnvConfig, controller: Controller | None) -> Description:
-    """The settings of the step, the layout, the entries of the observation and the draws, without checks.
+    """The settings of the step, the layout, the entries of the observation and the draws, without
+    checks.
 
     Args:
         options: options of the environment.
@@ -51,7 +63,9 @@ def describe(options: EnvConfig, controller: Controller | None) -> Description:
 
 
 def core_options(options: EnvConfig, controller: Controller | None) -> dict[str, float | None]:
-    """The options by the names of the core, `_core.OPTIONS`; those that are not given are missing or None."""
+    """The options by the names of the core, `_core.OPTIONS`; those that are not given are missing
+    or None.
+    """
     task = find_task(options.task)
     given: dict[str, float | None] = {name: getattr(options, name) for name in NUMBERS}
     given["task"] = task.number
@@ -79,7 +93,9 @@ def controller_options(controller: Controller | None) -> dict[str, float | None]
 
 
 def plant_options(capsule: Capsule, randomization: Randomization) -> dict[str, float | None]:
-    """The constants of the plant and the ranges from which episodes draw them, as options of the core."""
+    """The constants of the plant and the ranges from which episodes draw them, as options of the
+    core.
+    """
     given: dict[str, float | None] = {
         "paper_normal_force": capsule.normal_force == "paper",
         "log_mu": randomization.log_mu,
@@ -93,7 +109,9 @@ def plant_options(capsule: Capsule, randomization: Randomization) -> dict[str, f
 
 
 def disturbance_options(disturbances: Disturbances | None) -> dict[str, float | None]:
-    """The disturbances as options of the core; plants that vary draw those of an ideal environment, too."""
+    """The disturbances as options of the core; plants that vary draw those of an ideal environment,
+    too.
+    """
     found = disturbances or Disturbances()
     given: dict[str, float | None] = {
         "disturbed": disturbances is not None,
@@ -117,23 +135,38 @@ def ends(value: float | tuple[float, float]) -> tuple[float, float]:
 
 
 def check_periods(options: EnvConfig, settings: Settings, *, law: bool) -> None:
-    """Raises a ValueError if the steps of integrator, law and agent do not divide each other, or are too many."""
+    """Raises a ValueError if the steps of integrator, law and agent do not divide each other, or
+    are too many.
+    """
     dt = settings.physics_dt
     accepted = f"at most {_core.MOST_SUBSTEPS} times physics_dt={dt!r} s"
-    require(options.control_dt / dt <= _core.MOST_SUBSTEPS, "control_dt", accepted, options.control_dt)
-    law_name, step_name = ("the law's step", "the controller's dt") if law else ("control_dt", "physics_dt")
+    require(
+        options.control_dt / dt <= _core.MOST_SUBSTEPS, "control_dt", accepted, options.control_dt
+    )
+    law_name, step_name = (
+        ("the law's step", "the controller's dt") if law else ("control_dt", "physics_dt")
+    )
     _check_division(law_name, settings.law_dt, "physics_dt", dt, settings.physics_steps)
-    _check_division("control_dt", options.control_dt, step_name, settings.law_dt, settings.law_steps)
+    _check_division(
+        "control_dt", options.control_dt, step_name, settings.law_dt, settings.law_steps
+    )
 
 
 def _check_division(name: str, whole: float, part_name: str, part: float, count: float) -> None:
     """Raises a ValueError if `part` does not fit `count` times into `whole`, both in seconds."""
     fits = 1 <= count <= _core.MOST_SUBSTEPS and abs(count * part - whole) <= 1e-9 * whole
-    require(fits, part_name, f"{name}={whole!r} s over a whole number, at most {_core.MOST_SUBSTEPS}", part)
+    require(
+        fits,
+        part_name,
+        f"{name}={whole!r} s over a whole number, at most {_core.MOST_SUBSTEPS}",
+        part,
+    )
 
 
 def check_step(capsule: Capsule, M: float, mu: float, settings: Settings) -> None:
-    """Raises a ValueError for a plant, with its M in kg and mu, that is too stiff for the integrator's step."""
+    """Raises a ValueError for a plant, with its M in kg and mu, that is too stiff for the
+    integrator's step.
+    """
     h, rate = settings.physics_dt, capsule.fastest_rate(M, mu)
     if rate * h <= STABLE:
         return
@@ -155,7 +188,9 @@ def _plant_draws(randomization: Randomization, capsule: Capsule) -> np.ndarray:
     return np.array(description.draws[last - 2 : last])
 
 
-def draw_plant(randomization: Randomization, capsule: Capsule, rng: np.random.Generator) -> tuple[float, float]:
+def draw_plant(
+    randomization: Randomization, capsule: Capsule, rng: np.random.Generator
+) -> tuple[float, float]:
     """Draws M in kg and mu as an episode does."""
     *_, low, width, distribution = _plant_draws(randomization, capsule).T
     M, mu = evaluate("number_at", rng.random(2), low, width, distribution)[0].tolist()
@@ -163,7 +198,8 @@ def draw_plant(randomization: Randomization, capsule: Capsule, rng: np.random.Ge
 
 
 def entries_of(options: EnvConfig) -> dict[str, tuple[float, float]]:
-    """The entries of the observation in order, each with its bounds; those of n steps ago end with their number.
+    """The entries of the observation in order, each with its bounds; those of n steps ago end with
+    their number.
 
     The controller of the options is not needed, and not imported.
     """

@@ -32,7 +32,9 @@ _VIEWS = ("_rows", "_state", "_memory", "_reading", "_drawn", "_observe", "_step
 
 
 def goal_reward(env: Any) -> Callable[[Any, Any, Any], Any]:
-    """`capsule_gym.tasks.goal.compute_reward`, only with `goal_env=True`: libraries recognise goal environments by it."""
+    """`capsule_gym.tasks.goal.compute_reward`, only with `goal_env=True`: libraries recognise goal
+    environments by it.
+    """
     if not env.simulation.options.goal_env:
         raise AttributeError("compute_reward needs goal_env=True")
     return partial(goal.compute_reward, env.simulation.settings)
@@ -43,15 +45,17 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
 
     ## Description
 
-    The capsule is a rigid platform on a floor with Coulomb friction. It carries an inverted pendulum with a motor, a
-    torsional spring and a damper at the pivot. Only the pendulum is actuated. A fast swing in one direction pushes the
-    platform forwards against friction; during a slow swing back, friction holds it. The goal is to move forwards as
-    fast as possible. The robot is that of Liu, Yu and Cang, "Optimized adaptive tracking control for an underactuated
+    The capsule is a rigid platform on a floor with Coulomb friction. It carries an inverted
+    pendulum with a motor, a torsional spring and a damper at the pivot. Only the pendulum is
+    actuated. A fast swing in one direction pushes the platform forwards against friction; during a
+    slow swing back, friction holds it. The goal is to move forwards as fast as possible. The robot
+    is that of Liu, Yu and Cang, "Optimized adaptive tracking control for an underactuated
     vibro-driven capsule system" (Nonlinear Dynamics 94, 2018).
 
-    The ball of the pendulum is at x - l sin(theta): a growing theta swings it backwards and pushes the platform
-    forwards (+x). Contact is exact: the platform sticks with a velocity of exactly 0.0 while the load is below the
-    friction limit, and each transition between stick and slip is located inside the integration step.
+    The ball of the pendulum is at x - l sin(theta): a growing theta swings it backwards and pushes
+    the platform forwards (+x). Contact is exact: the platform sticks with a velocity of exactly 0.0
+    while the load is below the friction limit, and each transition between stick and slip is
+    located inside the integration step.
 
     The mass M of the platform and the friction coefficient mu are drawn at every reset.
 
@@ -65,9 +69,9 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
     | residual (`controller="module:attribute"`) | torque on top of a control law that runs inside the step at 1 kHz | clip(clip(u_law) + residual_limit a) |
     | the same with `total_torque=True` | total torque | torque_limit a, kept within `residual_limit` of clip(u_law) |
 
-    Torques are clipped to +-`torque_limit`. A residual of zero gives the control law itself, bit for bit. A law that
-    tracks a reference counteracts the residual; with `residual_limit = 2 torque_limit` the agent can override the law,
-    which it learns sooner with `total_torque=True`.
+    Torques are clipped to +-`torque_limit`. A residual of zero gives the control law itself, bit
+    for bit. A law that tracks a reference counteracts the residual; with `residual_limit = 2
+    torque_limit` the agent can override the law, which it learns sooner with `total_torque=True`.
 
     ## Observation Space
 
@@ -89,11 +93,12 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
     | next two | estimates of M (kg) and log(mu) | 0.15, -7 | 2, 0 | `observe_estimates=True` |
     | next two | standard deviations of these estimates | 0 | 0.2, 1.5 | `observe_estimates=True` |
 
-    With `stack_size=n` the observations of the n - 1 previous steps follow, the newest first; after a reset all n are
-    the first observation. The position x is not observed, since the reward does not depend on it; `info["state"]`
-    contains it. With `observe_parameters=True`, `reset(options=..)` accepts M and mu only within these bounds. The
-    estimates are those of an extended Kalman filter over the observed theta, theta_dot and x_dot, which begins with the
-    same prior in every episode and assumes the m, l and g of `capsule`.
+    With `stack_size=n` the observations of the n - 1 previous steps follow, the newest first; after
+    a reset all n are the first observation. The position x is not observed, since the reward does
+    not depend on it; `info["state"]` contains it. With `observe_parameters=True`,
+    `reset(options=..)` accepts M and mu only within these bounds. The estimates are those of an
+    extended Kalman filter over the observed theta, theta_dot and x_dot, which begins with the same
+    prior in every episode and assumes the m, l and g of `capsule`.
 
     ## Rewards
 
@@ -105,15 +110,17 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
 
     ## Cost
 
-    `info["cost"]` is the cost of a constrained problem, as in Safety-Gymnasium: 1.0 in a step that terminates the episode
-    or leaves less than a tenth of a margin: |theta| > 0.9 pi/2 at its end, or a normal force below 0.1 of the weight at
-    any time in it; else 0.0. It is true with disturbances, too, and not part of the reward.
+    `info["cost"]` is the cost of a constrained problem, as in Safety-Gymnasium: 1.0 in a step that
+    terminates the episode or leaves less than a tenth of a margin: |theta| > 0.9 pi/2 at its end,
+    or a normal force below 0.1 of the weight at any time in it; else 0.0. It is true with
+    disturbances, too, and not part of the reward.
 
     ## Starting State
 
-    theta = -pi/3, at rest, x = 0. `initial_noise` adds uniform noise to theta; `initial_range` draws theta and
-    theta_dot from uniform distributions around 0 instead. M, mu, the initial state and the disturbances come from
-    separate random streams. `reset(options={..})` sets values instead:
+    theta = -pi/3, at rest, x = 0. `initial_noise` adds uniform noise to theta; `initial_range`
+    draws theta and theta_dot from uniform distributions around 0 instead. M, mu, the initial state
+    and the disturbances come from separate random streams. `reset(options={..})` sets values
+    instead:
 
     | option | value |
     |---|---|
@@ -127,16 +134,17 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
 
     1. Termination "pendulum": |theta| reaches pi/2, where the ball meets the platform.
     2. Termination "contact": the normal force reaches zero; the platform leaves the floor.
-    3. Termination "diverged": the integrator cannot resolve the motion (a result that is not finite, or an event above
+    3. Termination "diverged": the integrator cannot resolve the motion (a result that is not
+       finite, or an event above
        |theta_dot| + |x_dot| = 1e4). The environment keeps the last state before.
     4. Truncation: after 1650 steps, 33 s.
 
-    An episode cannot go on after a termination: the impacts of the ball on the platform, and of the platform on the floor
-    after its flight, are outside the model.
+    An episode cannot go on after a termination: the impacts of the ball on the platform, and of the
+    platform on the floor after its flight, are outside the model.
 
-    `env.unwrapped.episode_metrics(horizon)` returns the metrics of the episode so far. `copy.deepcopy` and `pickle` copy the
-    episode; the copy continues bit for bit. A pickle stores the argument `controller`, which must be picklable: an
-    import string or a function of a module.
+    `env.unwrapped.episode_metrics(horizon)` returns the metrics of the episode so far.
+    `copy.deepcopy` and `pickle` copy the episode; the copy continues bit for bit. A pickle stores
+    the argument `controller`, which must be picklable: an import string or a function of a module.
 
     ## Info
 
@@ -162,10 +170,11 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
     ```python
     import gymnasium as gym
 
-    gym.make("capsule_gym:CapsuleStickSlip-v0", controller="baselines:adaptive", randomization="paper")
-    ```
+    gym.make("capsule_gym:CapsuleStickSlip-v0", controller="baselines:adaptive",
+    randomization="paper") ```
 
-    The prefix `capsule_gym:` imports the package, which registers the environment, also in spawned and remote workers.
+    The prefix `capsule_gym:` imports the package, which registers the environment, also in spawned
+    and remote workers.
 
     | argument | default | meaning |
     |---|---|---|
@@ -192,8 +201,8 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
 
     Raises:
         TypeError: if an argument is of the wrong type.
-        ValueError: if an argument is out of range, or a plant admits Painleve's paradox or is too stiff for
-            `physics_dt`.
+        ValueError: if an argument is out of range, or a plant admits Painleve's paradox or is too
+            stiff for `physics_dt`.
     """
 
     # Gymnasium declares it as the instance's, and wrappers change it: each instance gets a copy.
@@ -217,7 +226,9 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
         self._bind()
 
     def _bind(self) -> None:
-        """Creates views of the only environment, since creating them takes a considerable part of a step."""
+        """Creates views of the only environment, since creating them takes a considerable part of a
+        step.
+        """
         self._rows = self.simulation.world[0, : Row.steps, 0]
         self._state = self._rows[_STATE]
         # Further entries of `info` in tasks other than speed.
@@ -247,8 +258,8 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
 
         Raises:
             TypeError: if the seed or an option is of the wrong type.
-            ValueError: if the seed is out of range, an option is unknown or out of range, or the control law returned a
-                torque that is not finite.
+            ValueError: if the seed is out of range, an option is unknown or out of range, or the
+                control law returned a torque that is not finite.
         """
         seed = None if seed is None else check_seed(seed)
         super().reset(seed=seed)
@@ -262,7 +273,11 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
             task_options = self.simulation.task.option_sizes
             check_options(options, (*RESET_OPTIONS, *task_options))
             # One environment is a batch of one.
-            given = {name: [value] for name, value in options.items() if value is not None and name != "state"}
+            given = {
+                name: [value]
+                for name, value in options.items()
+                if value is not None and name != "state"
+            }
             self.simulation.reset(_FIRST, state=options.get("state"), **given)
         self._bind_drawn()
         self._running = True
@@ -270,19 +285,22 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
             self.render()
         return self._observe(), self._info(self._rows.tolist())
 
-    def step(self, action: np.ndarray) -> tuple[np.ndarray, SupportsFloat, bool, bool, dict[str, Any]]:
+    def step(
+        self, action: np.ndarray
+    ) -> tuple[np.ndarray, SupportsFloat, bool, bool, dict[str, Any]]:
         """One agent step: `Step::run` in `capsule_gym/core/step/step.hpp`.
 
         Args:
-            action: shape (1,), torque in units of `residual_limit`, or with `total_torque` of `torque_limit`; clipped to
-                [-1, 1].
+            action: shape (1,), torque in units of `residual_limit`, or with `total_torque` of
+                `torque_limit`; clipped to [-1, 1].
 
         Returns:
-            Observation, reward, terminated, truncated (always False, as gymnasium's TimeLimit truncates) and info.
+            Observation, reward, terminated, truncated (always False, as gymnasium's TimeLimit
+            truncates) and info.
 
         Raises:
-            ValueError: if the action has another shape or is not finite, or the control law returned a torque that is
-                not finite.
+            ValueError: if the action has another shape or is not finite, or the control law
+                returned a torque that is not finite.
             gymnasium.error.ResetNeeded: before the first reset, and after termination.
         """
         if not self._running:
@@ -324,20 +342,27 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
         self._drawn = name_drawn(drawn.tolist()) if self.simulation.settings.varied else ()
 
     def episode_metrics(self, horizon: int | None) -> dict[str, float]:
-        """The metrics of the episode so far: those of `capsule_gym.tasks.task.METRICS`, and those of the task.
+        """The metrics of the episode so far: those of `capsule_gym.tasks.task.METRICS`, and those
+        of the task.
 
         Args:
-            horizon: agent steps of a whole episode, `env.spec.max_episode_steps`, since gymnasium's `TimeLimit` truncates:
-                the mean speed of an episode that failed is over all of them. None, without a limit, takes the elapsed
-                time.
+            horizon: agent steps of a whole episode, `env.spec.max_episode_steps`, since gymnasium's
+                `TimeLimit` truncates: the mean speed of an episode that failed is over all of them.
+                None, without a limit, takes the elapsed time.
         """
         steps = None if horizon is None else check_count("horizon", horizon)
-        return {name: float(value[0]) for name, value in self.simulation.metrics(_FIRST, steps).items()}
+        return {
+            name: float(value[0]) for name, value in self.simulation.metrics(_FIRST, steps).items()
+        }
 
     def render(self) -> np.ndarray | None:
-        """Draws the current state; returns a frame (height, width, 3), uint8, in the mode "rgb_array", else None."""
+        """Draws the current state; returns a frame (height, width, 3), uint8, in the mode
+        "rgb_array", else None.
+        """
         if self.render_mode is None:
-            gym.logger.warn("render() draws nothing without a render_mode: gym.make(.., render_mode='rgb_array')")
+            gym.logger.warn(
+                "render() draws nothing without a render_mode: gym.make(.., render_mode='rgb_array')"
+            )
             return None
         if self._renderer is None:
             capsule, limit = self.simulation.capsule, self.simulation.settings.torque_limit
@@ -352,19 +377,25 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
 
 
 # The descriptions of the arguments in the table of `CapsuleEnv`.
-DOCS: dict[str, str] = dict(re.findall(r"(?m)^ *\| `(\w+)` \| .* \| (.*) \|$", CapsuleEnv.__doc__ or ""))
+DOCS: dict[str, str] = dict(
+    re.findall(r"(?m)^ *\| `(\w+)` \| .* \| (.*) \|$", CapsuleEnv.__doc__ or "")
+)
 
 
 def make_simulation(num_envs: int, config: EnvConfig) -> Simulation:
     """The simulation of an environment; raises an error if the action has no effect."""
     # `Simulation` itself accepts 0, to run a control law alone.
     if config.residual_limit == 0.0:
-        raise ValueError("residual_limit must be > 0 (N m), got 0.0: the action would have no effect")
+        raise ValueError(
+            "residual_limit must be > 0 (N m), got 0.0: the action would have no effect"
+        )
     return Simulation(num_envs, config)
 
 
 def frames_per_second(simulation: Simulation) -> float:
-    """The frames per second of real time, one frame per agent step; an int if it is whole, and within what ffmpeg accepts."""
+    """The frames per second of real time, one frame per agent step; an int if it is whole, and
+    within what ffmpeg accepts.
+    """
     fps = min(max(1.0 / simulation.options.control_dt, 0.01), 1000.0)
     return round(fps) if math.isclose(fps, round(fps)) else fps
 
@@ -372,10 +403,27 @@ def frames_per_second(simulation: Simulation) -> float:
 def describe(values: Any, state: np.ndarray, termination: Any) -> dict[str, Any]:
     """The info of a reset or a step in the speed task.
 
-    `values` are the rows of `Row` before `steps`: a list of floats for one environment, shape (rows, num_envs) for a
-    batch, with the state of shape (num_envs, 4) and the terminations, int64.
+    `values` are the rows of `Row` before `steps`: a list of floats for one environment, shape
+    (rows, num_envs) for a batch, with the state of shape (num_envs, 4) and the terminations, int64.
     """
-    _, _, _, x_dot, M, mu, torque, law_torque, normal_force, energy, progress, energy_cost, penalty, cost, _, _ = values
+    (
+        _,
+        _,
+        _,
+        x_dot,
+        M,
+        mu,
+        torque,
+        law_torque,
+        normal_force,
+        energy,
+        progress,
+        energy_cost,
+        penalty,
+        cost,
+        _,
+        _,
+    ) = values
     # A literal takes a third of the time of a dict from pairs: a step takes a sixth less.
     return {
         "state": state, "stick": x_dot == 0.0, "M": M, "mu": mu, "torque": torque, "law_torque": law_torque,
@@ -385,14 +433,18 @@ def describe(values: Any, state: np.ndarray, termination: Any) -> dict[str, Any]
 
 
 def add_task(info: dict[str, Any], current: task.Task, memory: Any) -> None:
-    """Adds the entries of a task other than speed to an info; `memory` is a list, or the rows of a batch."""
+    """Adds the entries of a task other than speed to an info; `memory` is a list, or the rows of a
+    batch.
+    """
     info[current.term] = info.pop("reward_progress")
     for name, place in current.places:
         info[name] = memory[place]
 
 
 def name_drawn(drawn: Sequence[Value]) -> tuple[dict[str, Value], dict[str, Value]]:
-    """The constants of the plant and the disturbances by their names, from the rows `drawn_m` to `push` of `Row`."""
+    """The constants of the plant and the disturbances by their names, from the rows `drawn_m` to
+    `push` of `Row`.
+    """
     constants = dict(zip(CONSTANTS, drawn, strict=False))
     return constants, dict(zip(DISTURBANCES, drawn[len(CONSTANTS) :], strict=True))
 
@@ -400,10 +452,16 @@ def name_drawn(drawn: Sequence[Value]) -> tuple[dict[str, Value], dict[str, Valu
 def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Space[Any]]:
     """The action and the observation space of one environment."""
     low, high = np.array(list(simulation.entries.values()), np.float32).T
-    action, observation = spaces.Box(-1.0, 1.0, (1,), np.float32), spaces.Box(low, high, dtype=np.float32)
+    action, observation = (
+        spaces.Box(-1.0, 1.0, (1,), np.float32),
+        spaces.Box(low, high, dtype=np.float32),
+    )
     if not simulation.options.goal_env:
         return action, observation
-    goals = {name: spaces.Box(-GOAL_BOUND, GOAL_BOUND, (2,), np.float64) for name in ("achieved_goal", "desired_goal")}
+    goals = {
+        name: spaces.Box(-GOAL_BOUND, GOAL_BOUND, (2,), np.float64)
+        for name in ("achieved_goal", "desired_goal")
+    }
     return action, spaces.Dict({"observation": observation, **goals})
 
 

@@ -1,4 +1,6 @@
-"""The start of an episode: given values, which replace the draws of the core (`capsule_gym/core/step/resets.hpp`)."""
+"""The start of an episode: given values, which replace the draws of the core
+(`capsule_gym/core/step/resets.hpp`).
+"""
 
 from collections.abc import Sequence
 from typing import Any
@@ -22,10 +24,11 @@ def make_key(seed: int) -> tuple[int, int]:
 
 
 def random_stream(seed: int, episode: int, stream: str) -> np.random.Generator:
-    """The random numbers of one purpose in one episode of one environment, counted since its seeding.
+    """The random numbers of one purpose in one episode of one environment, counted since its
+    seeding.
 
-    A counter-based generator needs no state between episodes, and an environment draws the same numbers alone and in a
-    batch.
+    A counter-based generator needs no state between episodes, and an environment draws the same
+    numbers alone and in a batch.
 
     Args:
         seed: seed of the environment.
@@ -37,11 +40,14 @@ def random_stream(seed: int, episode: int, stream: str) -> np.random.Generator:
     return np.random.Generator(np.random.Philox(counter=counter, key=key))
 
 
-def write_options(drawn: np.ndarray, options: dict[str, Sequence[Any]], task: Task, description: Description) -> None:
+def write_options(
+    drawn: np.ndarray, options: dict[str, Sequence[Any]], task: Task, description: Description
+) -> None:
     """Writes the reset options that replace draws, one value per episode.
 
     Args:
-        drawn: shape (lines of the draw table, episodes): the numbers that the episodes draw; changed.
+        drawn: shape (lines of the draw table, episodes): the numbers that the episodes draw;
+            changed.
         options: values by the name of their option; other options are ignored.
         task: the task.
         description: that of the environment.
@@ -65,7 +71,9 @@ def write_options(drawn: np.ndarray, options: dict[str, Sequence[Any]], task: Ta
             drawn[layout.disturbance_draws + DISTURBANCES.index(name), n] = number
 
 
-def _check_values(option: str, values: Any, limits: dict[str, tuple[float, float]]) -> dict[str, float]:
+def _check_values(
+    option: str, values: Any, limits: dict[str, tuple[float, float]]
+) -> dict[str, float]:
     """The numbers of a dict in a reset option, by names with these limits."""
     accepted = f"a dict with keys out of {tuple(limits)}"
     if not isinstance(values, dict) or set(values) - set(limits):
@@ -81,10 +89,18 @@ def _check_values(option: str, values: Any, limits: dict[str, tuple[float, float
 
 
 def check_state(name: str, state: Any, count: int) -> np.ndarray:
-    """The states of `count` episodes as float64, shape (count, 4), from one for each or one for all."""
+    """The states of `count` episodes as float64, shape (count, 4), from one for each or one for
+    all.
+    """
     _, *rest = LARGEST_STATE
-    accepted = "|theta| < pi/2, |theta_dot| <= {:g} rad/s, |x| <= {:g} m and |x_dot| <= {:g} m/s".format(*rest)
-    message = f"{name} must be [theta, theta_dot, x, x_dot] with {accepted}, got {short_repr(state)}"
+    accepted = (
+        "|theta| < pi/2, |theta_dot| <= {:g} rad/s, |x| <= {:g} m and |x_dot| <= {:g} m/s".format(
+            *rest
+        )
+    )
+    message = (
+        f"{name} must be [theta, theta_dot, x, x_dot] with {accepted}, got {short_repr(state)}"
+    )
     try:
         array = np.asarray(state, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:

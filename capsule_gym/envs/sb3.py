@@ -1,6 +1,8 @@
-"""The native batch as a `VecEnv` of Stable-Baselines3, the only module that needs that library (extra `sb3`).
+"""The native batch as a `VecEnv` of Stable-Baselines3, the only module that needs that library
+(extra `sb3`).
 
-A model saved with `AsymmetricPolicy` loads wherever this package and Stable-Baselines3 are installed.
+A model saved with `AsymmetricPolicy` loads wherever this package and Stable-Baselines3 are
+installed.
 """
 
 from collections.abc import Sequence
@@ -21,10 +23,16 @@ try:
     from stable_baselines3.common.running_mean_std import RunningMeanStd
     from stable_baselines3.common.torch_layers import MlpExtractor
     from stable_baselines3.common.vec_env import VecEnv
-    from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
+    from stable_baselines3.common.vec_env.base_vec_env import (
+        VecEnvIndices,
+        VecEnvObs,
+        VecEnvStepReturn,
+    )
     from torch import Tensor, nn
 except ImportError as error:
-    raise ImportError('capsule_gym.sb3 needs Stable-Baselines3: pip install "capsule-gym[sb3]"') from error
+    raise ImportError(
+        'capsule_gym.sb3 needs Stable-Baselines3: pip install "capsule-gym[sb3]"'
+    ) from error
 
 # A critic observes the logarithm of mu, which may be 0.
 LEAST_MU = 1e-3
@@ -33,19 +41,21 @@ LEAST_MU = 1e-3
 class CapsuleSB3VecEnv(VecEnv):
     """The native batch as a `VecEnv` of Stable-Baselines3, without a Python loop over environments.
 
-    It replaces `make_vec_env("capsule_gym:CapsuleStickSlip-v0", n_envs=num_envs)`. The info of an environment is empty,
-    and the same dict at every step, except at the end of an episode. There it contains "terminal_observation",
-    "TimeLimit.truncated", "episode" with the return "r" and the length "l" as in SB3's `Monitor`, and "metrics"
-    (`capsule_gym.tasks.task.METRICS`, and the task's). With `goal_env=True` every info contains the terms that
+    It replaces `make_vec_env("capsule_gym:CapsuleStickSlip-v0", n_envs=num_envs)`. The info of an
+    environment is empty, and the same dict at every step, except at the end of an episode. There it
+    contains "terminal_observation", "TimeLimit.truncated", "episode" with the return "r" and the
+    length "l" as in SB3's `Monitor`, and "metrics" (`capsule_gym.tasks.task.METRICS`, and the
+    task's). With `goal_env=True` every info contains the terms that
     `HerReplayBuffer(copy_info_dict=True)` adds to a reward.
 
     Args:
         num_envs: number of environments.
         seed: environment i gets seed + i.
-        privileged: give observations {"policy": .., "critic": ..}. "policy" is the environment's observation; "critic"
-            is what only a critic may see in training: M in kg, log(mu), and all other constants of the plant and
-            disturbances that an episode draws, and where the agent observes sensors, the true theta, theta_dot and
-            x_dot. `AsymmetricPolicy` is for these observations.
+        privileged: give observations {"policy": .., "critic": ..}. "policy" is the environment's
+            observation; "critic" is what only a critic may see in training: M in kg, log(mu), and
+            all other constants of the plant and disturbances that an episode draws, and where the
+            agent observes sensors, the true theta, theta_dot and x_dot. `AsymmetricPolicy` is for
+            these observations.
         **env_kwargs: arguments of `CapsuleVectorEnv` except `autoreset_mode`.
 
     Raises:
@@ -56,9 +66,13 @@ class CapsuleSB3VecEnv(VecEnv):
         batch: the `CapsuleVectorEnv`, stepped with SAME_STEP.
     """
 
-    def __init__(self, num_envs: int, seed: int | None = None, *, privileged: bool = False, **env_kwargs: Any) -> None:
+    def __init__(
+        self, num_envs: int, seed: int | None = None, *, privileged: bool = False, **env_kwargs: Any
+    ) -> None:
         self.privileged = check_flag("privileged", privileged)
-        self.batch = CapsuleVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **env_kwargs)
+        self.batch = CapsuleVectorEnv(
+            num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **env_kwargs
+        )
         goal_env = self.batch.simulation.options.goal_env
         require(not (privileged and goal_env), "privileged", "False with goal_env=True", privileged)
         self._actions: np.ndarray | None = None
@@ -73,7 +87,9 @@ class CapsuleSB3VecEnv(VecEnv):
             # The names in `info` of what episodes draw besides M and mu.
             self._drawn = {
                 "capsule": simulation.randomization.drawn,
-                "disturbances": [name for name in DISTURBANCES if isinstance(getattr(disturbed, name), tuple)],
+                "disturbances": [
+                    name for name in DISTURBANCES if isinstance(getattr(disturbed, name), tuple)
+                ],
             }
             self._reads = simulation.settings.agent_reads
             entries = (3 if self._reads else 0) + 2 + sum(map(len, self._drawn.values()))
@@ -84,12 +100,15 @@ class CapsuleSB3VecEnv(VecEnv):
             self.seed(check_seed(seed, count=num_envs))
 
     def reset(self) -> VecEnvObs:
-        """Begins a new episode in every environment, with the options of `set_options`; returns the observations.
+        """Begins a new episode in every environment, with the options of `set_options`; returns the
+        observations.
 
         Raises:
-            ValueError: if the options of the environments have different keys, or an option is unknown or out of range.
+            ValueError: if the options of the environments have different keys, or an option is
+                unknown or out of range.
         """
-        # SB3's options are one dict per environment; under each key the batch takes a value per environment.
+        # SB3's options are one dict per environment; under each key the batch takes a value per
+        # environment.
         names = self._options[0].keys()
         same = all(options.keys() == names for options in self._options)
         require(same, "options", "dicts with the same keys for every environment", self._options)
@@ -125,7 +144,10 @@ class CapsuleSB3VecEnv(VecEnv):
         self._lengths += 1
         infos = self._no_infos
         if self.batch.simulation.options.goal_env:
-            last, infos = info["final_info"] if dones.any() else info, [{} for _ in range(self.num_envs)]
+            last, infos = (
+                info["final_info"] if dones.any() else info,
+                [{} for _ in range(self.num_envs)],
+            )
             for name in ("reward_energy", "reward_termination"):
                 for own, value in zip(infos, np.where(dones, last[name], info[name]), strict=True):
                     own[name] = float(value)
@@ -134,12 +156,18 @@ class CapsuleSB3VecEnv(VecEnv):
             metrics = info["final_info"]["metrics"]
             final = self._with_critic(info["final_obs"], info["final_info"])
             for i in np.flatnonzero(dones):
-                last = {name: part[i] for name, part in final.items()} if isinstance(final, dict) else final[i]
+                last = (
+                    {name: part[i] for name, part in final.items()}
+                    if isinstance(final, dict)
+                    else final[i]
+                )
                 infos[i] = infos[i] | {
                     "terminal_observation": last,
                     "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
                     "episode": {"r": float(self._returns[i]), "l": int(self._lengths[i])},
-                    "metrics": {name: float(values[i]) for name, values in metrics.items() if name[0] != "_"},
+                    "metrics": {
+                        name: float(values[i]) for name, values in metrics.items() if name[0] != "_"
+                    },
                 }
             self._returns[dones] = 0.0
             self._lengths[dones] = 0
@@ -159,16 +187,30 @@ class CapsuleSB3VecEnv(VecEnv):
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Raises an AttributeError, since the environments of a batch share their settings."""
-        raise AttributeError(f"cannot set {attr_name!r}: the environments of a batch share their settings")
+        raise AttributeError(
+            f"cannot set {attr_name!r}: the environments of a batch share their settings"
+        )
 
-    def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
-        """Calls `compute_reward`; other methods raise an AttributeError: a batch has no separate environments."""
+    def env_method(
+        self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
+    ) -> list[Any]:
+        """Calls `compute_reward`; other methods raise an AttributeError: a batch has no separate
+        environments.
+        """
         if method_name == "compute_reward":
-            return [self.batch.compute_reward(*args, **kwargs)] * len(list(self._get_indices(indices)))
-        raise AttributeError(f"cannot call {method_name!r} of one environment: call it of the attribute `batch`")
+            return [self.batch.compute_reward(*args, **kwargs)] * len(
+                list(self._get_indices(indices))
+            )
+        raise AttributeError(
+            f"cannot call {method_name!r} of one environment: call it of the attribute `batch`"
+        )
 
-    def env_is_wrapped(self, wrapper_class: type[gym.Wrapper], indices: VecEnvIndices = None) -> list[bool]:
-        """False except for `Monitor`, whose infos a batch contains: with True, SB3 evaluates whole episodes."""
+    def env_is_wrapped(
+        self, wrapper_class: type[gym.Wrapper], indices: VecEnvIndices = None
+    ) -> list[bool]:
+        """False except for `Monitor`, whose infos a batch contains: with True, SB3 evaluates whole
+        episodes.
+        """
         return [wrapper_class is Monitor] * len(list(self._get_indices(indices)))
 
 
@@ -177,8 +219,8 @@ class FixedScale(RunningMeanStd):
 
     Assign it to `env.obs_rms`, or to its entry "policy" where observations are dicts.
 
-    Running statistics would magnify `stick`, which is almost constant. `VecNormalize.training = False` would also stop
-    the normalisation of rewards.
+    Running statistics would magnify `stick`, which is almost constant. `VecNormalize.training =
+    False` would also stop the normalisation of rewards.
 
     Args:
         factors: the factor of each entry of the observation, shape (entries,), > 0.
@@ -205,15 +247,18 @@ class _Last(nn.Module):
 
 
 class AsymmetricPolicy(MultiInputActorCriticPolicy):
-    """A policy of SB3's `PPO` for `CapsuleSB3VecEnv(privileged=True)`, whose critic sees more than its actor.
+    """A policy of SB3's `PPO` for `CapsuleSB3VecEnv(privileged=True)`, whose critic sees more than
+    its actor.
 
-    The actor takes the observation "policy", the critic that and the observation "critic" (Pinto et al., "Asymmetric
-    actor critic for image-based robot learning", 2018). `predict` also takes both, but its actions depend only on
-    "policy". Arguments are those of SB3's `MultiInputActorCriticPolicy`.
+    The actor takes the observation "policy", the critic that and the observation "critic" (Pinto et
+    al., "Asymmetric actor critic for image-based robot learning", 2018). `predict` also takes both,
+    but its actions depend only on "policy". Arguments are those of SB3's
+    `MultiInputActorCriticPolicy`.
     """
 
     def _build_mlp_extractor(self) -> None:
-        # The features are both observations, in the order of their names: the critic's, then the policy's.
+        # The features are both observations, in the order of their names: the critic's, then the
+        # policy's.
         super()._build_mlp_extractor()
         assert isinstance(self.observation_space, gym.spaces.Dict)
         (observed,) = self.observation_space["policy"].shape or ()

@@ -28,7 +28,14 @@ from capsule_gym.envs.contract import (
     describe,
     ends,
 )
-from capsule_gym.parameters import CONSTANTS, DISTURBANCES, NOMINAL, Capsule, Disturbances, Randomization
+from capsule_gym.parameters import (
+    CONSTANTS,
+    DISTURBANCES,
+    NOMINAL,
+    Capsule,
+    Disturbances,
+    Randomization,
+)
 from capsule_gym.parameters.limits import LARGEST
 from capsule_gym.tasks import task
 from capsule_gym.tasks.registry import find_task
@@ -39,11 +46,14 @@ GOAL_BOUND = 1e7
 # Largest number of environments in a batch: some 15 GB.
 MOST_ENVS = 2**24
 
-# The arrays of a simulation's episodes, which a copy takes over; the copy binds them to the core itself.
+# The arrays of a simulation's episodes, which a copy takes over; the copy binds them to the core
+# itself.
 COPIED_ATTRIBUTES = ("world", "observations", "_keys", "_episodes")
 
 
-def check_seed(seed: Any, accepted: str = "an integer in [0, 2**128) or None", count: int = 1) -> int:
+def check_seed(
+    seed: Any, accepted: str = "an integer in [0, 2**128) or None", count: int = 1
+) -> int:
     """An environment's seed as an int; `count` environments get seeds from this one on.
 
     Raises a TypeError or ValueError for what is not accepted.
@@ -60,9 +70,9 @@ class Simulation:
         controller: the law inside the step, or None.
         settings: the settings of the step, which follow from the options.
         layout: the first rows of the parts of `world`, and sizes.
-        world: shape (blocks, rows, lanes): environment i is lane i % lanes of block i // lanes, and `lanes` is LANES
-            or, for a single environment, 1. `layout` names the rows; `row`, `rows` and `columns` read it by
-            environments.
+        world: shape (blocks, rows, lanes): environment i is lane i % lanes of block i // lanes, and
+            `lanes` is LANES or, for a single environment, 1. `layout` names the rows; `row`, `rows`
+            and `columns` read it by environments.
         observations: shape (num_envs, entries), float32, of the present state.
         entries: the bounds of the observation's entries by name, in order.
         fields: the numbers and arrays of the core's `Batch` by name.
@@ -79,7 +89,11 @@ class Simulation:
         self.randomization = Randomization.named(options.randomization)
         self.controller = find_controller(options.controller)
         self.task = find_task(options.task)
-        if self.controller and self.controller.task and find_task(self.controller.task).name != self.task.name:
+        if (
+            self.controller
+            and self.controller.task
+            and find_task(self.controller.task).name != self.task.name
+        ):
             raise ValueError(
                 f"controller must be a law for the task {self.task.name!r} or for any, got {self.controller.name!r}, "
                 f"which is for the task {find_task(self.controller.task).name!r}"
@@ -89,11 +103,15 @@ class Simulation:
         self.layout = self._description.layout
         check_periods(options, self.settings, law=self.controller is not None)
         if options.initial_range and options.initial_noise > 0.0:
-            raise ValueError(f"initial_noise must be 0 where initial_range is given, got {options.initial_noise}")
+            raise ValueError(
+                f"initial_noise must be 0 where initial_range is given, got {options.initial_noise}"
+            )
         disturbed = Disturbances.named(options.disturbances) or Disturbances()
         # The lightest platform on the roughest floor is the stiffest plant.
         for corner in self.randomization.corners(self.capsule):
-            stiffest = replace(corner, motor_friction=corner.motor_friction + ends(disturbed.motor_friction)[1])
+            stiffest = replace(
+                corner, motor_friction=corner.motor_friction + ends(disturbed.motor_friction)[1]
+            )
             check_step(stiffest, corner.M, corner.mu, self.settings)
         self.lanes = 1 if self.num_envs == 1 else LANES
         blocks = -(-self.num_envs // self.lanes)
@@ -102,7 +120,9 @@ class Simulation:
             self.world = native.aligned_zeros((blocks, self.layout.rows, self.lanes))
             self.observations = np.zeros((self.num_envs, len(self.entries)), np.float32)
         except MemoryError as error:
-            raise ValueError(f"num_envs must fit into memory, got {self.num_envs}: {error}") from None
+            raise ValueError(
+                f"num_envs must fit into memory, got {self.num_envs}: {error}"
+            ) from None
         self._keys = np.zeros((self.num_envs, 2), np.uint64)
         self._episodes = np.zeros(self.num_envs, np.int64)
         # Whether `Row.active` is 1 everywhere.
@@ -119,13 +139,19 @@ class Simulation:
 
     def __getstate__(self) -> dict[str, Any]:
         """The state of the episodes, without code and threads."""
-        return {name: getattr(self, name) for name in ("num_envs", "options", "_changes", *COPIED_ATTRIBUTES)}
+        return {
+            name: getattr(self, name)
+            for name in ("num_envs", "options", "_changes", *COPIED_ATTRIBUTES)
+        }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         options = state["options"]
-        # A function that returns the controller may return another one the second time: a copy passes its own.
+        # A function that returns the controller may return another one the second time: a copy
+        # passes its own.
         Simulation.__init__(
-            self, state["num_envs"], replace(options, controller=state.get("controller", options.controller))
+            self,
+            state["num_envs"],
+            replace(options, controller=state.get("controller", options.controller)),
         )
         self.options = options
         if self.world.shape != state["world"].shape:
@@ -152,10 +178,16 @@ class Simulation:
         # Exceptions of a law that Python calls.
         self._raised: list[Exception] = []
         if isinstance(acting.law, CoreLaw):
-            law = {"law": acting.law.number, "law_constants": np.array([*acting.law.constants, 0.0])}
+            law = {
+                "law": acting.law.number,
+                "law_constants": np.array([*acting.law.constants, 0.0]),
+            }
         else:
             observed = Row.read_theta if self.settings.law_reads else Row.theta
-            law = {"law": len(_core.LAWS), **bind_user_law(acting, self.lanes, observed, self._raised)}
+            law = {
+                "law": len(_core.LAWS),
+                **bind_user_law(acting, self.lanes, observed, self._raised),
+            }
         self.fields: dict[str, Any] = {
             **law,
             **as_arrays(self._description),
@@ -177,7 +209,8 @@ class Simulation:
         self._set_changes(np.zeros((0, 4)))
         # Looking the arguments up each time takes a tenth of a step.
         self._advance = partial(_core.call, "advance", self._batch)
-        # Steps a single environment with an action, without the arrays; returns as the `work` of `run`.
+        # Steps a single environment with an action, without the arrays; returns as the `work` of
+        # `run`.
         self.step_one = partial(_core.call_locked, "step_one", self._batch)
 
     def row(self, row: int) -> np.ndarray:
@@ -185,7 +218,9 @@ class Simulation:
         return self.world[:, row].flatten()[: self.num_envs]
 
     def rows(self, first: int, last: int) -> np.ndarray:
-        """A copy of the quantities first..last-1 of every environment, shape (last - first, num_envs)."""
+        """A copy of the quantities first..last-1 of every environment, shape (last - first,
+        num_envs).
+        """
         part = self.world[:, first:last].transpose(1, 0, 2)
         return np.array(part, order="C").reshape(last - first, -1)[:, : self.num_envs]
 
@@ -246,11 +281,17 @@ class Simulation:
         resets.write_options(drawn, options, self.task, self._description)
         starts = drawn[: self.layout.task_draws]
         changes: list[tuple[int, float, float, float]] = []
-        if M is not None or mu is not None or any(map(options.get, ("changes", "capsule", "disturbances"))):
+        if (
+            M is not None
+            or mu is not None
+            or any(map(options.get, ("changes", "capsule", "disturbances")))
+        ):
             masses = starts[Row.M].tolist() if M is None else M
             frictions = starts[Row.mu].tolist() if mu is None else mu
             schedules = options.get("changes", [()] * count)
-            for n, (mass, friction, schedule) in enumerate(zip(masses, frictions, schedules, strict=True)):
+            for n, (mass, friction, schedule) in enumerate(
+                zip(masses, frictions, schedules, strict=True)
+            ):
                 capsule = self._episode_capsule(drawn[self.layout.constant_draws :, n].tolist())
                 self._check_plant(mass, friction, capsule)
                 changes += [(int(rows[n]), *change) for change in self._schedule(schedule, capsule)]
@@ -258,7 +299,8 @@ class Simulation:
         if state is not None:
             starts[: Row.M] = resets.check_state("options['state']", state, count).T
 
-        # Nothing above changes the environments, so a reset that raises an error leaves them unchanged.
+        # Nothing above changes the environments, so a reset that raises an error leaves them
+        # unchanged.
         if changes or len(self._changes):
             others = self._changes[~np.isin(self._changes[:, 0], rows)]
             merged = np.concatenate([others, np.reshape(changes, (-1, 4))])
@@ -273,10 +315,12 @@ class Simulation:
 
         Args:
             actions: shape (num_envs,), finite; clipped to [-1, 1].
-            active: shape (num_envs,), bool: the environments that take part; the others do not change. None means all.
+            active: shape (num_envs,), bool: the environments that take part; the others do not
+                change. None means all.
 
         Raises:
-            ValueError: if a control law returned a torque that is not finite. A law's own exception is raised as it is.
+            ValueError: if a control law returned a torque that is not finite. A law's own exception
+                is raised as it is.
         """
         self.write(Row.action, actions)
         if active is not None:
@@ -290,8 +334,9 @@ class Simulation:
         """Runs the core on all environments, distributed over the threads.
 
         Args:
-            work: function of the first environment and one past the last, which releases the interpreter's lock and
-                returns the index of an environment whose law has failed, or -1.
+            work: function of the first environment and one past the last, which releases the
+                interpreter's lock and returns the index of an environment whose law has failed, or
+                -1.
 
         Raises:
             ValueError: as `step`.
@@ -323,7 +368,9 @@ class Simulation:
             raise
 
     def report(self, broken: int) -> None:
-        """Raises the exception of a law that has failed in an environment, or the error for its torque."""
+        """Raises the exception of a law that has failed in an environment, or the error for its
+        torque.
+        """
         column = self.columns(np.array([broken]))[:, 0]
         raised = self._raised[:]
         self.discard_failed()
@@ -335,7 +382,8 @@ class Simulation:
         assert self.controller is not None
         law, reads_task = self.controller.law, self.controller.task is not None
         if not isinstance(law, CoreLaw):
-            # Compiled code catches the law's exceptions. The arguments are still those of the call that has failed.
+            # Compiled code catches the law's exceptions. The arguments are still those of the call
+            # that has failed.
             layout = self.layout
             last = layout.reference_end + reads_task * self.task.rows
             memory = tuple(column[layout.law_memory : layout.reference].tolist())
@@ -347,19 +395,22 @@ class Simulation:
         )
 
     def discard_failed(self) -> None:
-        """Discards the exceptions of failed laws, and their torques, which a reset of others would return too."""
+        """Discards the exceptions of failed laws, and their torques, which a reset of others would
+        return too.
+        """
         self._raised.clear()
         lost = np.flatnonzero(~np.isfinite(self.row(Row.law_torque)))
         self.world[lost // self.lanes, Row.law_torque, lost % self.lanes] = 0.0
         self.observations[lost] = np.nan_to_num(self.observations[lost])
 
     def metrics(self, rows: np.ndarray, horizon: int | None = None) -> dict[str, np.ndarray]:
-        """The metrics of the running episodes with these indices: those of `METRICS`, and those of the task.
+        """The metrics of the running episodes with these indices: those of `METRICS`, and those of
+        the task.
 
         Args:
             rows: indices of the environments, int64, shape (n,).
-            horizon: agent steps of a whole episode. The mean speed of a failed episode is over all of them, so that an
-                early failure is no advantage; None takes the elapsed time.
+            horizon: agent steps of a whole episode. The mean speed of a failed episode is over all
+                of them, so that an early failure is no advantage; None takes the elapsed time.
 
         Returns:
             One float64 array of shape (n,) for each metric.
@@ -367,17 +418,32 @@ class Simulation:
         seconds = horizon * self.options.control_dt if horizon else math.nan
         names = [*task.METRICS, *self.task.metrics]
         values = np.empty((len(names), len(rows)))
-        native.call("episode_metrics", self._batch, np.ascontiguousarray(rows, np.int64), len(rows), seconds, values)
+        native.call(
+            "episode_metrics",
+            self._batch,
+            np.ascontiguousarray(rows, np.int64),
+            len(rows),
+            seconds,
+            values,
+        )
         return dict(zip(names, values, strict=True))
 
     def observe(self) -> Any:
-        """A copy of the observations; with `goal_env` a dict with the achieved and the desired goals beside them."""
+        """A copy of the observations; with `goal_env` a dict with the achieved and the desired
+        goals beside them.
+        """
         if not self.options.goal_env:
             return self.observations.copy()
         x, x_dot = (Row.read_x, Row.read_x_dot) if self.settings.agent_reads else (Row.x, Row.x_dot)
         goal = self.row(self.layout.task + self.task.fields.index("goal"))
-        goals = {"achieved_goal": (self.row(x), self.row(x_dot)), "desired_goal": (goal, np.zeros(self.num_envs))}
-        bounded = {name: np.clip(np.stack(each, 1), -GOAL_BOUND, GOAL_BOUND) for name, each in goals.items()}
+        goals = {
+            "achieved_goal": (self.row(x), self.row(x_dot)),
+            "desired_goal": (goal, np.zeros(self.num_envs)),
+        }
+        bounded = {
+            name: np.clip(np.stack(each, 1), -GOAL_BOUND, GOAL_BOUND)
+            for name, each in goals.items()
+        }
         return {"observation": self.observations.copy(), **bounded}
 
     def close(self) -> None:
@@ -387,23 +453,34 @@ class Simulation:
         self._pool = None
 
     def _episode_capsule(self, drawn: Sequence[float]) -> Capsule:
-        """The constants that an episode has drawn, with the whole friction of the motor, for any M and mu."""
+        """The constants that an episode has drawn, with the whole friction of the motor, for any M
+        and mu.
+        """
         constants: dict[str, Any] = dict(zip(CONSTANTS, drawn, strict=False))
         if constants:
-            constants["motor_friction"] += drawn[len(CONSTANTS) + DISTURBANCES.index("motor_friction")]
+            constants["motor_friction"] += drawn[
+                len(CONSTANTS) + DISTURBANCES.index("motor_friction")
+            ]
         # Heavy and smooth: the check of M and mu is `_check_plant`'s.
         return replace(self.capsule, M=LARGEST, mu=0.0, **constants)
 
     def _check_plant(self, M: float, mu: float, capsule: Capsule) -> None:
-        """Raises an error for M and mu that are invalid, too stiff for the step, or outside their observed bounds."""
+        """Raises an error for M and mu that are invalid, too stiff for the step, or outside their
+        observed bounds.
+        """
         capsule.check_plant(M, mu)
         check_step(capsule, float(M), float(mu), self.settings)
         if self.settings.with_parameters:
-            for name, value, largest in (("M", M, self.settings.M_bound), ("mu", mu, self.settings.mu_bound)):
+            for name, value, largest in (
+                ("M", M, self.settings.M_bound),
+                ("mu", mu, self.settings.mu_bound),
+            ):
                 accepted = f"at most {largest:g} where observe_parameters shows it (a wider randomization shows more)"
                 check_number(name, value, accepted, 0.0, largest)
 
-    def _schedule(self, changes: Sequence[dict[str, float]], capsule: Capsule) -> list[tuple[float, float, float]]:
+    def _schedule(
+        self, changes: Sequence[dict[str, float]], capsule: Capsule
+    ) -> list[tuple[float, float, float]]:
         """The changes of one episode, with the other constants of `capsule`, as (t, M, mu)."""
         accepted = "a list of dicts {'t': s, 'M': kg, 'mu': ..}, each later than the one before"
         schedule: list[tuple[float, float, float]] = []

@@ -24,30 +24,35 @@ from capsule_gym.rendering import Renderer
 class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
     """N independent `CapsuleEnv`, stepped together by the compiled core.
 
-    `gym.make_vec("CapsuleStickSlip-v0", num_envs=N)` creates one. Spaces, rewards, info and random draws are those of
-    `CapsuleEnv`. Environment i of a batch with seed s gives, bit for bit, the episodes of a single environment with
-    seed s + i, for any batch size and any number of threads. `copy.deepcopy` and `pickle` copy the running episodes.
+    `gym.make_vec("CapsuleStickSlip-v0", num_envs=N)` creates one. Spaces, rewards, info and random
+    draws are those of `CapsuleEnv`. Environment i of a batch with seed s gives, bit for bit, the
+    episodes of a single environment with seed s + i, for any batch size and any number of threads.
+    `copy.deepcopy` and `pickle` copy the running episodes.
 
-    The batch truncates episodes itself, after `max_episode_steps`. The autoreset modes are those of gymnasium:
+    The batch truncates episodes itself, after `max_episode_steps`. The autoreset modes are those of
+    gymnasium:
 
-    - NEXT_STEP: the step after the end of an episode ignores the action and returns the first observation of the next
-      episode with reward 0.
-    - SAME_STEP: the last step of an episode returns the first observation of the next one. The last observation is in
-      `info["final_obs"]`, its info with the metrics of the episode in `info["final_info"]`.
-    - DISABLED: an environment whose episode has ended does not change until `reset(options={"reset_mask": mask})`
-      resets it.
+    - NEXT_STEP: the step after the end of an episode ignores the action and returns the first
+      observation of the next episode with reward 0.
+    - SAME_STEP: the last step of an episode returns the first observation of the next one. The last
+      observation is in `info["final_obs"]`, its info with the metrics of the episode in
+      `info["final_info"]`.
+    - DISABLED: an environment whose episode has ended does not change until
+      `reset(options={"reset_mask": mask})` resets it.
 
     Args:
         num_envs: number of environments.
-        max_episode_steps: agent steps until truncation; None takes the task's, `gym.make_vec` the id's, and -1 is none.
+        max_episode_steps: agent steps until truncation; None takes the task's, `gym.make_vec` the
+            id's, and -1 is none.
         autoreset_mode: an `AutoresetMode` or its name, "NEXT_STEP", "SAME_STEP" or "DISABLED".
         render_mode: None or "rgb_array".
-        **options: the other arguments of `CapsuleEnv`, and `threads`: number of threads, each for at least 128
-            environments; results do not depend on it.
+        **options: the other arguments of `CapsuleEnv`, and `threads`: number of threads, each for
+            at least 128 environments; results do not depend on it.
 
     Raises:
         TypeError: if an argument is of the wrong type.
-        ValueError: if an argument is out of range, or a plant admits Painleve's paradox or is too stiff for `physics_dt`.
+        ValueError: if an argument is out of range, or a plant admits Painleve's paradox or is too
+            stiff for `physics_dt`.
     """
 
     # Gymnasium declares it as the instance's, and wrappers change it: each instance gets a copy.
@@ -67,17 +72,22 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
-        # Nothing to close after an invalid argument: gymnasium 1.1 closes such a batch, too, when it is deleted.
+        # Nothing to close after an invalid argument: gymnasium 1.1 closes such a batch, too, when
+        # it is deleted.
         self.closed = True
         config = EnvConfig(render_mode=render_mode, **options)
-        require(render_mode != "human", "render_mode of a batch", "None or 'rgb_array'", render_mode)
+        require(
+            render_mode != "human", "render_mode of a batch", "None or 'rgb_array'", render_mode
+        )
         modes = {key: each for each in AutoresetMode for key in (each, each.name, each.value)}
         accepted = f"an AutoresetMode or one of {list(AutoresetMode.__members__)}"
         fits = isinstance(autoreset_mode, (AutoresetMode, str)) and autoreset_mode in modes
         require(fits, "autoreset_mode", accepted, autoreset_mode)
         self.autoreset_mode = modes[autoreset_mode]
         self.simulation = env.make_simulation(num_envs, config)
-        steps = self.simulation.task.episode_steps if max_episode_steps is None else max_episode_steps
+        steps = (
+            self.simulation.task.episode_steps if max_episode_steps is None else max_episode_steps
+        )
         accepted = "an integer >= 1, or -1 for no limit"
         count = check_integer("max_episode_steps", steps, accepted, -1, sys.maxsize)
         require(count != 0, "max_episode_steps", accepted, count)
@@ -85,7 +95,11 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         self.num_envs = self.simulation.num_envs
         self.render_mode = render_mode
         fps = env.frames_per_second(self.simulation)
-        self.metadata = {**type(self).metadata, "render_fps": fps, "autoreset_mode": self.autoreset_mode}
+        self.metadata = {
+            **type(self).metadata,
+            "render_fps": fps,
+            "autoreset_mode": self.autoreset_mode,
+        }
         self.single_action_space, self.single_observation_space = env.make_spaces(self.simulation)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -95,9 +109,11 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         self._spec: EnvSpec | None = None
         self._everyone = np.ones(self.num_envs, np.bool_)
         self._everyone.flags.writeable = False
-        # The masks of an info of every environment; building their names takes a third of the info's time.
+        # The masks of an info of every environment; building their names takes a third of the
+        # info's time.
         self._masks: dict[str, np.ndarray] = {}
-        # The drawn values of the running episodes, as in infos, and the count of resets at which they were read.
+        # The drawn values of the running episodes, as in infos, and the count of resets at which
+        # they were read.
         self._drawn: dict[str, dict[str, np.ndarray]] = {}
         self._drawn_at = 0
         self.closed = False
@@ -119,19 +135,24 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
-        # make_vec passes the registered spec, whose time limit is not the batch's if the caller has set another one.
+        # make_vec passes the registered spec, whose time limit is not the batch's if the caller has
+        # set another one.
         self._spec = spec and replace(spec, max_episode_steps=self.max_episode_steps)
 
     def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begins new episodes.
 
         Args:
-            seed: environment i gets seed + i, or the i-th entry of a sequence; None continues its random streams.
-            options: options of `CapsuleEnv.reset`, each one value for all environments or one per environment
-                ("changes": a list per environment), and "reset_mask", bool of shape (num_envs,), which selects the
-                environments.
+            seed: environment i gets seed + i, or the i-th entry of a sequence; None continues its
+                random streams.
+            options: options of `CapsuleEnv.reset`, each one value for all environments or one per
+                environment ("changes": a list per environment), and "reset_mask", bool of shape
+                (num_envs,), which selects the environments.
 
         Returns:
             Observations, float32 of shape (num_envs, entries), and the infos.
@@ -140,38 +161,58 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         options = env.check_options(options, (*env.RESET_OPTIONS, *task_options, "reset_mask"))
         given = options.get("reset_mask")
         mask = np.ones(self.num_envs, np.bool_) if given is None else given
-        name, accepted = "options['reset_mask']", f"a bool array of shape ({self.num_envs},) with at least one True"
-        require(isinstance(mask, np.ndarray) and mask.dtype == np.bool_, name, accepted, mask, TypeError)
+        name, accepted = (
+            "options['reset_mask']",
+            f"a bool array of shape ({self.num_envs},) with at least one True",
+        )
+        require(
+            isinstance(mask, np.ndarray) and mask.dtype == np.bool_, name, accepted, mask, TypeError
+        )
         require(mask.shape == (self.num_envs,) and bool(mask.any()), name, accepted, mask)
         rows = np.flatnonzero(mask)
         self._seed(seed, rows)
-        values = {name: options[name] for name in (*env.RESET_OPTIONS, *task_options) if options.get(name) is not None}
-        self.simulation.reset(rows, **{name: self._per_row(name, value, rows) for name, value in values.items()})
+        values = {
+            name: options[name]
+            for name in (*env.RESET_OPTIONS, *task_options)
+            if options.get(name) is not None
+        }
+        self.simulation.reset(
+            rows, **{name: self._per_row(name, value, rows) for name, value in values.items()}
+        )
         self._ended[rows] = False
-        # The mask of the first reset need not name every environment; one that has not begun has no mass.
+        # The mask of the first reset need not name every environment; one that has not begun has no
+        # mass.
         self._started = self._started or bool(self.simulation.row(Row.M).all())
         return self.simulation.observe(), self._info(self.simulation.rows(0, Row.start_x), mask)
 
-    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """One agent step of every environment.
 
         Args:
             actions: shape (num_envs, 1), clipped to [-1, 1].
 
         Returns:
-            Observations (num_envs, entries) float32, rewards (num_envs,) float64, terminated and truncated
-            (num_envs,) bool, and infos.
+            Observations (num_envs, entries) float32, rewards (num_envs,) float64, terminated and
+            truncated (num_envs,) bool, and infos.
 
         Raises:
-            ValueError: if the actions have another shape or are not finite, or the control law returned a torque that is
-                not finite.
+            ValueError: if the actions have another shape or are not finite, or the control law
+                returned a torque that is not finite.
             gymnasium.error.ResetNeeded: if an environment was never reset.
         """
         if not self._started:
-            raise gym.error.ResetNeeded("call reset() before step(): some environment has no running episode")
+            raise gym.error.ResetNeeded(
+                "call reset() before step(): some environment has no running episode"
+            )
         array = env.as_actions(actions)
         # `count_nonzero` takes a fifth of the time of `any` and `all`.
-        if array is None or array.shape != (self.num_envs, 1) or np.count_nonzero(np.isfinite(array)) < self.num_envs:
+        if (
+            array is None
+            or array.shape != (self.num_envs, 1)
+            or np.count_nonzero(np.isfinite(array)) < self.num_envs
+        ):
             accepted = f"finite numbers, clipped to [-1, 1], of shape ({self.num_envs}, 1)"
             raise ValueError(f"actions must be {accepted}, got {short_repr(actions)}")
         simulation = self.simulation
@@ -182,10 +223,12 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
 
         shown = simulation.rows(0, Row.start_x)
         rewards = shown[Row.reward].copy()
-        # An environment that began its next episode in this step has taken no step, and one whose episode has ended
-        # keeps what its last step has reported.
+        # An environment that began its next episode in this step has taken no step, and one whose
+        # episode has ended keeps what its last step has reported.
         terminated = shown[Row.termination] != 0.0
-        truncated = shown[Row.steps] >= (math.inf if self.max_episode_steps is None else self.max_episode_steps)
+        truncated = shown[Row.steps] >= (
+            math.inf if self.max_episode_steps is None else self.max_episode_steps
+        )
         ended = terminated | truncated
         info = self._info(shown, self._everyone)
         if active is not None and self.autoreset_mode is AutoresetMode.DISABLED:
@@ -197,21 +240,28 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         return simulation.observe(), rewards, terminated, truncated, info
 
     def episode_metrics(self) -> dict[str, np.ndarray]:
-        """The metrics of the running episodes, each of shape (num_envs,), defined by `task.METRICS` and the task.
+        """The metrics of the running episodes, each of shape (num_envs,), defined by `task.METRICS`
+        and the task.
 
         A whole episode takes `max_episode_steps`, or without a limit the elapsed time.
         """
         return self.simulation.metrics(np.arange(self.num_envs), self.max_episode_steps)
 
     def render(self) -> tuple[np.ndarray, ...] | None:
-        """One frame per environment, each of shape (height, width, 3), uint8; None without a render mode."""
+        """One frame per environment, each of shape (height, width, 3), uint8; None without a render
+        mode.
+        """
         if self.render_mode is None:
-            gym.logger.warn("render() draws nothing without a render_mode: gym.make_vec(.., render_mode='rgb_array')")
+            gym.logger.warn(
+                "render() draws nothing without a render_mode: gym.make_vec(.., render_mode='rgb_array')"
+            )
             return None
         if self._renderer is None:
             capsule, limit = self.simulation.capsule, self.simulation.settings.torque_limit
             self._renderer = Renderer(capsule, self.render_mode, self.metadata["render_fps"], limit)
-        frames = (self._renderer.draw(**env.shown_state(self.simulation, i)) for i in range(self.num_envs))
+        frames = (
+            self._renderer.draw(**env.shown_state(self.simulation, i)) for i in range(self.num_envs)
+        )
         return tuple(frame for frame in frames if frame is not None)
 
     def close_extras(self, **kwargs: Any) -> None:
@@ -221,16 +271,24 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
     def _info(self, rows: np.ndarray, mask: np.ndarray) -> dict[str, Any]:
         """The infos of the environments that the mask selects, from the first rows of `Row`."""
         simulation = self.simulation
-        info = env.describe(rows[: Row.steps], rows[Row.theta : Row.M].T, rows[Row.termination].astype(np.int64))
+        info = env.describe(
+            rows[: Row.steps], rows[Row.theta : Row.M].T, rows[Row.termination].astype(np.int64)
+        )
         if simulation.task is not SPEED:
-            env.add_task(info, simulation.task, simulation.rows(simulation.layout.task, simulation.layout.task_end))
+            env.add_task(
+                info,
+                simulation.task,
+                simulation.rows(simulation.layout.task, simulation.layout.task_end),
+            )
         if simulation.settings.varied:
             info["reading"] = simulation.rows(Row.read_theta, Row.late_theta).T
             # Until an episode begins these stay the same.
             if simulation.resets != self._drawn_at:
                 self._drawn_at, drawn = simulation.resets, simulation.rows(Row.drawn_m, Row.key)
                 drawn.flags.writeable = False
-                capsule, disturbances = (_masked(part, self._everyone) for part in env.name_drawn(list(drawn)))
+                capsule, disturbances = (
+                    _masked(part, self._everyone) for part in env.name_drawn(list(drawn))
+                )
                 self._drawn = {"capsule": capsule, "disturbances": disturbances}
         if mask is self._everyone:
             self._masks = self._masks or {f"_{name}": mask for name in info}
@@ -243,7 +301,9 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         return info
 
     def _begin_next(self, info: dict[str, Any], ended: np.ndarray) -> None:
-        """Begins the next episodes, and moves the results of the last ones to the info's `final_..`."""
+        """Begins the next episodes, and moves the results of the last ones to the info's
+        `final_..`.
+        """
         simulation = self.simulation
         rows = np.flatnonzero(ended)
         metrics = {}
@@ -254,21 +314,32 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         info["final_obs"] = np.full(self.num_envs, None, dtype=object)
         last = simulation.observe()
         for i in rows:
-            one = {name: part[i].copy() for name, part in last.items()} if isinstance(last, dict) else last[i].copy()
+            one = (
+                {name: part[i].copy() for name, part in last.items()}
+                if isinstance(last, dict)
+                else last[i].copy()
+            )
             info["final_obs"][i] = one
         info["_final_obs"] = info["_final_info"] = ended
         simulation.reset(rows)
         info |= self._info(simulation.rows(0, Row.start_x), self._everyone)
 
     def _seed(self, seed: int | Sequence[int | None] | None, rows: np.ndarray) -> None:
-        """Gives seeds to the environments `rows`, the first time to all: with a seed s, environment i gets s + i."""
+        """Gives seeds to the environments `rows`, the first time to all: with a seed s, environment
+        i gets s + i.
+        """
         n = self.num_envs
         accepted = f"an integer from 0 to 2**128 - {n}, None, or a sequence of {n} integers in [0, 2**128) or None"
         # Reading `np_random` seeds the generator, but no environment.
         fresh = first_time = not self._seeded
         given: list[int | None] = [None] * n
         if seed is not None and isinstance(seed, (Sequence, np.ndarray)):
-            require((not isinstance(seed, np.ndarray) or seed.ndim == 1) and len(seed) == n, "seed", accepted, seed)
+            require(
+                (not isinstance(seed, np.ndarray) or seed.ndim == 1) and len(seed) == n,
+                "seed",
+                accepted,
+                seed,
+            )
             given = [None if each is None else check_seed(each, accepted) for each in seed]
         elif seed is not None:
             super().reset(seed=check_seed(seed, accepted, n))
@@ -286,12 +357,23 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         """One value per environment to be reset, from one for all or one for each of the batch."""
         if name == "state":
             try:
-                array = np.asarray(values) if isinstance(values, (Sequence, np.ndarray)) else np.zeros(0)
-            except ValueError:  # rows of several lengths, which raise an error with the other invalid states
+                array = (
+                    np.asarray(values)
+                    if isinstance(values, (Sequence, np.ndarray))
+                    else np.zeros(0)
+                )
+            except (
+                ValueError
+            ):  # rows of several lengths, which raise an error with the other invalid states
                 return values
             return array[rows] if array.ndim == 2 and len(array) == self.num_envs else values
-        option, accepted = f"options[{name!r}]", f"a sequence of one entry per environment ({self.num_envs})"
-        if not isinstance(values, (Sequence, np.ndarray)) or (isinstance(values, np.ndarray) and values.ndim == 0):
+        option, accepted = (
+            f"options[{name!r}]",
+            f"a sequence of one entry per environment ({self.num_envs})",
+        )
+        if not isinstance(values, (Sequence, np.ndarray)) or (
+            isinstance(values, np.ndarray) and values.ndim == 0
+        ):
             require(name != "changes", option, accepted, values, TypeError)
             return [values] * len(rows)
         require(len(values) == self.num_envs, option, accepted, len(values))
@@ -299,7 +381,9 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
 
 
 def _masked(values: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:
-    """Gymnasium's form of batched infos: every key has a mask of the environments for which it holds."""
+    """Gymnasium's form of batched infos: every key has a mask of the environments for which it
+    holds.
+    """
     info: dict[str, Any] = {}
     for key, value in values.items():
         if key.startswith("_"):

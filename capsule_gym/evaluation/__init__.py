@@ -1,1 +1,3 @@
-"""Evaluation of policies: evaluation sets, episodes, statistics, and the optimum of dynamic programming."""
+"""Evaluation of policies: evaluation sets, episodes, statistics, and the optimum of dynamic
+programming.
+"""

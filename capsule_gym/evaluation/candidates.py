@@ -1,4 +1,5 @@
-"""Policies by name or path: scripted policies, checkpoints, training runs, and policies of other projects.
+"""Policies by name or path: scripted policies, checkpoints, training runs, and policies of other
+projects.
 
 docs/evaluation.md shows how to evaluate the latter.
 """
@@ -19,7 +20,13 @@ from capsule_gym.checks import nearest, short_repr
 from capsule_gym.control.controller import Controller
 from capsule_gym.envs.config import EnvConfig
 from capsule_gym.policies.policy import FOLDER, Policy, load_policy
-from capsule_gym.policies.scripted import LAW_POLICIES, Act, ScriptedPolicy, find_scripted, scripted_names
+from capsule_gym.policies.scripted import (
+    LAW_POLICIES,
+    Act,
+    ScriptedPolicy,
+    find_scripted,
+    scripted_names,
+)
 
 # The paper's controller, the reference of all comparisons.
 BASELINE = "adaptive"
@@ -37,37 +44,50 @@ class AnyPolicy(Protocol):
 
     @property
     def env_kwargs(self) -> Mapping[str, Any]:
-        """The arguments of the policy's `CapsuleVectorEnv`; the evaluation overrides `EPISODE_SETTINGS`."""
+        """The arguments of the policy's `CapsuleVectorEnv`; the evaluation overrides
+        `EPISODE_SETTINGS`.
+        """
 
     def start(self, seeds: Sequence[int], /) -> Act:
         """Starts a batch of episodes, each with a seed for policies that draw random numbers.
 
         Returns:
-            A function from observations (episodes, entries) to actions (episodes, 1), float32, for every agent step.
+            A function from observations (episodes, entries) to actions (episodes, 1), float32, for
+            every agent step.
         """
 
 
-def wrap_policy(policy: Any, *, name: str | None = None, env_kwargs: Mapping[str, Any] | None = None) -> AnyPolicy:
+def wrap_policy(
+    policy: Any, *, name: str | None = None, env_kwargs: Mapping[str, Any] | None = None
+) -> AnyPolicy:
     """Wraps an object of another project as a policy; returns a policy of this project unchanged.
 
     Args:
-        policy: an object with `predict` of Stable-Baselines3's algorithms and policies; an object with `start` of
-            `Policy`; a function from observations (n, entries), float32, to actions (n, 1) in [-1, 1]; or a
-            `Controller`, a control law that acts alone.
+        policy: an object with `predict` of Stable-Baselines3's algorithms and policies; an object
+            with `start` of `Policy`; a function from observations (n, entries), float32, to actions
+            (n, 1) in [-1, 1]; or a `Controller`, a control law that acts alone.
         name: name in results; None takes the attribute of the object or the name of its class.
-        env_kwargs: arguments of the policy's `CapsuleVectorEnv`; None takes the attribute of the object, if any.
+        env_kwargs: arguments of the policy's `CapsuleVectorEnv`; None takes the attribute of the
+            object, if any.
 
     Raises:
-        TypeError: if the policy is of another type, or `env_kwargs` is given for a policy that has its own.
+        TypeError: if the policy is of another type, or `env_kwargs` is given for a policy that has
+            its own.
     """
     kind = isinstance(policy, type)
     start = None if kind else getattr(policy, "start", None)
     if callable(start) and hasattr(policy, "env_kwargs"):
         if env_kwargs is not None:
-            raise TypeError(f"env_kwargs must not be given with a policy that has its own, got {dict(env_kwargs)!r}")
+            raise TypeError(
+                f"env_kwargs must not be given with a policy that has its own, got {dict(env_kwargs)!r}"
+            )
         return policy
     kwargs = dict(getattr(policy, "env_kwargs", {}) if env_kwargs is None else env_kwargs)
-    given = getattr(policy, "name", getattr(policy, "__name__", type(policy).__name__)) if name is None else name
+    given = (
+        getattr(policy, "name", getattr(policy, "__name__", type(policy).__name__))
+        if name is None
+        else name
+    )
     if isinstance(policy, Controller):
         own = {"task": getattr(policy.task, "name", policy.task)} if policy.task else {}
         return ScriptedPolicy(given, EXTERNAL, {**own, **kwargs, "controller": policy})
@@ -76,7 +96,11 @@ def wrap_policy(policy: Any, *, name: str | None = None, env_kwargs: Mapping[str
             accepted = "an object with predict(), as of Stable-Baselines3, or start(), a Controller, or a function"
             what = f"the class {policy.__name__}" if kind else f"a {type(policy).__name__}"
             raise TypeError(f"policy must be {accepted} of observations, got {what}")
-        start = _start_with_predict(policy) if callable(getattr(policy, "predict", None)) else lambda seeds: policy
+        start = (
+            _start_with_predict(policy)
+            if callable(getattr(policy, "predict", None))
+            else lambda seeds: policy
+        )
     return ScriptedPolicy(given, EXTERNAL, kwargs, start)
 
 
@@ -90,8 +114,12 @@ def _start_with_predict(policy: Any) -> Callable[[Sequence[int]], Act]:
         def act(observations: np.ndarray) -> np.ndarray:
             nonlocal state, starts
             if isinstance(space, Dict) and not isinstance(observations, dict):
-                raise ValueError(f"policy must observe what its environment shows, arrays, got a model of {space}")
-            actions, state = policy.predict(observations, state=state, episode_start=starts, deterministic=True)
+                raise ValueError(
+                    f"policy must observe what its environment shows, arrays, got a model of {space}"
+                )
+            actions, state = policy.predict(
+                observations, state=state, episode_start=starts, deterministic=True
+            )
             starts = np.zeros(len(seeds), bool)
             return np.asarray(actions)
 
@@ -106,7 +134,8 @@ class Candidate:
 
     Attributes:
         name: name in results.
-        policies: one policy per training seed, in order of the seed; a single one for a scripted policy.
+        policies: one policy per training seed, in order of the seed; a single one for a scripted
+            policy.
         description: one sentence for tables.
         folder: the folder of the checkpoint; None for a scripted policy.
     """
@@ -128,7 +157,9 @@ class Candidate:
 
     @property
     def base(self) -> str | None:
-        """The scripted policy that only runs the law of the trained policies; None if there is none."""
+        """The scripted policy that only runs the law of the trained policies; None if there is
+        none.
+        """
         law = self.policies[0].env_kwargs.get("controller")
         alone = [each for each in LAW_POLICIES.values() if "task" not in each.env_kwargs]
         names = [each.name for each in alone if law and each.env_kwargs["controller"] == law]
@@ -141,7 +172,10 @@ class Candidate:
             return getattr(self.policies[0], "senses", ""), getattr(self.policies[0], "told", "")
         policy, base = self.trained[0], LAW_POLICIES.get(self.base or "")
         options = EnvConfig(**policy.env_kwargs)
-        senses = ["state", "stick" + (f" of {options.stack_size} steps" if options.stack_size > 1 else "")]
+        senses = [
+            "state",
+            "stick" + (f" of {options.stack_size} steps" if options.stack_size > 1 else ""),
+        ]
         senses += ["law"] if base else []
         told = base.told if base else "nothing"
         if options.observe_estimates:
@@ -151,7 +185,9 @@ class Candidate:
 
 
 def _trained(name: str, folder: Path, trust_controller: bool = False) -> Candidate:
-    """Loads a trained policy from a folder with runs seed-0, seed-1, .., from a run's folder or from a policy file."""
+    """Loads a trained policy from a folder with runs seed-0, seed-1, .., from a run's folder or
+    from a policy file.
+    """
     paths = [path for path in sorted(folder.glob("seed-*")) if path.is_dir()] or [folder]
     loaded = [load_policy(path, trust_controller=trust_controller) for path in paths]
     seeds = [policy.training_seed for policy in loaded]
@@ -159,7 +195,9 @@ def _trained(name: str, folder: Path, trust_controller: bool = False) -> Candida
         raise ValueError(f"{folder} must contain runs of different training seeds, got {seeds}")
     descriptions = {policy.description for policy in loaded}
     if len(descriptions) > 1:
-        raise ValueError(f"{folder} must contain runs of one kind, got: {'; '.join(sorted(descriptions))}")
+        raise ValueError(
+            f"{folder} must contain runs of one kind, got: {'; '.join(sorted(descriptions))}"
+        )
     loaded.sort(key=lambda policy: policy.training_seed)
     return Candidate(name, tuple(loaded), descriptions.pop(), folder)
 
@@ -169,22 +207,27 @@ def checkpoint_names() -> list[str]:
     return sorted(path.name for path in CHECKPOINTS.glob("*") if path.is_dir())
 
 
-def find_candidate(name_or_path: str, *, trust: bool = False, trust_controller: bool = False) -> Candidate:
+def find_candidate(
+    name_or_path: str, *, trust: bool = False, trust_controller: bool = False
+) -> Candidate:
     """Finds a policy.
 
     Args:
-        name_or_path: a scripted policy; a checkpoint with all its training seeds, or one of its runs as NAME/seed-0; a
-            folder with runs seed-0, seed-1, .. inside; a run's folder or a policy file; or "module:attribute", which is
-            imported and passed to `wrap_policy`.
+        name_or_path: a scripted policy; a checkpoint with all its training seeds, or one of its
+            runs as NAME/seed-0; a folder with runs seed-0, seed-1, .. inside; a run's folder or a
+            policy file; or "module:attribute", which is imported and passed to `wrap_policy`.
         trust: accept "module:attribute": importing it runs its code.
         trust_controller: as for `capsule_gym.load_policy`.
 
     Raises:
-        ValueError: if the policy does not exist, its folder is incomplete, or the policy or its law is not trusted.
+        ValueError: if the policy does not exist, its folder is incomplete, or the policy or its law
+            is not trusted.
     """
     if REFERENCE.fullmatch(name_or_path):
         if not trust:
-            raise ValueError(f"importing policy {name_or_path!r} runs its code; --trust allows it, or pass the object")
+            raise ValueError(
+                f"importing policy {name_or_path!r} runs its code; --trust allows it, or pass the object"
+            )
         # Finds modules in the current folder, as for a script.
         sys.path.insert(0, "")
         try:
@@ -205,7 +248,9 @@ def find_candidate(name_or_path: str, *, trust: bool = False, trust_controller: 
     if os.path.exists(path):
         return _trained(name_or_path, path, trust_controller)
     known_scripted = scripted_names()
-    scripted, checkpoints = (", ".join(names) or "there is none" for names in (known_scripted, checkpoint_names()))
+    scripted, checkpoints = (
+        ", ".join(names) or "there is none" for names in (known_scripted, checkpoint_names())
+    )
     similar = nearest(name_or_path, [*known_scripted, *checkpoint_names()])
     raise ValueError(
         f"policy must be a scripted policy ({scripted}), a checkpoint ({checkpoints}), or the path of a run's folder "

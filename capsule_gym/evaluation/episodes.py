@@ -43,7 +43,8 @@ class TableMetric:
         name: name of the metric in results.
         label: name in tables, with the unit.
         digits: number of decimals.
-        share: whether the metric is a share of the episodes. Its mean is not trimmed, which would hide a few misses.
+        share: whether the metric is a share of the episodes. Its mean is not trimmed, which would
+            hide a few misses.
     """
 
     name: str
@@ -52,14 +53,18 @@ class TableMetric:
     share: bool = False
 
     def format(self, value: float | None, *, sign: bool = False) -> str:
-        """Formats a number; an infinite or undefined number, which means no forward progress, gives a dash."""
+        """Formats a number; an infinite or undefined number, which means no forward progress, gives
+        a dash.
+        """
         if value is None or not math.isfinite(value):
             return "-"
         text = f"{value:{'+' if sign else ''}.{self.digits}f}"
         return text.replace("-", "") if float(text) == 0.0 else text
 
     def with_interval(self, values: Iterable[float | None], *, sign: bool = False) -> str:
-        """Formats a value and the ends of its interval as `value [low, high]`, or without an interval as `value`."""
+        """Formats a value and the ends of its interval as `value [low, high]`, or without an
+        interval as `value`.
+        """
         value, low, high = (self.format(each, sign=sign) for each in values)
         return value if low == high == "-" else f"{value} [{low},\N{NO-BREAK SPACE}{high}]"
 
@@ -81,7 +86,8 @@ TASK_METRICS = (
     TableMetric("unsettled", "share of commands never settled", 4, share=True),
 )
 SHARES = [metric.name for metric in TASK_METRICS if metric.share]
-# Mean speed divided by the optimal speed of the episode's plant, on sets that the table of optima covers.
+# Mean speed divided by the optimal speed of the episode's plant, on sets that the table of optima
+# covers.
 SHARE_OF_OPTIMUM = TableMetric("share_of_optimum", "share of optimum", 2)
 
 
@@ -99,7 +105,8 @@ def validation_set(
     Args:
         randomization: distribution of the environment's plants.
         name: name of the set.
-        first_seed: seed of the first episode; the others follow. Far from 0, 1, .., the seeds of the frozen sets.
+        first_seed: seed of the first episode; the others follow. Far from 0, 1, .., the seeds of
+            the frozen sets.
         count: number of plants.
         capsule: constants of the environment's plant.
         task: task of the environment; its further draws follow from the episodes' seeds.
@@ -129,41 +136,62 @@ def evaluate(
     A trained policy runs inside the core (`rollout`). Any other policy is called at every step.
 
     Args:
-        policy: as for `wrap_policy`; or a candidate, or a name or path as for `find_candidate`, of which all training
-            seeds are evaluated, one after the other.
+        policy: as for `wrap_policy`; or a candidate, or a name or path as for `find_candidate`, of
+            which all training seeds are evaluated, one after the other.
         evaluation_set: a set, the name of a frozen one, or the path of one.
         env_kwargs: as for `wrap_policy`, without what the set determines: plants and disturbances.
         horizon: length of an episode in s; None takes that of the set's task.
 
     Returns:
-        One dict per plant, in order: the fields of the plant, the metrics of all tasks (`METRICS`) and of this one,
-        `share_of_optimum` on a set that the table of optima covers, and `training_seed` for a trained policy.
+        One dict per plant, in order: the fields of the plant, the metrics of all tasks (`METRICS`)
+        and of this one, `share_of_optimum` on a set that the table of optima covers, and
+        `training_seed` for a trained policy.
 
     Raises:
         TypeError: if the policy is of another type.
-        ValueError: if the policy or set does not exist, their tasks differ, or the policy's actions are invalid.
+        ValueError: if the policy or set does not exist, their tasks differ, or the policy's actions
+            are invalid.
     """
-    chosen = evaluation_set if isinstance(evaluation_set, EvaluationSet) else load_set(evaluation_set)
+    chosen = (
+        evaluation_set if isinstance(evaluation_set, EvaluationSet) else load_set(evaluation_set)
+    )
     if env_kwargs is not None and isinstance(policy, (str, Path, Candidate)):
-        raise TypeError("env_kwargs must not be given with a policy's name or path or a candidate, which has its own")
-    require(isinstance(env_kwargs or {}, Mapping), "env_kwargs", "None or a dict", env_kwargs, TypeError)
+        raise TypeError(
+            "env_kwargs must not be given with a policy's name or path or a candidate, which has its own"
+        )
+    require(
+        isinstance(env_kwargs or {}, Mapping), "env_kwargs", "None or a dict", env_kwargs, TypeError
+    )
     for name in {*chosen.env_kwargs, "num_envs", "max_episode_steps", "autoreset_mode"} - {"task"}:
         if name in (env_kwargs or {}):
-            raise ValueError(f"env_kwargs must not contain {name!r}, which the set {chosen.name!r} determines")
+            raise ValueError(
+                f"env_kwargs must not contain {name!r}, which the set {chosen.name!r} determines"
+            )
     if isinstance(policy, (str, Path)):
         policy = find_candidate(str(policy))
     if isinstance(policy, Candidate):
         check_task(policy, chosen)
-        return [episode for each in policy.policies for episode in evaluate(each, chosen, horizon=horizon)]
+        return [
+            episode
+            for each in policy.policies
+            for episode in evaluate(each, chosen, horizon=horizon)
+        ]
     policy = wrap_policy(policy, env_kwargs=env_kwargs)
     check_task(Candidate(policy.name, (policy,), ""), chosen)
     settings: dict[str, Any] = {**policy.env_kwargs, **chosen.env_kwargs}
-    seconds, control_dt = chosen.horizon, EnvConfig(control_dt=settings.get("control_dt", CONTROL_DT)).control_dt
+    seconds, control_dt = (
+        chosen.horizon,
+        EnvConfig(control_dt=settings.get("control_dt", CONTROL_DT)).control_dt,
+    )
     if horizon is not None:
         accepted = f"a number from {control_dt:g} to {LONGEST_STEP:g} (s)"
         seconds = check_number("horizon", horizon, accepted, control_dt, LONGEST_STEP)
     steps, seeds = round(seconds / control_dt), [plant.seed for plant in chosen.plants]
-    batch = {"num_envs": len(seeds), "max_episode_steps": steps, "autoreset_mode": AutoresetMode.DISABLED}
+    batch = {
+        "num_envs": len(seeds),
+        "max_episode_steps": steps,
+        "autoreset_mode": AutoresetMode.DISABLED,
+    }
     env = CapsuleVectorEnv(**{**settings, **batch})
     try:
         resets = [plant.reset_options() for plant in chosen.plants]
@@ -207,18 +235,24 @@ def as_episodes(
 ) -> list[Episode]:
     """Converts metrics by name, each of shape (plants,), to the episodes that `evaluate` returns.
 
-    `shared`: whether the policy acts under the optimum's torque limit, so that its share of the optimum is defined.
+    `shared`: whether the policy acts under the optimum's torque limit, so that its share of the
+        optimum is defined.
     """
-    # The tables of optima cover only the speed task, one start, the plants of their grids, and constant plants.
+    # The tables of optima cover only the speed task, one start, the plants of their grids, and
+    # constant plants.
     plants, grid = evaluation_set.plants, find_grid(evaluation_set.capsule or NOMINAL)
-    covered = grid and all(p.theta == START_THETA and not p.changes and (p.M, p.mu) in grid for p in plants)
+    covered = grid and all(
+        p.theta == START_THETA and not p.changes and (p.M, p.mu) in grid for p in plants
+    )
     shared &= evaluation_set.task == "speed" and evaluation_set.env_kwargs["disturbances"] == "none"
     label = {} if training_seed is None else {"training_seed": training_seed}
     episodes = []
     for i, plant in enumerate(plants):
         values = {name: float(column[i]) for name, column in metrics.items()}
         if grid and covered and shared:
-            values[SHARE_OF_OPTIMUM.name] = values["mean_speed"] / optimal_speed(plant.M, plant.mu, grid)
+            values[SHARE_OF_OPTIMUM.name] = values["mean_speed"] / optimal_speed(
+                plant.M, plant.mu, grid
+            )
         fields = plant.to_dict()
         if not plant.changes:
             del fields["changes"]
@@ -227,14 +261,17 @@ def as_episodes(
 
 
 def scores(episodes: Sequence[Episode], metric: str) -> np.ndarray:
-    """The values of a metric in the episodes of one policy on one set, shape (training seeds, episodes of the set).
+    """The values of a metric in the episodes of one policy on one set, shape (training seeds,
+    episodes of the set).
 
     None, which files contain instead of infinity, becomes infinity.
     """
     runs: dict[Any, list[float]] = {}
     for episode in episodes:
         value = episode[metric]
-        runs.setdefault(episode.get("training_seed"), []).append(math.inf if value is None else value)
+        runs.setdefault(episode.get("training_seed"), []).append(
+            math.inf if value is None else value
+        )
     sizes = [len(run) for run in runs.values()]
     accepted = "as many for every training seed, and at least one"
     require(len({*sizes}) == 1, "episodes", accepted, sizes)
@@ -250,16 +287,22 @@ def summarise(episodes: Sequence[Episode]) -> dict[str, Any]:
     """Summarises a policy's episodes on one set.
 
     Returns:
-        For every metric but `failed` the interquartile mean with its interval, `iqm`, `low` and `high` (for shares
-        `mean`, `low` and `high`); the mean with its interval, `mean`, `mean_low` and `mean_high`; and the mean of each
-        training seed, `seeds`. Further `episodes` and `failures` as counts over all training seeds (a trimmed mean
-        would hide a few failures), and `training_seeds`, empty for scripted policies.
+        For every metric but `failed` the interquartile mean with its interval, `iqm`, `low` and
+        `high` (for shares `mean`, `low` and `high`); the mean with its interval, `mean`, `mean_low`
+        and `mean_high`; and the mean of each training seed, `seeds`. Further `episodes` and
+        `failures` as counts over all training seeds (a trimmed mean would hide a few failures), and
+        `training_seeds`, empty for scripted policies.
     """
     found, failed = dict[str, Any](), failures(episodes)
     for name in (name for name in episodes[0] if name not in LABELS and name != "failed"):
         values = scores(episodes, name)
         value, low, high = estimate(values, mean=True).to_dict().values()
-        mean = {"mean": value, "mean_low": low, "mean_high": high, "seeds": values.mean(axis=1).tolist()}
+        mean = {
+            "mean": value,
+            "mean_low": low,
+            "mean_high": high,
+            "seeds": values.mean(axis=1).tolist(),
+        }
         found[name] = {**estimate(values, mean=name in SHARES).to_dict(), **mean}
     seeds = list(dict.fromkeys(e["training_seed"] for e in episodes if "training_seed" in e))
     return {**found, "episodes": len(episodes), "failures": failed, "training_seeds": seeds}

@@ -1,6 +1,7 @@
 """The speed of dynamic programming on a plant, of which `share_of_optimum` is the share.
 
-`python -m baselines.dynamic_programming` computes the archive in `FOLDER`; this module reads its speeds.
+`python -m baselines.dynamic_programming` computes the archive in `FOLDER`; this module reads its
+speeds.
 """
 
 import json
@@ -59,8 +60,8 @@ class PlantGrid:
         """The cell that contains a plant, M in kg and mu, or the nearest one.
 
         Returns:
-            The four corners of the cell as indices of `plants`, and the position in the cell along M and along log(mu),
-            each from 0 to 1.
+            The four corners of the cell as indices of `plants`, and the position in the cell along
+            M and along log(mu), each from 0 to 1.
         """
 
         def along(value: float, nodes: Sequence[float]) -> tuple[int, float]:
@@ -114,17 +115,21 @@ def interpolated_speed(M: float, mu: float, grid: PlantGrid = GRID) -> float:
 
 @lru_cache(maxsize=4096)
 def optimal_speed(M: float, mu: float, grid: PlantGrid = GRID) -> float:
-    """The mean speed of dynamic programming from rest over 33 s, torque within 1.5 N m every 20 ms, in cm/s; M in kg.
+    """The mean speed of dynamic programming from rest over 33 s, torque within 1.5 N m every 20 ms,
+    in cm/s; M in kg.
 
-    It is the speed of a computed trajectory, not an upper bound. The plants of the grid and of the sets `paper` and
-    `wide` were solved themselves; for others the speed is interpolated between the plants of the grid, with errors of
-    up to 3.3 %.
+    It is the speed of a computed trajectory, not an upper bound. The plants of the grid and of the
+    sets `paper` and `wide` were solved themselves; for others the speed is interpolated between the
+    plants of the grid, with errors of up to 3.3 %.
 
     Raises:
-        ValueError: if the plant lies outside the grid, which must have its ratio of static to kinetic friction.
+        ValueError: if the plant lies outside the grid, which must have its ratio of static to
+            kinetic friction.
     """
     if (M, mu) not in grid:
-        ranges = f"M must be in [{grid.M[0]}, {grid.M[-1]}] kg and mu in [{grid.mu[0]}, {grid.mu[-1]}]"
+        ranges = (
+            f"M must be in [{grid.M[0]}, {grid.M[-1]}] kg and mu in [{grid.mu[0]}, {grid.mu[-1]}]"
+        )
         raise ValueError(f"{ranges}, got M={M!r}, mu={mu!r}")
     solved = set_speeds().get((M, mu)) if grid is GRID else None
     return interpolated_speed(M, mu, grid) if solved is None else solved

@@ -26,14 +26,25 @@ from capsule_gym.envs.config import check_object
 from capsule_gym.files import canonical_hash
 from capsule_gym.parameters import CONSTANTS, NOMINAL, Capsule, Disturbances, Randomization
 from capsule_gym.tasks.registry import TASKS, find_task
-from capsule_gym.tasks.task import CHANGE, CONTROL_DT, HORIZON, LARGEST_STATE, START_THETA, THETA_LIMIT
+from capsule_gym.tasks.task import (
+    CHANGE,
+    CONTROL_DT,
+    HORIZON,
+    LARGEST_STATE,
+    START_THETA,
+    THETA_LIMIT,
+)
 
 SET_NAMES = ("nominal", "paper", "wide", "extrapolation", "drift")
 # Sets of the speed task with another capsule than the paper's, and of the other tasks.
 FURTHER_SET_NAMES = ("sticky", "real", "real-wide")
 TASK_SET_NAMES = ("goal", "goal-paper", "velocity")
 # The options of an episode of a set; they override those of a policy's training.
-EPISODE_SETTINGS: dict[str, Any] = {"randomization": "none", "initial_noise": 0.0, "initial_range": None}
+EPISODE_SETTINGS: dict[str, Any] = {
+    "randomization": "none",
+    "initial_noise": 0.0,
+    "initial_range": None,
+}
 # The frozen sets.
 FOLDER = Path(__file__).parents[1] / "data" / "sets"
 
@@ -46,10 +57,12 @@ class PlantSpec:
         M: mass of the platform, kg.
         mu: friction coefficient.
         seed: seed of the episode's environment and of the policy.
-        changes: changes of the plant in order of time, `{"t": s from the start, "M": kg, "mu": ..}`.
+        changes: changes of the plant in order of time, `{"t": s from the start, "M": kg, "mu":
+            ..}`.
         theta: initial angle, at rest, rad.
         goal: displacement of the goal in the task `goal`, m; None draws it from the seed.
-        capsule: further constants of this plant, out of `capsule_gym.parameters.CONSTANTS`; None for none.
+        capsule: further constants of this plant, out of `capsule_gym.parameters.CONSTANTS`; None
+            for none.
     """
 
     M: float
@@ -69,7 +82,13 @@ class PlantSpec:
     def to_dict(self) -> dict[str, Any]:
         """The fields as plain types."""
         given = _changed(self, ("theta", "goal", "capsule"))
-        return {"M": self.M, "mu": self.mu, "seed": self.seed, **given, "changes": list(self.changes)}
+        return {
+            "M": self.M,
+            "mu": self.mu,
+            "seed": self.seed,
+            **given,
+            "changes": list(self.changes),
+        }
 
 
 NOMINAL_PLANT = PlantSpec(M=NOMINAL.M, mu=NOMINAL.mu, seed=0)
@@ -84,7 +103,8 @@ class EvaluationSet:
         plants: the episodes, at least one.
         task: name of the task.
         capsule: constants of all plants; None for the default of the task.
-        disturbances: the environment's argument `disturbances`; the seed of an episode determines what it draws.
+        disturbances: the environment's argument `disturbances`; the seed of an episode determines
+            what it draws.
     """
 
     name: str
@@ -100,8 +120,13 @@ class EvaluationSet:
         disturbances = self.disturbances
         if disturbances == "none" and any(plant.capsule for plant in self.plants):
             disturbances = Disturbances(stick_threshold=0.0, x_noise=0.0)
-        # An environment that shows M and mu bounds them by its randomization; resets replace what it draws.
-        shown = [each for plant in self.plants for each in ({"M": plant.M, "mu": plant.mu}, *plant.changes)]
+        # An environment that shows M and mu bounds them by its randomization; resets replace what
+        # it draws.
+        shown = [
+            each
+            for plant in self.plants
+            for each in ({"M": plant.M, "mu": plant.mu}, *plant.changes)
+        ]
         M, mu = (max(each[name] for each in shown) for name in ("M", "mu"))
         own = {**EPISODE_SETTINGS, "randomization": Randomization(M=(M, M), mu=(mu, mu))}
         return {"task": self.task, "capsule": capsule, **own, "disturbances": disturbances}
@@ -135,14 +160,26 @@ class EvaluationSet:
 
 def _changed(instance: Any, names: Iterable[str]) -> dict[str, Any]:
     """The fields of a dataclass, out of these, that differ from their defaults."""
-    return {name: value for name in names if (value := getattr(instance, name)) != getattr(type(instance), name)}
+    return {
+        name: value
+        for name in names
+        if (value := getattr(instance, name)) != getattr(type(instance), name)
+    }
 
 
-def _fields(where: str, value: Any, required: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Any]:
-    """The JSON object, after a check that it has these fields and no others, and of M and mu where it has them."""
+def _fields(
+    where: str, value: Any, required: Sequence[str], optional: Sequence[str] = ()
+) -> dict[str, Any]:
+    """The JSON object, after a check that it has these fields and no others, and of M and mu where
+    it has them.
+    """
     if not isinstance(value, dict) or not set(required) <= set(value) <= {*required, *optional}:
-        accepted = " and optionally ".join(", ".join(names) for names in (required, optional) if names)
-        raise ValueError(f"{where} must be an object with the fields {accepted}, got {short_repr(value)}")
+        accepted = " and optionally ".join(
+            ", ".join(names) for names in (required, optional) if names
+        )
+        raise ValueError(
+            f"{where} must be an object with the fields {accepted}, got {short_repr(value)}"
+        )
     if "M" not in required:
         return value
     try:
@@ -155,16 +192,25 @@ def _fields(where: str, value: Any, required: Sequence[str], optional: Sequence[
 def _parse_plant(where: str, value: Any, task: str) -> PlantSpec:
     optional = ("theta", "changes", "capsule", *(("goal",) if task == "goal" else ()))
     entry = _fields(where, value, ("M", "mu", "seed"), optional)
-    largest, accepted = math.nextafter(THETA_LIMIT, 0.0), f"an angle in rad within {THETA_LIMIT:.4g} of 0"
-    theta = check_number(f"{where}.theta", entry.get("theta", START_THETA), accepted, -largest, largest)
+    largest, accepted = (
+        math.nextafter(THETA_LIMIT, 0.0),
+        f"an angle in rad within {THETA_LIMIT:.4g} of 0",
+    )
+    theta = check_number(
+        f"{where}.theta", entry.get("theta", START_THETA), accepted, -largest, largest
+    )
     seed = check_integer(f"{where}.seed", entry["seed"], "an integer in [0, 2**128)", 0, 2**128 - 1)
     changes, accepted = [], f"a number of seconds within (0, {HORIZON:g})"
-    for name, t, change in check_timed(f"{where}.changes", entry.get("changes", []), "a list of changes", CHANGE):
+    for name, t, change in check_timed(
+        f"{where}.changes", entry.get("changes", []), "a list of changes", CHANGE
+    ):
         check_number(f"{name}['t']", t, accepted, 0.0, math.nextafter(HORIZON, 0.0), open_low=True)
         changes.append({**_fields(name, change, CHANGE), "t": t})
     goal, farthest = entry.get("goal"), LARGEST_STATE[2]
     if goal is not None:
-        goal = check_number(f"{where}.goal", goal, f"a number of m within {farthest:g} of 0", -farthest, farthest)
+        goal = check_number(
+            f"{where}.goal", goal, f"a number of m within {farthest:g} of 0", -farthest, farthest
+        )
     capsule = entry.get("capsule")
     if capsule is not None:
         _fields(f"{where}.capsule", capsule, (), CONSTANTS)
@@ -176,28 +222,41 @@ def parse_set(content: Any) -> EvaluationSet:
     """Validates the parsed JSON of a set.
 
     Args:
-        content: `{"name": .., "plants": [..]}`, optionally with the other fields of an `EvaluationSet`, such as
-            `"capsule": {"static_ratio": 1.3}` and `"disturbances": {"latency": [0.005, 0.015]}`. A plant is an object
-            with M, mu, seed and optionally the other fields of a `PlantSpec`; all or none have a goal, and their
-            capsules have constants of the same names.
+        content: `{"name": .., "plants": [..]}`, optionally with the other fields of an
+            `EvaluationSet`, such as `"capsule": {"static_ratio": 1.3}` and `"disturbances":
+            {"latency": [0.005, 0.015]}`. A plant is an object with M, mu, seed and optionally the
+            other fields of a `PlantSpec`; all or none have a goal, and their capsules have
+            constants of the same names.
 
     Raises:
         TypeError: if a number is of the wrong type.
-        ValueError: if anything else is malformed; the message names the field, its value and the accepted values.
+        ValueError: if anything else is malformed; the message names the field, its value and the
+            accepted values.
     """
     entry = _fields("set", content, ("name", "plants"), ("task", "capsule", "disturbances"))
-    task = check_choice("set.task", entry.get("task", "speed"), sorted(TASKS), f"one of {sorted(TASKS)}")
+    task = check_choice(
+        "set.task", entry.get("task", "speed"), sorted(TASKS), f"one of {sorted(TASKS)}"
+    )
     name, capsule, plants = entry["name"], entry.get("capsule"), entry["plants"]
-    require(isinstance(name, str) and name.strip() != "", "set.name", "a string that is not empty", name)
+    require(
+        isinstance(name, str) and name.strip() != "", "set.name", "a string that is not empty", name
+    )
     if capsule is not None:
         capsule = check_object("set.capsule", capsule, Capsule)
     disturbances = check_object("set.disturbances", entry.get("disturbances", "none"), Disturbances)
-    require(isinstance(plants, list) and plants != [], "set.plants", "a list of at least one plant", plants)
+    require(
+        isinstance(plants, list) and plants != [],
+        "set.plants",
+        "a list of at least one plant",
+        plants,
+    )
     parsed = tuple(_parse_plant(f"set.plants[{i}]", plant, task) for i, plant in enumerate(plants))
     if len({plant.goal is None for plant in parsed}) > 1:
         raise ValueError("set.plants must have a goal each, or none must have one")
     if len({tuple(plant.capsule or ()) for plant in parsed}) > 1:
-        raise ValueError("set.plants must each have a capsule with the same constants, or none must have one")
+        raise ValueError(
+            "set.plants must each have a capsule with the same constants, or none must have one"
+        )
     return EvaluationSet(name, parsed, task, capsule, disturbances)
 
 
@@ -205,7 +264,8 @@ def load_set(name_or_path: str | Path) -> EvaluationSet:
     """Loads an evaluation set.
 
     Args:
-        name_or_path: the name of a frozen set, or the path of a JSON file of the same form (see `parse_set`).
+        name_or_path: the name of a frozen set, or the path of a JSON file of the same form (see
+            `parse_set`).
 
     Raises:
         ValueError: if there is no such set, or its file is malformed.

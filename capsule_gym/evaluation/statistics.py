@@ -1,15 +1,17 @@
 """Interquartile means and means, with 95 % intervals.
 
-Scores have the shape (training seeds, episodes): every seed is evaluated on the same episodes, those of a set of
-plants. A scripted policy has one row.
+Scores have the shape (training seeds, episodes): every seed is evaluated on the same episodes,
+those of a set of plants. A scripted policy has one row.
 
-All intervals are for another training run on other plants of the same distribution. The summary is linearised in the
-scores (by its influence function), the variances of the means over seeds and over plants are added, and Student's t has
-the degrees of freedom of Satterthwaite's approximation, four or more for five seeds. An axis with a single seed or
-plant adds no variance: the interval of a single run says nothing about another run.
+All intervals are for another training run on other plants of the same distribution. The summary is
+linearised in the scores (by its influence function), the variances of the means over seeds and over
+plants are added, and Student's t has the degrees of freedom of Satterthwaite's approximation, four
+or more for five seeds. An axis with a single seed or plant adds no variance: the interval of a
+single run says nothing about another run.
 
-The percentile bootstrap over seeds, or over seeds and plants, covers less: with five seeds whose spread is 0.3 of the
-plants', 80 and 90 % instead of 95 % (`tests/capsule_gym/evaluation/test_statistics.py` measures the coverage of ours).
+The percentile bootstrap over seeds, or over seeds and plants, covers less: with five seeds whose
+spread is 0.3 of the plants', 80 and 90 % instead of 95 %
+(`tests/capsule_gym/evaluation/test_statistics.py` measures the coverage of ours).
 """
 
 from dataclasses import dataclass
@@ -26,7 +28,8 @@ class Estimate:
 
     Attributes:
         value: the interquartile mean, or the mean.
-        low: lower end of the 95 % interval; NaN if there is a single score or the value is not finite.
+        low: lower end of the 95 % interval; NaN if there is a single score or the value is not
+            finite.
         high: upper end.
         kind: kind of the summary, "iqm" or "mean".
     """
@@ -44,8 +47,8 @@ class Estimate:
 def interquartile_mean(scores: ArrayLike) -> np.ndarray:
     """The mean of the middle half along the last axis.
 
-    Of n sorted scores, floor(n / 4) are dropped at either end and the others have equal weights, as in
-    `scipy.stats.trim_mean(scores, 0.25)`, which rliable uses. NaN sorts as the largest score.
+    Of n sorted scores, floor(n / 4) are dropped at either end and the others have equal weights, as
+    in `scipy.stats.trim_mean(scores, 0.25)`, which rliable uses. NaN sorts as the largest score.
 
     Args:
         scores: shape (.., n) with n >= 1.
@@ -64,19 +67,24 @@ def estimate(scores: ArrayLike, *, mean: bool = False) -> Estimate:
 
     Args:
         scores: shape (training seeds, episodes).
-        mean: take the mean instead, for shares; the interval is then limited to the range of the scores.
+        mean: take the mean instead, for shares; the interval is then limited to the range of the
+            scores.
 
     Raises:
         ValueError: if the scores have another shape.
     """
     array = np.asarray(scores, np.float64)
     if array.ndim != 2 or 0 in array.shape:
-        raise ValueError(f"scores must have the shape (training seeds >= 1, episodes >= 1), got {array.shape}")
+        raise ValueError(
+            f"scores must have the shape (training seeds >= 1, episodes >= 1), got {array.shape}"
+        )
     return _estimate(array, mean)
 
 
 def _estimate(scores: np.ndarray, mean: bool) -> Estimate:
-    """Computes `estimate` for scores with any number of axes of training runs, in front of that of the episodes."""
+    """Computes `estimate` for scores with any number of axes of training runs, in front of that of
+    the episodes.
+    """
     # Imported here, since the import takes a tenth of a second.
     try:
         from scipy.special import stdtrit
@@ -91,7 +99,9 @@ def _estimate(scores: np.ndarray, mean: bool) -> Estimate:
     if not mean:
         ordered, cut = np.sort(scores, axis=None), scores.size // 4
         # A score beyond a quartile counts as the quartile.
-        clipped = np.clip(np.where(np.isnan(scores), np.inf, scores), ordered[cut], ordered[-1 - cut])
+        clipped = np.clip(
+            np.where(np.isnan(scores), np.inf, scores), ordered[cut], ordered[-1 - cut]
+        )
         influence = clipped / (1.0 - 2.0 * cut / scores.size)
     variance = fourth = 0.0
     for axis, count in enumerate(scores.shape):
@@ -99,25 +109,37 @@ def _estimate(scores: np.ndarray, mean: bool) -> Estimate:
             others = tuple(other for other in range(scores.ndim) if other != axis)
             part = float(influence.mean(axis=others).var(ddof=1)) / count
             variance, fourth = variance + part, fourth + part * part / (count - 1)
-    half = 0.0 if variance == 0.0 else float(stdtrit(variance**2 / fourth, 0.5 + 0.5 * CONFIDENCE)) * variance**0.5
+    half = (
+        0.0
+        if variance == 0.0
+        else float(stdtrit(variance**2 / fourth, 0.5 + 0.5 * CONFIDENCE)) * variance**0.5
+    )
     low, high = (scores.min(), scores.max()) if mean else (-np.inf, np.inf)
     return Estimate(value, max(value - half, float(low)), min(value + half, float(high)), kind)
 
 
 def paired_difference(scores: ArrayLike, reference: ArrayLike, *, mean: bool = False) -> Estimate:
-    """The interquartile mean of the differences, episode by episode, between two policies on the same episodes.
+    """The interquartile mean of the differences, episode by episode, between two policies on the
+    same episodes.
 
-    Differences are taken between every training seed of one policy and every seed of the other. The interquartile mean
-    of differences is not the difference of interquartile means.
+    Differences are taken between every training seed of one policy and every seed of the other. The
+    interquartile mean of differences is not the difference of interquartile means.
 
     Args:
         scores: shape (training seeds, episodes).
-        reference: shape (training seeds of the reference, episodes); other shapes raise a ValueError.
+        reference: shape (training seeds of the reference, episodes); other shapes raise a
+            ValueError.
         mean: take the mean of the differences instead, for shares.
     """
     array, other = np.asarray(scores, np.float64), np.asarray(reference, np.float64)
-    if (array.ndim, other.ndim) != (2, 2) or array.shape[1] != other.shape[1] or 0 in (array.shape + other.shape):
-        raise ValueError(f"scores and reference must contain the same episodes, got {array.shape} and {other.shape}")
+    if (
+        (array.ndim, other.ndim) != (2, 2)
+        or array.shape[1] != other.shape[1]
+        or 0 in (array.shape + other.shape)
+    ):
+        raise ValueError(
+            f"scores and reference must contain the same episodes, got {array.shape} and {other.shape}"
+        )
     # The difference of two infinite scores is NaN, without a warning.
     with np.errstate(invalid="ignore"):
         return _estimate(array[:, None, :] - other[None, :, :], mean)

@@ -1,4 +1,6 @@
-"""Functions of the core in C, from the lists of operations that `core/bindings/recorded_functions.hpp` records."""
+"""Functions of the core in C, from the lists of operations that
+`core/bindings/recorded_functions.hpp` records.
+"""
 
 import math
 from collections import Counter
@@ -9,13 +11,23 @@ import numpy as np
 
 from capsule_gym.core import _core, native
 
-# The operations in C: parentheses make every form an operand. NAME stands for the prefix of a header's functions.
+# The operations in C: parentheses make every form an operand. NAME stands for the prefix of a
+# header's functions.
 C_FORMS = {
     **{"add": "({} + {})", "subtract": "({} - {})", "multiply": "({} * {})", "divide": "({} / {})"},
     **{"negate": "(-{})", "less": "({} < {})", "less_equal": "({} <= {})", "equal": "({} == {})"},
-    **{"both": "({} && {})", "either": "({} || {})", "inverse": "(!{})", "select": "({} ? {} : {})"},
+    **{
+        "both": "({} && {})",
+        "either": "({} || {})",
+        "inverse": "(!{})",
+        "select": "({} ? {} : {})",
+    },
     **{"fma": "NAME_fma({}, {}, {})", "absolute": "NAME_abs({})", "square_root": "NAME_sqrt({})"},
-    **{"copysign": "NAME_copysign({}, {})", "power_of_two": "NAME_power_of_two({})", "sincos": "NAME_sincos({})"},
+    **{
+        "copysign": "NAME_copysign({}, {})",
+        "power_of_two": "NAME_power_of_two({})",
+        "sincos": "NAME_sincos({})",
+    },
     **{"sine": "{}.sine", "cosine": "{}.cosine", "exp": "NAME_exp({})", "tanh": "NAME_tanh({})"},
 }
 CONDITIONS = ("less", "less_equal", "equal", "both", "either", "inverse")
@@ -47,13 +59,14 @@ def to_c(
     *,
     single: bool,
 ) -> str:
-    """Statements of C99 that compute a function; in double precision every operation is rounded as in the core.
+    """Statements of C99 that compute a function; in double precision every operation is rounded as
+    in the core.
 
     Args:
         function: its name in `core/bindings/recorded_functions.hpp`.
         inputs: an expression for each input, in order.
-        outputs: what each output is assigned to, in order; None for an output that is not needed. All are assigned at
-            the end.
+        outputs: what each output is assigned to, in order; None for an output that is not needed.
+            All are assigned at the end.
         constants: of a law, or the settings.
         number: of the law or task.
         single: compute in float.
@@ -62,7 +75,9 @@ def to_c(
     # An operation, and the places of its operands in the list; for a "constant" its value.
     rows = _core.trace(function, number, native.address(array))
     ends = [place for place, row in enumerate(rows) if row[0] == "output"]
-    targets = {place: target for place, target in zip(ends, outputs, strict=True) if target is not None}
+    targets = {
+        place: target for place, target in zip(ends, outputs, strict=True) if target is not None
+    }
     # How often each row is an operand in what the outputs need; the outputs count as used.
     uses = Counter(targets.keys())
     for place, (operation, *operands) in reversed(list(enumerate(rows))):
@@ -80,7 +95,13 @@ def to_c(
         elif uses[place]:
             form = C_FORMS[operation].format(*(forms[operand] for operand in operands))
             if uses[place] > 1 or operation == "sincos" or len(form) > LONGEST_FORM:
-                kind = "int" if operation in CONDITIONS else "NAME_pair" if operation == "sincos" else "REAL"
+                kind = (
+                    "int"
+                    if operation in CONDITIONS
+                    else "NAME_pair"
+                    if operation == "sincos"
+                    else "REAL"
+                )
                 lines.append(f"  const {kind} t{len(lines)} = {form};")
                 form = f"t{len(lines) - 1}"
             forms[place] = form

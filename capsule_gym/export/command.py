@@ -19,8 +19,9 @@ def main(
 ) -> None:
     """Exports a trained policy, and the control law that it acts on, as C99 or as ONNX.
 
-    FILE.h of --c has no dependency and allocates nothing; FILE_test.c, next to it, checks it on an episode of an
-    evaluation set. A control law of the core, such as baselines:adaptive, is exported alone.
+    FILE.h of --c has no dependency and allocates nothing; FILE_test.c, next to it, checks it on an
+    episode of an evaluation set. A control law of the core, such as baselines:adaptive, is exported
+    alone.
 
     Examples:
       python -m capsule_gym.export direct-ppo --c policy.h
@@ -28,8 +29,8 @@ def main(
       python -m capsule_gym.export runs/mine --onnx policy.onnx
 
     Args:
-        policy: Name of a pretrained policy, path of a policy file or of a run's folder, or import string of a control
-            law.
+        policy: Name of a pretrained policy, path of a policy file or of a run's folder, or import
+            string of a control law.
         c: C header to write.
         onnx: ONNX model to write.
         single: Compute in float instead of double, which has the bits of this package.

@@ -27,9 +27,10 @@ def record(
     """Records an episode as a log for `identify`.
 
     Args:
-        env: an environment with direct torque, wrapped or not; with disturbances the log contains its readings.
-        policy: a function from an observation to an action, or an object whose `start([0])` returns one, such as a
-            `Policy`; None for `Excitation`.
+        env: an environment with direct torque, wrapped or not; with disturbances the log contains
+            its readings.
+        policy: a function from an observation to an action, or an object whose `start([0])` returns
+            one, such as a `Policy`; None for `Excitation`.
         path: a new CSV file for the log, or None.
         seconds: duration, s; the log ends earlier where the episode does.
         seed: seed of the reset.
@@ -53,14 +54,26 @@ def record(
     steps = round(check_number("seconds", seconds, f"a finite number >= {dt:g} (s)", dt) / dt)
     policy = Excitation(torque_limit=scale, control_dt=dt) if policy is None else policy
     act = policy.start([0]) if hasattr(policy, "start") else policy
-    require(callable(act), "policy", "None, a function, or an object with `start`", policy, TypeError)
+    require(
+        callable(act), "policy", "None, a function, or an object with `start`", policy, TypeError
+    )
     observation, info = env.reset(seed=seed, options=options)
     disturbed = Disturbances.named(plain.simulation.options.disturbances)
-    missing = () if disturbed is None else (*disturbed.unmeasured, *(("x",) if disturbed.x_noise is None else ()))
+    missing = (
+        ()
+        if disturbed is None
+        else (*disturbed.unmeasured, *(("x",) if disturbed.x_noise is None else ()))
+    )
     sensors = [name for name in STATE if name not in missing]
     rows = []
     for step in range(steps):
-        reading = dict(zip(STATE, (info["state"] if disturbed is None else info["reading"]).tolist(), strict=True))
+        reading = dict(
+            zip(
+                STATE,
+                (info["state"] if disturbed is None else info["reading"]).tolist(),
+                strict=True,
+            )
+        )
         observation, _, terminated, truncated, info = env.step(act(observation))
         # That of the innermost environment: wrappers may change it.
         action = plain.simulation.world[0, Row.action, 0]

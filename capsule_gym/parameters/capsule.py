@@ -18,11 +18,12 @@ LARGEST_SLOPE = 1.5
 class Plant(NamedTuple):
     """The constants of one plant as the core reads them: SI units, float64, no validation.
 
-    The first three differ between the environments of a batch. mass_ratio, m / (M + m), saves divisions. g is the
-    component of gravity perpendicular to the floor. Only where `extended` is 1.0 does the core read the option for the
-    paper's normal force, and the constants from `downhill` on: g sin(slope), the floor's viscous coefficient,
-    static_ratio - 1 and the inverse speed of the Stribeck curve (0.0 without one), the motor's friction, and a force
-    that pushes the platform forwards, N.
+    The first three differ between the environments of a batch. mass_ratio, m / (M + m), saves
+    divisions. g is the component of gravity perpendicular to the floor. Only where `extended` is
+    1.0 does the core read the option for the paper's normal force, and the constants from
+    `downhill` on: g sin(slope), the floor's viscous coefficient, static_ratio - 1 and the inverse
+    speed of the Stribeck curve (0.0 without one), the motor's friction, and a force that pushes the
+    platform forwards, N.
     """
 
     M: float
@@ -48,7 +49,10 @@ class Plant(NamedTuple):
 # The constants that a `Randomization` draws besides M and mu, in the order of their draws.
 CONSTANTS = tuple(_core.CONSTANTS)
 # The smallest values of those that are not 0.
-SMALLEST_OF = {**dict.fromkeys(("M", "m", "l", "g", "backward_ratio"), SMALLEST), "static_ratio": 1.0}
+SMALLEST_OF = {
+    **dict.fromkeys(("M", "m", "l", "g", "backward_ratio"), SMALLEST),
+    "static_ratio": 1.0,
+}
 
 
 def _check_size(name: str, value: Any, low: float, high: float = LARGEST) -> float:
@@ -58,7 +62,8 @@ def _check_size(name: str, value: Any, low: float, high: float = LARGEST) -> flo
 
 @dataclass(frozen=True, kw_only=True)
 class Capsule:
-    """The constants of the capsule robot, in SI units; the defaults are those of Liu, Yu and Cang (2018), Sect. 5.
+    """The constants of the capsule robot, in SI units; the defaults are those of Liu, Yu and Cang
+    (2018), Sect. 5.
 
     Attributes:
         M: mass of the platform, kg.
@@ -69,14 +74,16 @@ class Capsule:
         c: viscous coefficient of the pivot, N m s/rad.
         mu: kinetic friction coefficient when the platform slides forwards, without dimension.
         static_ratio: static over kinetic friction coefficient, at least 1.
-        backward_ratio: friction coefficient backwards over forwards (the paper's Remark 1: anisotropic contact).
+        backward_ratio: friction coefficient backwards over forwards (the paper's Remark 1:
+            anisotropic contact).
         viscous: viscous friction of the floor, N s/m, in addition to Coulomb's.
-        stribeck_speed: speed in m/s at which the friction coefficient is half way between its static and its kinetic
-            value (Hess and Soom's curve); 0 for a jump at the start of slip.
+        stribeck_speed: speed in m/s at which the friction coefficient is half way between its
+            static and its kinetic value (Hess and Soom's curve); 0 for a jump at the start of slip.
         slope: angle by which the floor rises forwards, rad.
         motor_friction: Coulomb friction of the motor, N m, smooth below 1 rad/s.
-        normal_force: "newton", from Newton's law, or "paper", which subtracts (k theta + c theta') sin(theta) as the
-            paper's (7) does; that torque is internal, so the option serves the reproduction only.
+        normal_force: "newton", from Newton's law, or "paper", which subtracts (k theta + c theta')
+            sin(theta) as the paper's (7) does; that torque is internal, so the option serves the
+            reproduction only.
 
     Raises:
         TypeError: if a field is of the wrong type.
@@ -108,18 +115,25 @@ class Capsule:
 
     def __post_init__(self) -> None:
         for name in ("M", "mu", *CONSTANTS):
-            low, high = (-LARGEST_SLOPE, LARGEST_SLOPE) if name == "slope" else (SMALLEST_OF.get(name, 0.0), LARGEST)
+            low, high = (
+                (-LARGEST_SLOPE, LARGEST_SLOPE)
+                if name == "slope"
+                else (SMALLEST_OF.get(name, 0.0), LARGEST)
+            )
             # Narrow types of numpy would reduce the precision of all derived quantities.
             value = _check_size(f"Capsule.{name}", getattr(self, name), low, high)
             object.__setattr__(self, name, check_divisor(name, f"Capsule.{name}", value))
-        check_choice("Capsule.normal_force", self.normal_force, ("newton", "paper"), "'newton' or 'paper'")
+        check_choice(
+            "Capsule.normal_force", self.normal_force, ("newton", "paper"), "'newton' or 'paper'"
+        )
         self.check_plant(self.M, self.mu)
 
     def check_plant(self, M: float, mu: float) -> None:
         """Raises an error for M in kg and mu that are invalid for this capsule.
 
-        In slip N depends on theta'' and theta'' on N through friction. There is exactly one solution at every angle if
-        (M + m) / m > (1 + sqrt(1 + mu^2)) / 2. Other plants admit Painleve's paradox.
+        In slip N depends on theta'' and theta'' on N through friction. There is exactly one
+        solution at every angle if (M + m) / m > (1 + sqrt(1 + mu^2)) / 2. Other plants admit
+        Painleve's paradox.
 
         Raises:
             TypeError: if M or mu is not a number.
@@ -141,39 +155,57 @@ class Capsule:
     def fastest_rate(self, M: float, mu: float) -> float:
         """The fastest rate of the pendulum's own motion in 1/s, which the integrator must resolve.
 
-        It is the largest absolute eigenvalue of the motion linearised at rest, over all angles and both directions of
-        slip (docs/physics.md). It is larger for lighter platforms and more friction.
+        It is the largest absolute eigenvalue of the motion linearised at rest, over all angles and
+        both directions of slip (docs/physics.md). It is larger for lighter platforms and more
+        friction.
         """
         mu *= max(1.0, self.backward_ratio)
         share = self.m / (M + self.m)
-        # The share of the inertia that remains in slip at the worst angle; Painleve's condition keeps it positive.
+        # The share of the inertia that remains in slip at the worst angle; Painleve's condition
+        # keeps it positive.
         remains = 1.0 - share * (1.0 + math.sqrt(1.0 + mu * mu)) / 2.0
         if remains <= 0.0:  # by rounding
             return math.inf
         inertia = self.m * self.l * self.l * remains
-        # The paper's normal force, which the pivot's torque changes, adds this share of that torque at most.
+        # The paper's normal force, which the pivot's torque changes, adds this share of that torque
+        # at most.
         pivot = 0.5 * mu * share * self.l if self.normal_force == "paper" else 0.0
-        # The friction of the motor is steepest at rest, the Stribeck curve, which falls, at v_s / sqrt(3).
-        damping = (1.0 + pivot) * (self.c + _core.MOTOR_SLOPE * self.motor_friction / _core.MOTOR_WIDTH) / inertia
+        # The friction of the motor is steepest at rest, the Stribeck curve, which falls, at v_s /
+        # sqrt(3).
+        damping = (
+            (1.0 + pivot)
+            * (self.c + _core.MOTOR_SLOPE * self.motor_friction / _core.MOTOR_WIDTH)
+            / inertia
+        )
         weight = self.m * self.g * self.l
-        steepest = 0.65 * mu * (self.static_ratio - 1.0) * self.g / self.stribeck_speed if self.stribeck_speed else 0.0
+        steepest = (
+            0.65 * mu * (self.static_ratio - 1.0) * self.g / self.stribeck_speed
+            if self.stribeck_speed
+            else 0.0
+        )
         floor = self.viscous / ((M + self.m) * remains) + steepest * (M + self.m) / M
         lowest = (1.0 - (1.0 + math.pi) * pivot) * self.k - weight * math.sqrt(1.0 + mu * mu)
         highest = (1.0 + (1.0 + math.pi) * pivot) * self.k + weight * mu
         rates = []
         for stiffness in (lowest / inertia, highest / inertia):
             square = damping * damping / 4.0 - stiffness
-            rates.append(damping / 2.0 + math.sqrt(square) if square >= 0.0 else math.sqrt(stiffness))
+            rates.append(
+                damping / 2.0 + math.sqrt(square) if square >= 0.0 else math.sqrt(stiffness)
+            )
         return max(rates) + floor
 
     def plant(self, M: float | None = None, mu: float | None = None) -> Plant:
         """The constants as the core reads them, with another M in kg or mu if one is given."""
         capsule = replace(self, M=self.M if M is None else M, mu=self.mu if mu is None else mu)
         paper = float(self.normal_force == "paper")
-        extended = float(any((paper, self.viscous, self.stribeck_speed, self.slope, self.motor_friction)))
+        extended = float(
+            any((paper, self.viscous, self.stribeck_speed, self.slope, self.motor_friction))
+        )
         # Without the first four of `_core.PLANT`, which the core leaves to the caller.
         derived = map(float, evaluate("derive", *(getattr(self, name) for name in CONSTANTS))[4:])
-        return Plant(capsule.M, capsule.mu, capsule.m / (capsule.M + capsule.m), paper, extended, *derived)
+        return Plant(
+            capsule.M, capsule.mu, capsule.m / (capsule.M + capsule.m), paper, extended, *derived
+        )
 
 
 NOMINAL = Capsule()

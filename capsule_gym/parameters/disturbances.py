@@ -8,7 +8,8 @@ from capsule_gym.core import _core
 from capsule_gym.parameters.limits import SHORTEST_STEP, check_divisor
 from capsule_gym.parameters.randomization import Range
 
-# Largest sizes of disturbances (SI units), and the longest latency, s, whose states each environment remembers.
+# Largest sizes of disturbances (SI units), and the longest latency, s, whose states each
+# environment remembers.
 LARGEST_DISTURBANCE, LONGEST_LATENCY = 1e3, 0.5
 # The sensors that always exist, unless they are `unmeasured`.
 SENSORS = ("theta", "theta_dot", "x_dot")
@@ -20,27 +21,31 @@ Draws = float | Range
 class Disturbances:
     """Imperfect sensors and motor, and pushes on the platform.
 
-    A pair (low, high) of numbers is a range from which every episode draws uniformly. The control law and the agent
-    both observe the sensors. Sensors are read at every call of the control law or, without one, at every agent step.
-    The measured x is the integral of the measured x_dot or, where `x_noise` is given, the reading of a sensor. The
-    observation's `stick` is 1 where the measured |x_dot| is at most `stick_threshold`.
+    A pair (low, high) of numbers is a range from which every episode draws uniformly. The control
+    law and the agent both observe the sensors. Sensors are read at every call of the control law
+    or, without one, at every agent step. The measured x is the integral of the measured x_dot or,
+    where `x_noise` is given, the reading of a sensor. The observation's `stick` is 1 where the
+    measured |x_dot| is at most `stick_threshold`.
 
     Attributes:
-        theta_noise, theta_dot_noise, x_dot_noise: standard deviations of the sensors' white noise, rad, rad/s and m/s;
-            independent between readings.
+        theta_noise, theta_dot_noise, x_dot_noise: standard deviations of the sensors' white noise,
+            rad, rad/s and m/s; independent between readings.
         theta_bias, theta_dot_bias, x_dot_bias: constant errors of the sensors.
-        theta_drift, theta_dot_drift, x_dot_drift: standard deviations of the sensors' Gauss-Markov errors.
+        theta_drift, theta_dot_drift, x_dot_drift: standard deviations of the sensors' Gauss-Markov
+            errors.
         drift_time: time constant of the Gauss-Markov errors, s.
-        theta_resolution, theta_dot_resolution, x_dot_resolution: steps to which readings are rounded; 0 does not round.
-        latency: age of the state that a reading shows, s; rounded to whole periods of the law or, without a law, to
-            steps of the integrator.
+        theta_resolution, theta_dot_resolution, x_dot_resolution: steps to which readings are
+            rounded; 0 does not round.
+        latency: age of the state that a reading shows, s; rounded to whole periods of the law or,
+            without a law, to steps of the integrator.
         lag: time constant of the motor's torque, s.
         motor_friction: Coulomb friction of the motor, N m, added to `Capsule.motor_friction`.
         torque_resolution: step to which the commanded torque is rounded, N m; 0 does not round.
-        push: largest force on the platform, N. In every second a force drawn uniformly from [-push, push] acts for
-            0.1 s from a random time on.
+        push: largest force on the platform, N. In every second a force drawn uniformly from [-push,
+            push] acts for 0.1 s from a random time on.
         unmeasured: any of "theta", "theta_dot" and "x_dot"; their readings are 0.
-        controls: which controller observes the sensors: "both", "law" or "agent"; the other one observes the state.
+        controls: which controller observes the sensors: "both", "law" or "agent"; the other one
+            observes the state.
         stick_threshold: largest measured |x_dot| that counts as stick, m/s.
         x_noise: standard deviation of the white noise of a sensor of x, m; None if there is none.
 
@@ -87,14 +92,26 @@ class Disturbances:
                 check_divisor(name, whose, end)
             object.__setattr__(self, name, checked)
         names = self.unmeasured
-        fits = isinstance(names, (tuple, list)) and all(isinstance(name, str) and name in SENSORS for name in names)
+        fits = isinstance(names, (tuple, list)) and all(
+            isinstance(name, str) and name in SENSORS for name in names
+        )
         require(fits, "Disturbances.unmeasured", f"a tuple of names out of {SENSORS}", names)
         object.__setattr__(self, "unmeasured", tuple(names))
-        check_choice("Disturbances.controls", self.controls, ("both", "law", "agent"), "'both', 'law' or 'agent'")
-        for name, kinds in (("stick_threshold", "a number of m/s"), ("x_noise", "None or a number of m")):
+        check_choice(
+            "Disturbances.controls",
+            self.controls,
+            ("both", "law", "agent"),
+            "'both', 'law' or 'agent'",
+        )
+        for name, kinds in (
+            ("stick_threshold", "a number of m/s"),
+            ("x_noise", "None or a number of m"),
+        ):
             if (value := getattr(self, name)) is not None or name == "stick_threshold":
                 accepted = f"{kinds} from 0 to {LARGEST_DISTURBANCE:g}"
-                number = check_number(f"Disturbances.{name}", value, accepted, 0.0, LARGEST_DISTURBANCE)
+                number = check_number(
+                    f"Disturbances.{name}", value, accepted, 0.0, LARGEST_DISTURBANCE
+                )
                 object.__setattr__(self, name, number)
 
     @staticmethod
@@ -130,4 +147,5 @@ REAL = Disturbances(
     lag=0.005,
     motor_friction=0.05,
 )
-"""The disturbances of `disturbances="real"`: cheap sensors, and the latency of a bus or a camera."""
+"""The disturbances of `disturbances="real"`: cheap sensors, and the latency of a bus or a
+camera."""

@@ -1,4 +1,6 @@
-"""Limits of the plant's constants and of time steps, and the check of numbers by which the core divides."""
+"""Limits of the plant's constants and of time steps, and the check of numbers by which the core
+divides.
+"""
 
 from capsule_gym.checks import require
 
@@ -15,6 +17,13 @@ DIVISORS = (
 
 
 def check_divisor(field: str, name: str, number: float) -> float:
-    """Returns the value of a field; a ValueError if the core divides by it and the quotient might overflow."""
-    require(field not in DIVISORS or not 0.0 < number < SMALLEST, name, f"0 or at least {SMALLEST:g}", number)
+    """Returns the value of a field; a ValueError if the core divides by it and the quotient might
+    overflow.
+    """
+    require(
+        field not in DIVISORS or not 0.0 < number < SMALLEST,
+        name,
+        f"0 or at least {SMALLEST:g}",
+        number,
+    )
     return number

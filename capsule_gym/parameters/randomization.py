@@ -14,7 +14,8 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class Randomization:
-    """Ranges (low, high) from which every episode draws its plant uniformly. None keeps the value of the `Capsule`.
+    """Ranges (low, high) from which every episode draws its plant uniformly. None keeps the value
+    of the `Capsule`.
 
     The fields have the names and the units of the `Capsule`'s.
 
@@ -23,7 +24,8 @@ class Randomization:
 
     Raises:
         TypeError: if a range is not a pair of numbers.
-        ValueError: if a range is not finite or not ordered, or contains values that are invalid for a `Capsule`.
+        ValueError: if a range is not finite or not ordered, or contains values that are invalid for
+            a `Capsule`.
 
     Examples:
         >>> heavy = Randomization(M=(0.8, 1.0), mu=(0.01, 0.1), log_mu=True)
@@ -60,7 +62,12 @@ class Randomization:
             accepted = f"a pair (low, high) of finite numbers with {sign}low <= high"
             low, high = check_pair(whose, value, accepted, **limits)
             if name == "mu" and self.log_mu:
-                require(high / low <= LARGEST_RATIO, whose, f"within a factor of {LARGEST_RATIO:g} with log_mu", value)
+                require(
+                    high / low <= LARGEST_RATIO,
+                    whose,
+                    f"within a factor of {LARGEST_RATIO:g} with log_mu",
+                    value,
+                )
             object.__setattr__(self, name, (low, high))
 
     @property
@@ -76,19 +83,24 @@ class Randomization:
         return RANDOMIZATIONS[check_name(argument, name, cls, RANDOMIZATIONS)]
 
     def corners(self, capsule: Capsule) -> list[Capsule]:
-        """The capsules at the ends of all ranges but those of M and mu, with the lightest platform and most friction.
+        """The capsules at the ends of all ranges but those of M and mu, with the lightest platform
+        and most friction.
 
-        Both are the worst case of Painleve's condition and of the integrator's stability, and every other constant is
-        at one end of its range.
+        Both are the worst case of Painleve's condition and of the integrator's stability, and every
+        other constant is at one end of its range.
 
         Raises:
-            ValueError: if one of them, or the heaviest platform with the least friction, is invalid.
+            ValueError: if one of them, or the heaviest platform with the least friction, is
+                invalid.
         """
         try:
             capsule.check_plant((self.M or (capsule.M,))[-1], (self.mu or (capsule.mu,))[0])
             M, mu = (self.M or (capsule.M,))[0], (self.mu or (capsule.mu,))[-1]
             every = product(*(getattr(self, name) for name in self.drawn))
-            return [replace(capsule, M=M, mu=mu, **dict(zip(self.drawn, values, strict=True))) for values in every]
+            return [
+                replace(capsule, M=M, mu=mu, **dict(zip(self.drawn, values, strict=True)))
+                for values in every
+            ]
         except ValueError as error:
             raise ValueError(f"Randomization({self}): {error}") from None
 
@@ -104,7 +116,8 @@ class Randomization:
 
 # The constants that are hard to measure on a robot, within 10 % of the paper's.
 _WITHIN_A_TENTH: dict[str, Any] = {
-    name: (0.9 * getattr(NOMINAL, name), 1.1 * getattr(NOMINAL, name)) for name in ("m", "l", "k", "c")
+    name: (0.9 * getattr(NOMINAL, name), 1.1 * getattr(NOMINAL, name))
+    for name in ("m", "l", "k", "c")
 }
 RANDOMIZATIONS = {
     "none": Randomization(),

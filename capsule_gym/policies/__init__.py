@@ -1,1 +1,3 @@
-"""Policies: trained ones and their files, scripted ones, and whole episodes of a policy inside the core."""
+"""Policies: trained ones and their files, scripted ones, and whole episodes of a policy inside the
+core.
+"""

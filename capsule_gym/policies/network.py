@@ -13,12 +13,19 @@ Layer = tuple[np.ndarray, np.ndarray]
 
 
 def pack(
-    layers: Sequence[Layer], mean: np.ndarray, scale: np.ndarray, *, relu: bool, tanh_squashing: bool, clip: float
+    layers: Sequence[Layer],
+    mean: np.ndarray,
+    scale: np.ndarray,
+    *,
+    relu: bool,
+    tanh_squashing: bool,
+    clip: float,
 ) -> np.ndarray:
     """A network in one array, as `act_together` in `core/network.hpp` takes it.
 
     Args:
-        layers: weights (outputs, inputs) and biases (outputs,) of each layer, in order; the last has one output.
+        layers: weights (outputs, inputs) and biases (outputs,) of each layer, in order; the last
+            has one output.
         mean: subtracted from the inputs, shape (inputs,).
         scale: factors of the differences, shape (inputs,).
         relu: whether the activation of the hidden layers is max(0, .), else it is tanh.
@@ -26,7 +33,8 @@ def pack(
         clip: largest size of a scaled input.
 
     Returns:
-        Float64, aligned to 64 bytes: the header, the widths, mean, scale, and each layer's biases and weights.
+        Float64, aligned to 64 bytes: the header, the widths, mean, scale, and each layer's biases
+        and weights.
     """
     widths = np.array([len(mean), *(len(bias) for _, bias in layers)])
     parts = [np.array([len(layers), relu, tanh_squashing, clip]), widths, mean, scale]

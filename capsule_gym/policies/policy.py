@@ -1,4 +1,5 @@
-"""Trained policies: one small file each, loaded without torch and without unpickling; actions are machine-independent.
+"""Trained policies: one small file each, loaded without torch and without unpickling; actions are
+machine-independent.
 
 A file is in the safetensors format:
 
@@ -8,8 +9,8 @@ A file is in the safetensors format:
 | `layers.0.bias`, `layers.1.bias`, .. | float32 | (outputs,) |
 | `inputs.mean`, `inputs.variance` | float64 | (inputs,) |
 
-The metadata are `format`, "capsule_gym policy", `format_version`, "2", and the fields of `Policy` by name, as text or
-JSON.
+The metadata are `format`, "capsule_gym policy", `format_version`, "2", and the fields of `Policy`
+by name, as text or JSON.
 """
 
 import json
@@ -37,15 +38,18 @@ POLICY = "policy.safetensors"
 # The policies that come with the package.
 FOLDER = Path(__file__).parents[1] / "data" / "policies"
 FORMAT, FORMAT_VERSION = "capsule_gym policy", "2"
-# The entries of a file's metadata that are plain text, and those that are JSON; `Policy` checks the values.
+# The entries of a file's metadata that are plain text, and those that are JSON; `Policy` checks the
+# values.
 TEXTS = ("algorithm", "activation", "squashing", "revision")
 VALUES = ("clip", "epsilon", "env_kwargs", "training_seed")
 # The algorithm of policies that imitate others, without a reward.
 IMITATION = "dagger"
 CHOICES = {"activation": ("tanh", "relu"), "squashing": ("clip", "tanh")}
-# Within these limits no float32 weights give a sum beyond float64, and no finite observation gives a NaN.
+# Within these limits no float32 weights give a sum beyond float64, and no finite observation gives
+# a NaN.
 MOST_LAYERS, MOST_UNITS, LARGEST_CLIP = 6, 1024, 1e6
-# Largest file that is read, bytes: larger than any file within the limits above, many times larger than usual.
+# Largest file that is read, bytes: larger than any file within the limits above, many times larger
+# than usual.
 LARGEST_FILE = 32 * 2**20
 # The options of the environment that change the task of a policy, which observes an array.
 NO_ARGUMENTS = ("threads", "render_mode", "goal_env")
@@ -53,14 +57,21 @@ ENV_ARGUMENTS = tuple(each.name for each in fields(EnvConfig) if each.name not i
 
 
 def policy_names(*, seeds: bool = False) -> list[str]:
-    """The names of the policies that come with the package, or of all their training runs ("residual-ppo/seed-2")."""
+    """The names of the policies that come with the package, or of all their training runs
+    ("residual-ppo/seed-2").
+    """
     return [name for name in pretrained() if ("/" in name) is seeds]
 
 
 @lru_cache(maxsize=1)
 def pretrained() -> dict[str, Path]:
-    """The files of the policies that come with the package: every run's, and under the plain name the first run's."""
-    files = sorted(FOLDER.glob(f"*/seed-*/{POLICY}"), key=lambda file: (file.parts[-3], int(file.parts[-2][5:])))
+    """The files of the policies that come with the package: every run's, and under the plain name
+    the first run's.
+    """
+    files = sorted(
+        FOLDER.glob(f"*/seed-*/{POLICY}"),
+        key=lambda file: (file.parts[-3], int(file.parts[-2][5:])),
+    )
     found: dict[str, Path] = {}
     for file in files:
         found.setdefault(file.parts[-3], file)
@@ -77,21 +88,26 @@ class Policy:
     Attributes:
         name: name in messages and tables.
         algorithm: training algorithm: "ppo", "sac", "td3", "tqc", "dagger".
-        layers: weights (outputs, inputs) and biases (outputs,) of each layer, float32; the last has one output.
+        layers: weights (outputs, inputs) and biases (outputs,) of each layer, float32; the last has
+            one output.
         activation: activation of the hidden layers, "tanh" or "relu".
         squashing: function that limits the output to [-1, 1], "clip" or "tanh".
-        mean: mean of the inputs, which are the entries of the observation, in training, shape (entries,), float64.
-        variance: their variance; an input i becomes (i - mean) / sqrt(variance + epsilon), kept within +-clip.
+        mean: mean of the inputs, which are the entries of the observation, in training, shape
+            (entries,), float64.
+        variance: their variance; an input i becomes (i - mean) / sqrt(variance + epsilon), kept
+            within +-clip.
         clip: see `variance`.
         epsilon: see `variance`.
-        env_kwargs: arguments of the training environment, for `gym.make` with the id of the policy's task.
+        env_kwargs: arguments of the training environment, for `gym.make` with the id of the
+            policy's task.
         training_seed: seed of the training run.
         revision: git revision of the training code.
         entries: number of entries of an observation.
 
     Raises:
         TypeError: if a field is of the wrong type.
-        ValueError: if a field is out of range, or the shapes do not fit each other or the environment's observation.
+        ValueError: if a field is out of range, or the shapes do not fit each other or the
+            environment's observation.
     """
 
     name: str
@@ -115,12 +131,28 @@ class Policy:
         for name in ("algorithm", "revision"):
             text = isinstance(value := getattr(self, name), str) and value != ""
             require(text, name, "a string that is not empty", value, TypeError)
-        check_integer("training_seed", self.training_seed, "an integer from 0 to 2**63 - 1", 0, 2**63 - 1)
-        check_number("clip", self.clip, f"a number in (0, {LARGEST_CLIP:g}]", 0.0, LARGEST_CLIP, open_low=True)
+        check_integer(
+            "training_seed", self.training_seed, "an integer from 0 to 2**63 - 1", 0, 2**63 - 1
+        )
+        check_number(
+            "clip",
+            self.clip,
+            f"a number in (0, {LARGEST_CLIP:g}]",
+            0.0,
+            LARGEST_CLIP,
+            open_low=True,
+        )
         check_number("epsilon", self.epsilon, "a finite number >= 0", 0.0)
         accepted = f"a dict with keys out of {ENV_ARGUMENTS}"
-        require(isinstance(self.env_kwargs, dict), "env_kwargs", accepted, self.env_kwargs, TypeError)
-        require(set(self.env_kwargs) <= set(ENV_ARGUMENTS), "env_kwargs", accepted, list(self.env_kwargs))
+        require(
+            isinstance(self.env_kwargs, dict), "env_kwargs", accepted, self.env_kwargs, TypeError
+        )
+        require(
+            set(self.env_kwargs) <= set(ENV_ARGUMENTS),
+            "env_kwargs",
+            accepted,
+            list(self.env_kwargs),
+        )
         options = EnvConfig(**self.env_kwargs)
         # JSON contains dicts and lists instead of objects and tuples.
         kept = {
@@ -149,7 +181,9 @@ class Policy:
         scale = 1.0 / np.sqrt(self.variance + self.epsilon)
         kinds = {"relu": self.activation == "relu", "tanh_squashing": self.squashing == "tanh"}
         object.__setattr__(self, "entries", entries)
-        object.__setattr__(self, "_network", pack(self.layers, self.mean, scale, clip=self.clip, **kinds))
+        object.__setattr__(
+            self, "_network", pack(self.layers, self.mean, scale, clip=self.clip, **kinds)
+        )
 
     @property
     def description(self) -> str:
@@ -163,7 +197,8 @@ class Policy:
         return f"{algorithm}, {action}, trained with randomization {options.randomization}"
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
-        """The action, in [-1, 1], float32, for an observation of shape (entries,), or (n, 1) actions for (n, entries).
+        """The action, in [-1, 1], float32, for an observation of shape (entries,), or (n, 1)
+        actions for (n, entries).
 
         Raises:
             ValueError: if the observation has another shape or is not finite.
@@ -174,7 +209,11 @@ class Policy:
             raise ValueError(
                 f"observation must be an array of finite numbers, got {short_repr(observation)}: {error}"
             ) from None
-        if array.ndim not in (1, 2) or array.shape[-1] != self.entries or not np.isfinite(array).all():
+        if (
+            array.ndim not in (1, 2)
+            or array.shape[-1] != self.entries
+            or not np.isfinite(array).all()
+        ):
             accepted = f"finite and of shape ({self.entries},) or (n, {self.entries})"
             raise ValueError(f"observation must be {accepted}, got {short_repr(observation)}")
         rows = array.reshape(-1, self.entries)
@@ -184,17 +223,21 @@ class Policy:
         return actions if array.ndim == 2 else actions[0]
 
     def start(self, seeds: Sequence[int]) -> Callable[[np.ndarray], np.ndarray]:
-        """Begins a batch of episodes, one per seed, as for scripted policies; a trained policy draws no random numbers.
+        """Begins a batch of episodes, one per seed, as for scripted policies; a trained policy
+        draws no random numbers.
 
         Returns:
-            The function from observations (episodes, entries) to actions (episodes, 1), or from (entries,) of a single
-            episode to (1,). Call it once per step. It raises the same ValueError as the policy.
+            The function from observations (episodes, entries) to actions (episodes, 1), or from
+            (entries,) of a single episode to (1,). Call it once per step. It raises the same
+            ValueError as the policy.
         """
 
         def act(observations: np.ndarray) -> np.ndarray:
             actions = self(observations)
             if (rows := actions.size) != len(seeds):
-                raise ValueError(f"observations must have one row for each of {len(seeds)} episodes, got {rows} rows")
+                raise ValueError(
+                    f"observations must have one row for each of {len(seeds)} episodes, got {rows} rows"
+                )
             return actions
 
         return act
@@ -205,7 +248,11 @@ class Policy:
         for n, (weights, bias) in enumerate(self.layers):
             tensors |= {f"layers.{n}.weight": weights, f"layers.{n}.bias": bias}
         values = {**vars(self), "clip": float(self.clip), "epsilon": float(self.epsilon)}
-        metadata = {"format": FORMAT, "format_version": FORMAT_VERSION, **{name: getattr(self, name) for name in TEXTS}}
+        metadata = {
+            "format": FORMAT,
+            "format_version": FORMAT_VERSION,
+            **{name: getattr(self, name) for name in TEXTS},
+        }
         for key in VALUES:
             metadata[key] = json.dumps(values[key], default=_plain, sort_keys=True, allow_nan=False)
         content = save(tensors)
@@ -225,22 +272,27 @@ def _plain(value: Any) -> Any:
 def _law_named(name: str) -> str:
     """The end of the message for the name of a control law, which is no trained policy."""
     law = name.replace("-", "_")
-    return f", which is a control law: gym.make(.., controller='baselines:{law}')" if law in LAWS else ""
+    return (
+        f", which is a control law: gym.make(.., controller='baselines:{law}')"
+        if law in LAWS
+        else ""
+    )
 
 
 def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool = False) -> Policy:
     """Loads a trained policy. A policy file contains no pickled objects and no code.
 
     Args:
-        name_or_path: a name of `policy_names()`, which is the training run with the lowest seed; one run, such as
-            "residual-ppo/seed-2"; the path of a policy file; or the folder of a training run, whose best policy is
-            loaded.
-        trust_controller: accept a policy with a control law outside this package. The environment imports the law,
-            which runs its code.
+        name_or_path: a name of `policy_names()`, which is the training run with the lowest seed;
+            one run, such as "residual-ppo/seed-2"; the path of a policy file; or the folder of a
+            training run, whose best policy is loaded.
+        trust_controller: accept a policy with a control law outside this package. The environment
+            imports the law, which runs its code.
 
     Raises:
         TypeError: if `name_or_path` is neither a string nor a path.
-        ValueError: if there is no such policy, the file is corrupt, or it names a law that is not trusted.
+        ValueError: if there is no such policy, the file is corrupt, or it names a law that is not
+            trusted.
     """
     named = isinstance(name_or_path, (str, os.PathLike))
     require(named, "name_or_path", "a policy's name or a path", name_or_path, TypeError)
@@ -250,7 +302,9 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
         path = Path(name_or_path)
         # Unlike the methods of Path, these functions accept names that no file can have.
         if os.path.isdir(path):
-            path = next((file for file in (path / "best" / POLICY, path / POLICY) if file.is_file()), path)
+            path = next(
+                (file for file in (path / "best" / POLICY, path / POLICY) if file.is_file()), path
+            )
         if not os.path.isfile(path):
             raise ValueError(
                 f"name_or_path must be one of {', '.join(policy_names())}, one run of it as NAME/seed-0, or the path "
@@ -262,7 +316,9 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
         # As `policy_names` names a row's run.
         name = "/".join(folder.parts[-2:]) if folder.name.startswith("seed-") else folder.name
     if (size := path.stat().st_size) > LARGEST_FILE:
-        raise ValueError(f"{path} is not a policy file: it must have at most {LARGEST_FILE} bytes, got {size}")
+        raise ValueError(
+            f"{path} is not a policy file: it must have at most {LARGEST_FILE} bytes, got {size}"
+        )
     try:
         policy = _read(name, path)
     except (SafetensorError, ValueError, TypeError, RecursionError, OverflowError) as error:
@@ -276,11 +332,15 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
     return policy
 
 
-def _check_array(name: str, array: np.ndarray, dtype: type, shape: tuple[int, ...], accepted: str) -> None:
+def _check_array(
+    name: str, array: np.ndarray, dtype: type, shape: tuple[int, ...], accepted: str
+) -> None:
     """Raises an error for arrays of another dtype or shape, and for numbers that are not finite."""
     if array.dtype != dtype or array.shape != shape:
         got = f"{array.dtype.name} of shape {array.shape}"
-        raise ValueError(f"{name} must be {np.dtype(dtype).name} of shape {shape}, {accepted}, got {got}")
+        raise ValueError(
+            f"{name} must be {np.dtype(dtype).name} of shape {shape}, {accepted}, got {got}"
+        )
     require(bool(np.isfinite(array).all()), name, "finite", array)
 
 
@@ -288,18 +348,29 @@ def _read(name: str, path: Path) -> Policy:
     """The policy in a file that is not too large."""
     with safe_open(path, framework="numpy") as file:
         metadata: dict[str, str] = file.metadata() or {}
-        known, found = (FORMAT, FORMAT_VERSION), (metadata.get("format"), metadata.get("format_version"))
+        known, found = (
+            (FORMAT, FORMAT_VERSION),
+            (metadata.get("format"), metadata.get("format_version")),
+        )
         require(found == known, "its format and format_version", str(known), found)
         # Inputs and outputs that no policy has any more.
-        for key, only in (("output", "action"), ("told_energy_weight", "false"), ("identifies", "false")):
+        for key, only in (
+            ("output", "action"),
+            ("told_energy_weight", "false"),
+            ("identifies", "false"),
+        ):
             given = metadata.get(key, only)
             require(given == only, key, f"{only!r} in its metadata", given)
         names = set(file.keys())
         count = sum(tensor.endswith(".weight") for tensor in names)
-        layers = [(f"layers.{n}.weight", f"layers.{n}.bias") for n in range(min(count, MOST_LAYERS + 1))]
+        layers = [
+            (f"layers.{n}.weight", f"layers.{n}.bias") for n in range(min(count, MOST_LAYERS + 1))
+        ]
         expected = {"inputs.mean", "inputs.variance"}.union(*layers)
         if names != expected:
-            raise ValueError(f"it must contain the tensors {sorted(expected)}, got {short_repr(sorted(names))}")
+            raise ValueError(
+                f"it must contain the tensors {sorted(expected)}, got {short_repr(sorted(names))}"
+            )
         arrays = {tensor: file.get_tensor(tensor) for tensor in names}
     values: dict[str, Any] = {}
     for key in (*TEXTS, *VALUES):
@@ -307,7 +378,9 @@ def _read(name: str, path: Path) -> Policy:
             values[key] = metadata[key] if key in TEXTS else json.loads(metadata[key])
         except (KeyError, ValueError):
             accepted = "text" if key in TEXTS else "JSON"
-            raise ValueError(f"{key} must be {accepted} in its metadata, got {metadata.get(key)!r:.50}") from None
+            raise ValueError(
+                f"{key} must be {accepted} in its metadata, got {metadata.get(key)!r:.50}"
+            ) from None
     return Policy(
         name=name,
         layers=tuple((arrays[weights], arrays[bias]) for weights, bias in layers),

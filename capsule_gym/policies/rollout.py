@@ -9,7 +9,8 @@ from capsule_gym.policies.policy import Policy
 
 
 def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.ndarray]:
-    """Runs a policy in every environment of a simulation after `reset`, each to the end of its episode.
+    """Runs a policy in every environment of a simulation after `reset`, each to the end of its
+    episode.
 
     The results are those of a batch that is stepped with the policy, bit for bit.
 
@@ -22,7 +23,8 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
         `simulation.metrics` of every environment.
 
     Raises:
-        ValueError: if the policy does not fit the observation; errors of a law are those of `Simulation.step`.
+        ValueError: if the policy does not fit the observation; errors of a law are those of
+            `Simulation.step`.
     """
     check_count("steps", steps)
     entries = simulation.observations.shape[1]
@@ -33,6 +35,8 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
         )
     simulation._everyone = False
     simulation.run(
-        lambda first, last: native.call("run_episodes", simulation._fields, first, last, steps, policy._network)
+        lambda first, last: native.call(
+            "run_episodes", simulation._fields, first, last, steps, policy._network
+        )
     )
     return simulation.metrics(np.arange(simulation.num_envs), steps)

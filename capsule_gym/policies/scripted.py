@@ -1,4 +1,6 @@
-"""Scripted policies: the control laws of this package with a zero residual, and those of installed distributions."""
+"""Scripted policies: the control laws of this package with a zero residual, and those of installed
+distributions.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -30,8 +32,8 @@ class ScriptedPolicy:
         name: name in tables and on the command line.
         description: description in one line.
         env_kwargs: the arguments of `CapsuleVectorEnv` that it needs.
-        start: takes the seeds of the environments and returns a function from observations (n, entries) to actions
-            (n, 1), float32.
+        start: takes the seeds of the environments and returns a function from observations (n,
+            entries) to actions (n, 1), float32.
         senses: the measurements that it reads; "state" stands for theta, theta_dot and x_dot.
         told: its knowledge of the plant.
     """
@@ -45,11 +47,20 @@ class ScriptedPolicy:
 
 
 def _law(
-    law: str, description: str, told: str = "nothing", senses: str = "state", name: str = "", **env_kwargs: str
+    law: str,
+    description: str,
+    told: str = "nothing",
+    senses: str = "state",
+    name: str = "",
+    **env_kwargs: str,
 ) -> ScriptedPolicy:
-    """The policy that only runs a law of `baselines`; its name is that of the law if none is given."""
+    """The policy that only runs a law of `baselines`; its name is that of the law if none is
+    given.
+    """
     kwargs = {"controller": f"baselines:{law}", **env_kwargs}
-    return ScriptedPolicy(name or law.replace("_", "-"), description, kwargs, senses=senses, told=told)
+    return ScriptedPolicy(
+        name or law.replace("_", "-"), description, kwargs, senses=senses, told=told
+    )
 
 
 _NOMINAL = "nominal plant"
@@ -59,8 +70,18 @@ LAW_POLICIES = {
     for each in (
         _law("feedback_linearising", f"{_PROFILE}, feedback linearisation (35)", _NOMINAL),
         _law("adaptive", f"{_PROFILE}, adaptive law (39), regularised", _NOMINAL, "state, x"),
-        _law("adaptive_as_published", f"{_PROFILE}, adaptive law (39), corrected, unregularised", _NOMINAL, "state, x"),
-        _law("adaptive_optimal_profile", f"{_FASTEST}, adaptive law (39), regularised", _NOMINAL, "state, x"),
+        _law(
+            "adaptive_as_published",
+            f"{_PROFILE}, adaptive law (39), corrected, unregularised",
+            _NOMINAL,
+            "state, x",
+        ),
+        _law(
+            "adaptive_optimal_profile",
+            f"{_FASTEST}, adaptive law (39), regularised",
+            _NOMINAL,
+            "state, x",
+        ),
         _law(
             "feedback_linearising_optimal_profile",
             f"{_FASTEST} and without Principle 4, feedback linearisation (35)",
@@ -78,23 +99,40 @@ LAW_POLICIES = {
             "gait-guarded on a state that an observer and a predictor of the latency give",
             _NOMINAL,
         ),
-        _law("open_loop", "torque as a function of time alone, tuned without disturbances", senses="nothing"),
-        _law("open_loop_real", "torque as a function of time alone, tuned under disturbances", senses="nothing"),
-        _law("pd", "PD control of the pendulum's angle along a periodic reference", senses="theta, theta_dot"),
+        _law(
+            "open_loop",
+            "torque as a function of time alone, tuned without disturbances",
+            senses="nothing",
+        ),
+        _law(
+            "open_loop_real",
+            "torque as a function of time alone, tuned under disturbances",
+            senses="nothing",
+        ),
+        _law(
+            "pd",
+            "PD control of the pendulum's angle along a periodic reference",
+            senses="theta, theta_dot",
+        ),
         _law("oscillator", "a Hopf oscillator that the state entrains"),
         _law(
             "goal_pulses",
             "gait-guarded towards the goal, then pulses that adapt; strokes on smooth floors",
             task="goal",
         ),
-        _law("velocity_pulses", "gait-guarded after the target, and pulses that adapt", task="velocity"),
+        _law(
+            "velocity_pulses",
+            "gait-guarded after the target, and pulses that adapt",
+            task="velocity",
+        ),
     )
 }
 
 
 @cache
 def registered_policies() -> dict[str, EntryPoint]:
-    """The policies that installed distributions add, by name: entry points of the group `capsule_gym.policies`.
+    """The policies that installed distributions add, by name: entry points of the group
+    `capsule_gym.policies`.
 
     An entry point names a `ScriptedPolicy`. Those of this project are in `baselines.policies`.
     """

@@ -12,7 +12,9 @@ from capsule_gym.rendering.renderer import FRAME_SECONDS
 FRAMES_OF_PALETTE = 8
 
 
-def write_gif(frames: Iterable[np.ndarray], path: Path, frame_seconds: float = FRAME_SECONDS, width: int = 640) -> None:
+def write_gif(
+    frames: Iterable[np.ndarray], path: Path, frame_seconds: float = FRAME_SECONDS, width: int = 640
+) -> None:
     """Writes pictures, each (height, width, 3), uint8, as a looping GIF, atomically.
 
     Args:
@@ -31,12 +33,17 @@ def write_gif(frames: Iterable[np.ndarray], path: Path, frame_seconds: float = F
         height = round(frame.shape[0] * width / frame.shape[1])
         pictures.append(Image.fromarray(frame).resize((width, height), Image.Resampling.LANCZOS))
     if not pictures:
-        raise ValueError("frames must contain at least one picture, got none: the episode ended before the first")
-    # One palette for all frames: colours do not flicker, and only moving parts are stored again. By coverage, so that
-    # the few pixels of a legend keep their colour; then means (kmeans), which do not tint the background.
+        raise ValueError(
+            "frames must contain at least one picture, got none: the episode ended before the first"
+        )
+    # One palette for all frames: colours do not flicker, and only moving parts are stored again. By
+    # coverage, so that the few pixels of a legend keep their colour; then means (kmeans), which do
+    # not tint the background.
     shown = pictures[:: -(-len(pictures) // FRAMES_OF_PALETTE)]
     together = Image.fromarray(np.concatenate([np.asarray(picture) for picture in shown]))
-    palette = together.quantize(128, method=Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)
+    palette = together.quantize(
+        128, method=Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE
+    )
     pictures = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     options: dict[str, Any] = {"duration": round(1000 * frame_seconds), "loop": 0, "optimize": True}
     with replacing(path) as temporary:

@@ -1,4 +1,6 @@
-"""Rendering of the robot: a window or RGB frames, drawn by pygame, which is imported only when needed."""
+"""Rendering of the robot: a window or RGB frames, drawn by pygame, which is imported only when
+needed.
+"""
 
 import math
 import os
@@ -17,7 +19,8 @@ from capsule_gym.tasks.task import ENV_ID
 Colour = tuple[int, int, int]
 Points = NDArray[np.float64] | Sequence[tuple[float, float]]
 
-# Everything is drawn at twice the size and averaged down, which anti-aliases every shape and text alike.
+# Everything is drawn at twice the size and averaged down, which anti-aliases every shape and text
+# alike.
 SCALE = 2
 # Time between frames, s: 25 frames a second, which a GIF can represent exactly.
 FRAME_SECONDS = 0.04
@@ -64,7 +67,9 @@ def _number(value: float, decimals: int) -> str:
 
 
 def _polar(angle: Any, radius: Any) -> tuple[Any, Any]:
-    """The point, or points, at that angle from the upright, growing to the left, and that distance from the pivot."""
+    """The point, or points, at that angle from the upright, growing to the left, and that distance
+    from the pivot.
+    """
     return MIDDLE - radius * np.sin(angle), FLOOR - PIVOT - radius * np.cos(angle)
 
 
@@ -73,8 +78,8 @@ class Renderer:
 
     The camera follows the platform, so the ruler moves beneath it. Blue is stick, orange is slip.
 
-    In mode "human" draws do nothing after the window is closed. In mode "rgb_array" no window, display or video driver
-    is used.
+    In mode "human" draws do nothing after the window is closed. In mode "rgb_array" no window,
+    display or video driver is used.
 
     Args:
         capsule: the robot; its l sets the scale.
@@ -91,11 +96,14 @@ class Renderer:
         closed: whether draws do nothing, after `close` or after the user has closed the window.
     """
 
-    def __init__(self, capsule: Capsule, mode: str, fps: float, torque_limit: float, title: str = ENV_ID) -> None:
+    def __init__(
+        self, capsule: Capsule, mode: str, fps: float, torque_limit: float, title: str = ENV_ID
+    ) -> None:
         self._mode, self._title, self._fps, self._torque_limit = mode, title, fps, torque_limit
         # Metres between labelled marks, a power of ten that is 42 to 420 pixels.
         self._major = 10.0 ** math.ceil(math.log10(capsule.l / 4.0))
-        # A whole number of canvas pixels between labelled marks: the marks then move as one and do not shimmer.
+        # A whole number of canvas pixels between labelled marks: the marks then move as one and do
+        # not shimmer.
         self._major_pixels = round(SCALE * ROD / capsule.l * self._major) / SCALE
         self.closed = False
         os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
@@ -104,7 +112,8 @@ class Renderer:
                 warnings.simplefilter("ignore")
                 import pygame
 
-                # The first font would import this, and with it pkg_resources, which some setuptools deprecate.
+                # The first font would import this, and with it pkg_resources, which some setuptools
+                # deprecate.
                 import pygame.pkgdata
         except ImportError as error:
             message = 'pygame is not installed, run: pip install "capsule-gym[render]"'
@@ -122,7 +131,9 @@ class Renderer:
             # Without a display SDL draws into memory, and no window appears.
             if pygame.display.get_driver() == "offscreen" and not os.environ.get("SDL_VIDEODRIVER"):
                 pygame.display.quit()
-                raise RuntimeError("a window needs a display, and there is none; frames and GIFs need no display")
+                raise RuntimeError(
+                    "a window needs a display, and there is none; frames and GIFs need no display"
+                )
             pygame.display.set_caption(title)
             self._window = pygame.display.set_mode((WIDTH, HEIGHT))
             self._clock = pygame.time.Clock()
@@ -149,10 +160,12 @@ class Renderer:
             time: time since the start of the episode, s.
             M: mass of the platform, kg.
             mu: friction coefficient.
-            ghost: the name, theta and x of another robot on the same floor, drawn pale behind the first.
+            ghost: the name, theta and x of another robot on the same floor, drawn pale behind the
+                first.
 
         Returns:
-            The frame as an array of uint8, (450, 960, 3), in mode "rgb_array"; None in mode "human" and once closed.
+            The frame as an array of uint8, (450, 960, 3), in mode "rgb_array"; None in mode "human"
+            and once closed.
         """
         pygame = self._pygame
         # `pygame.quit()` in other code closes the window.
@@ -172,7 +185,9 @@ class Renderer:
         if ghost is not None:
             self._draw_ghost(*ghost, x)
         self._write(self._title, 20, SLATE, 24, HEADER + 27)
-        self._write(f"M {M:.3f} kg     \N{GREEK SMALL LETTER MU} {mu:.4f}", 17, GREY, 24, HEADER + 46)
+        self._write(
+            f"M {M:.3f} kg     \N{GREEK SMALL LETTER MU} {mu:.4f}", 17, GREY, 24, HEADER + 46
+        )
         self._draw_robot(theta, torque, STICK if x_dot == 0.0 else SLIP)
         self._draw_figures(time, x, x_dot, torque)
         self._frame.blit(pygame.transform.smoothscale(self._canvas, (WIDTH, HEIGHT)), (0, 0))
@@ -202,8 +217,12 @@ class Renderer:
             at = left + mark * self._major_pixels
             self._box(at, GRID_TOP, 1, FLOOR - GRID_TOP, GRID)
             for part in range(10):
-                self._box(at + part * self._major_pixels / 10, FLOOR, 1, 13 if part == 0 else 6, TICK)
-            self._write(_number(step * (first + mark), decimals), 17, GREY, at + 0.5, FLOOR + 28, "midtop")
+                self._box(
+                    at + part * self._major_pixels / 10, FLOOR, 1, 13 if part == 0 else 6, TICK
+                )
+            self._write(
+                _number(step * (first + mark), decimals), 17, GREY, at + 0.5, FLOOR + 28, "midtop"
+            )
         self._box(0, FLOOR - 1, WIDTH, 2, TICK)
 
     def _draw_ghost(self, name: str, theta: float, ghost_x: float, x: float) -> None:
@@ -222,7 +241,15 @@ class Renderer:
     def _draw_shell(self, middle: float, colour: Colour, line: float = 0.0) -> None:
         """Draws the shell of a robot: filled, or an inner border of `line` pixels."""
         top = FLOOR - SHELL_HEIGHT
-        self._box(middle - SHELL_HALF, top, 2 * SHELL_HALF, SHELL_HEIGHT, colour, radius=SHELL_HEIGHT / 2, line=line)
+        self._box(
+            middle - SHELL_HALF,
+            top,
+            2 * SHELL_HALF,
+            SHELL_HEIGHT,
+            colour,
+            radius=SHELL_HEIGHT / 2,
+            line=line,
+        )
 
     def _draw_robot(self, theta: float, torque: float, contact: Colour) -> None:
         """Draws the contact and the platform, the motor's torque, the spring and the pendulum."""
@@ -230,25 +257,40 @@ class Renderer:
         half, deck = SHELL_HALF - SHELL_HEIGHT / 2 + 6, FLOOR - PLATFORM_HEIGHT - 3
         self._box(MIDDLE - half, FLOOR - 1, 2 * half, 7, contact)
         self._box(MIDDLE - PLATFORM_HALF, deck, 2 * PLATFORM_HALF, PLATFORM_HEIGHT, SLATE, radius=5)
-        self._box(MIDDLE - SPRING_OUTER - 8, FLOOR - PIVOT, 2 * SPRING_OUTER + 16, PIVOT - PLATFORM_HEIGHT, SLATE)
+        self._box(
+            MIDDLE - SPRING_OUTER - 8,
+            FLOOR - PIVOT,
+            2 * SPRING_OUTER + 16,
+            PIVOT - PLATFORM_HEIGHT,
+            SLATE,
+        )
         self._disc(_polar(0.0, 0.0), SPRING_OUTER + 8, SLATE)
         self._disc(_polar(0.0, 0.0), SPRING_OUTER + 4, PAPER)
-        # An arc arrow around the pivot: from the upright, a quarter turn at the limit, the way the motor turns.
+        # An arc arrow around the pivot: from the upright, a quarter turn at the limit, the way the
+        # motor turns.
         end = 0.5 * math.pi * max(-1.0, min(1.0, torque / self._torque_limit))
         if abs(end) > 0.015:
             head = math.copysign(min(0.22, abs(end)), end)
             base, half = end - head, 50.0 * abs(head)
-            self._ribbon(np.transpose(_polar(np.linspace(0.0, base + 0.2 * head, 13), GAUGE)), 7.0, TORQUE)
-            self._polygon([_polar(end, GAUGE), _polar(base, GAUGE - half), _polar(base, GAUGE + half)], TORQUE)
+            self._ribbon(
+                np.transpose(_polar(np.linspace(0.0, base + 0.2 * head, 13), GAUGE)), 7.0, TORQUE
+            )
+            self._polygon(
+                [_polar(end, GAUGE), _polar(base, GAUGE - half), _polar(base, GAUGE + half)], TORQUE
+            )
         # The spring: its inner end turns with the rod, the outer one is held by the platform.
         turns = np.linspace(theta, 2.0 * math.pi * SPRING_TURNS, 72)
-        self._ribbon(np.transpose(_polar(turns, np.linspace(SPRING_INNER, SPRING_OUTER, 72))), 2.5, SHELL)
+        self._ribbon(
+            np.transpose(_polar(turns, np.linspace(SPRING_INNER, SPRING_OUTER, 72))), 2.5, SHELL
+        )
         self._ribbon([_polar(theta, 0.0), _polar(theta, ROD)], 7.0, INK)
         self._disc(_polar(theta, 0.0), 9, INK)
         self._disc(_polar(theta, ROD), BALL, BALL_COLOUR)
 
     def _draw_figures(self, time: float, x: float, x_dot: float, torque: float) -> None:
-        """Draws the numbers, right-aligned, so that no digit moves when another appears, and stick or slip."""
+        """Draws the numbers, right-aligned, so that no digit moves when another appears, and stick
+        or slip.
+        """
         figures = (
             ("TIME", _number(time, 2), "s", INK),
             ("DISPLACEMENT", _number(100.0 * x, 1), "cm", INK),
@@ -262,43 +304,73 @@ class Renderer:
             self._write(number, 32, colour, left + VALUE_RIGHT, VALUE_BASELINE, "topright")
             self._write(unit, 19, GREY, left + VALUE_RIGHT + 6, VALUE_BASELINE)
             self._box(left + COLUMN, 16, 1, HEADER - 32, HAIRLINE)
-        left, (contact, colour) = COLUMN * len(figures) + 24, ("STICK", STICK) if x_dot == 0.0 else ("SLIP", SLIP)
+        left, (contact, colour) = (
+            COLUMN * len(figures) + 24,
+            ("STICK", STICK) if x_dot == 0.0 else ("SLIP", SLIP),
+        )
         self._write("CONTACT", 16, GREY, left, 26)
         self._write(contact, 32, colour, left, VALUE_BASELINE)
 
     def _box(
-        self, x: float, y: float, width: float, height: float, colour: Colour, radius: float = 0.0, line: float = 0.0
+        self,
+        x: float,
+        y: float,
+        width: float,
+        height: float,
+        colour: Colour,
+        radius: float = 0.0,
+        line: float = 0.0,
     ) -> None:
-        """Draws a rectangle with rounded corners: filled, or only an inner border of `line` pixels."""
+        """Draws a rectangle with rounded corners: filled, or only an inner border of `line`
+        pixels.
+        """
         sides = [round(SCALE * side) for side in (x, y, width, height)]
-        self._pygame.draw.rect(self._canvas, colour, sides, round(SCALE * line), border_radius=round(SCALE * radius))
+        self._pygame.draw.rect(
+            self._canvas, colour, sides, round(SCALE * line), border_radius=round(SCALE * radius)
+        )
 
     def _disc(self, centre: tuple[float, float], radius: float, colour: Colour) -> None:
         """Draws a filled disc."""
-        self._pygame.draw.circle(self._canvas, colour, [SCALE * at for at in centre], SCALE * radius)
+        self._pygame.draw.circle(
+            self._canvas, colour, [SCALE * at for at in centre], SCALE * radius
+        )
 
     def _polygon(self, corners: Points, colour: Colour) -> None:
         """Draws a filled polygon."""
-        self._pygame.draw.polygon(self._canvas, colour, np.rint(SCALE * np.asarray(corners)).tolist())
+        self._pygame.draw.polygon(
+            self._canvas, colour, np.rint(SCALE * np.asarray(corners)).tolist()
+        )
 
     def _ribbon(self, points: Points, width: float, colour: Colour) -> None:
-        """Draws a line through the points as one polygon: pygame's thick lines have gaps and are thin where slanted."""
+        """Draws a line through the points as one polygon: pygame's thick lines have gaps and are
+        thin where slanted.
+        """
         points = np.asarray(points, np.float64)
         ends = np.concatenate((points[:1], points, points[-1:]))
         across = (ends[2:] - ends[:-2])[:, ::-1] * (-1.0, 1.0)
         across *= (0.5 * width / np.maximum(np.hypot(across[:, 0], across[:, 1]), 1e-9))[:, None]
         self._polygon(np.concatenate((points + across, (points - across)[::-1])), colour)
 
-    def _write(self, text: str, size: int, colour: Colour, x: float, baseline: float, anchor: str = "topleft") -> None:
-        """Draws text whose left edge ("topleft"), centre ("midtop") or right edge ("topright") is at x."""
+    def _write(
+        self,
+        text: str,
+        size: int,
+        colour: Colour,
+        x: float,
+        baseline: float,
+        anchor: str = "topleft",
+    ) -> None:
+        """Draws text whose left edge ("topleft"), centre ("midtop") or right edge ("topright") is
+        at x.
+        """
         image, ascent = self._text(text, size, colour)
         place = round(SCALE * x), round(SCALE * baseline) - ascent
         self._canvas.blit(image, image.get_rect(**{anchor: place}))
 
     def _draw_text(self, text: str, size: int, colour: Colour) -> tuple[Any, int]:
         """The picture of a text, and its height above the baseline in pixels of the canvas."""
-        # Other environments call pygame.quit() when they close, which voids every font in the process. pygame contains
-        # its default font, so every machine has it.
+        # Other environments call pygame.quit() when they close, which voids every font in the
+        # process. pygame contains its default font, so every machine has it.
         self._pygame.font.init()
         font = self._pygame.font.Font(None, SCALE * size)
         return font.render(text, True, colour), font.get_ascent()

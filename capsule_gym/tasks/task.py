@@ -26,14 +26,15 @@ ENERGY_WEIGHT = 0.1
 TERMINATION_PENALTY = 10.0
 THETA_LIMIT = _core.THETA_LIMIT
 START_THETA = _core.START_THETA
-# Limits of a reset: |theta| below THETA_LIMIT, and up to this |theta_dot| (rad/s), |x| (m) and |x_dot| (m/s).
+# Limits of a reset: |theta| below THETA_LIMIT, and up to this |theta_dot| (rad/s), |x| (m) and
+# |x_dot| (m/s).
 LARGEST_STATE = (THETA_LIMIT, 1e3, 1e6, 1e3)
 
 # Keys of a change of the plant within an episode.
 CHANGE = ("t", "M", "mu")
 
-# Defaults of the tasks that need grip. Their floors range from rubber to plastic; static friction is about a third
-# larger than kinetic friction.
+# Defaults of the tasks that need grip. Their floors range from rubber to plastic; static friction
+# is about a third larger than kinetic friction.
 GRIP_DEFAULTS: dict[str, Any] = {
     "capsule": Capsule(static_ratio=1.3),
     "randomization": Randomization(M=(0.45, 0.55), mu=(0.05, 0.5), log_mu=True),
@@ -66,14 +67,16 @@ def parse_numbers(name: str, value: Any) -> list[float]:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Task:
-    """A task of the core, where its memory, reward, entries of the observation, draws and metrics are.
+    """A task of the core, where its memory, reward, entries of the observation, draws and metrics
+    are.
 
     Attributes:
         name: value of the environment's argument `task`.
         env_id: id by which Gymnasium knows the environment.
-        parsers: by the name of a reset option, parser(name, value) -> the numbers for a value of the option; its
-            TypeError or ValueError names the option.
-        draw_range: range from which the commands of an episode are drawn; None for that of the core.
+        parsers: by the name of a reset option, parser(name, value) -> the numbers for a value of
+            the option; its TypeError or ValueError names the option.
+        draw_range: range from which the commands of an episode are drawn; None for that of the
+            core.
         defaults: arguments of the environment that differ from those of the speed task.
     """
 
@@ -99,12 +102,16 @@ class Task:
 
     @cached_property
     def term(self) -> str:
-        """The name in `info` of the task's reward term, to which the energy and termination terms are added."""
+        """The name in `info` of the task's reward term, to which the energy and termination terms
+        are added.
+        """
         return self._description.term
 
     @cached_property
     def fields(self) -> list[str]:
-        """The names of the numbers in the memory of one environment; the last ones are those that an episode draws."""
+        """The names of the numbers in the memory of one environment; the last ones are those that
+        an episode draws.
+        """
         return self._description.fields
 
     @cached_property
@@ -122,7 +129,9 @@ class Task:
 
     @cached_property
     def option_sizes(self) -> dict[str, int]:
-        """The reset options of the task, and how many drawn numbers each sets, in the order of the memory."""
+        """The reset options of the task, and how many drawn numbers each sets, in the order of the
+        memory.
+        """
         return dict(Counter(option for option, *_ in self._description.draws))
 
     @property

@@ -2,8 +2,9 @@
 
 ## Description
 
-The capsule of `CapsuleStickSlip-v0` on a floor with more friction. A target moves with the commanded velocity. It
-starts at the platform at every change of the command and stays within 0.3 m of the platform.
+The capsule of `CapsuleStickSlip-v0` on a floor with more friction. A target moves with the
+commanded velocity. It starts at the platform at every change of the command and stays within 0.3 m
+of the platform.
 
 Actions are those of `CapsuleStickSlip-v0`.
 
@@ -18,8 +19,8 @@ The observation of `CapsuleStickSlip-v0`, followed by:
 | tanh(e / 20 cm) | -1 | 1 |
 | velocity of the platform (m/s), filtered with a time constant of 0.25 s | -2 | 2 |
 
-With disturbances, the target of the observation, its error and the velocity follow from the measured x. Reward, `info`
-and metrics are true.
+With disturbances, the target of the observation, its error and the velocity follow from the
+measured x. Reward, `info` and metrics are true.
 
 ## Rewards
 
@@ -31,9 +32,9 @@ The sum of three terms, which `info` contains:
 ## Starting State
 
 At rest at theta = -pi/3 and x = 0. Commands are uniform in [-10, 10] cm/s, and each lasts 4 to 8 s.
-`reset(options={"commands": [{"t": 0.0, "v": 0.05}, {"t": 6.0, "v": -0.1}]})` sets up to eight, with t in s and v in
-m/s, in order of time, the first at 0 s. The last one stays. The argument `task=with_commands(low, high)`, from
-`capsule_gym.tasks.velocity`, draws them from another range.
+`reset(options={"commands": [{"t": 0.0, "v": 0.05}, {"t": 6.0, "v": -0.1}]})` sets up to eight, with
+t in s and v in m/s, in order of time, the first at 0 s. The last one stays. The argument
+`task=with_commands(low, high)`, from `capsule_gym.tasks.velocity`, draws them from another range.
 
 ## Episode End
 
@@ -41,18 +42,22 @@ The terminations of `CapsuleStickSlip-v0`, and truncation after 1000 steps, 20 s
 
 ## Info
 
-As in `CapsuleStickSlip-v0`, with `command` (m/s), `target` (m) and `error` (m). `episode_metrics` adds
+As in `CapsuleStickSlip-v0`, with `command` (m/s), `target` (m) and `error` (m). `episode_metrics`
+adds
 
-- `velocity_error`: the absolute differences between the mean velocity and the command, each measured from 1.5 s after
-  the change of the command and weighted with the measured time, in percent of the commands;
-- `unsettled`: the share of commands during whose measurement the platform was never within 2 cm of the target.
+- `velocity_error`: the absolute differences between the mean velocity and the command, each
+  measured from 1.5 s after the change of the command and weighted with the measured time, in
+  percent of the commands;
+- `unsettled`: the share of commands during whose measurement the platform was never within 2 cm of
+  the target.
 
-A command counts if it was measured for 1 s. If none was, `velocity_error` is 100 and `unsettled` is 1.
+A command counts if it was measured for 1 s. If none was, `velocity_error` is 100 and `unsettled` is
+1.
 
 ## Arguments
 
-Those of `CapsuleStickSlip-v0`, with the defaults `capsule=Capsule(static_ratio=1.3)`, M uniform in [0.45, 0.55] kg, mu
-log-uniform in [0.05, 0.5], `energy_weight=0` and `termination_penalty=3`.
+Those of `CapsuleStickSlip-v0`, with the defaults `capsule=Capsule(static_ratio=1.3)`, M uniform in
+[0.45, 0.55] kg, mu log-uniform in [0.05, 0.5], `energy_weight=0` and `termination_penalty=3`.
 """
 
 import math
@@ -69,9 +74,7 @@ LARGEST = _core.LARGEST_COMMAND
 
 def parse_commands(name: str, value: Any) -> list[float]:
     """The velocities of the commands and how long each lasts, from `[{"t": s, "v": m/s}]`."""
-    accepted = (
-        f"a list of 1 to {_core.COMMANDS} dicts {{'t': s, 'v': m/s}}, the first at 0 s, each later than the one before"
-    )
+    accepted = f"a list of 1 to {_core.COMMANDS} dicts {{'t': s, 'v': m/s}}, the first at 0 s, each later than the one before"
     if isinstance(value, (list, tuple)) and not 1 <= len(value) <= _core.COMMANDS:
         raise ValueError(f"{name} must be {accepted}, got {len(value)}")
     times: list[float] = []
@@ -86,11 +89,17 @@ def parse_commands(name: str, value: Any) -> list[float]:
     return [*commands, *[commands[-1]] * more, *lasts, *[math.inf] * more]
 
 
-TASK = Task(name="velocity", env_id="CapsuleVelocity-v0", parsers={"commands": parse_commands}, defaults=GRIP_DEFAULTS)
+TASK = Task(
+    name="velocity",
+    env_id="CapsuleVelocity-v0",
+    parsers={"commands": parse_commands},
+    defaults=GRIP_DEFAULTS,
+)
 
 
 def with_commands(low: float, high: float) -> Task:
-    """The task with commands uniform in [low, high], in m/s: a value of the environment's argument `task`.
+    """The task with commands uniform in [low, high], in m/s: a value of the environment's argument
+    `task`.
 
     Raises:
         TypeError: if a limit is not a number.

@@ -2,6 +2,6 @@
 document$.subscribe(() => {
   for (const element of document.querySelectorAll(".arithmatex")) {
     const tex = element.textContent.trim().slice(2, -2);
-    katex.render(tex, element, { displayMode: element.tagName === "DIV", throwOnError: false });
+    katex.render(tex, element, {displayMode: element.tagName === "DIV", throwOnError: false});
   }
 });

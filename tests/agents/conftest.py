@@ -17,7 +17,9 @@ def tiny_file(tmp_path):
 @pytest.fixture
 def world(tmp_path, monkeypatch):
     """Two scripted policies and a checkpoint with two seeds."""
-    known = {name: Sine(amplitude, name=name) for name, amplitude in (("adaptive", 0.3), ("bold", 0.5))}
+    known = {
+        name: Sine(amplitude, name=name) for name, amplitude in (("adaptive", 0.3), ("bold", 0.5))
+    }
     monkeypatch.setattr(candidates, "scripted_names", lambda: list(known))
     monkeypatch.setattr(candidates, "find_scripted", known.get)
     monkeypatch.setattr(leaderboard, "SCRIPTED", known)

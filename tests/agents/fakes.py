@@ -8,7 +8,10 @@ from capsule_gym.policies.policy import POLICY
 from tests.capsule_gym.policies import test_policy as policies
 
 CHANGED = {"M": 0.5, "mu": 0.01, "seed": 2, "changes": [{"t": 0.5, "M": 0.7, "mu": 0.3}]}
-PLANTS = {"name": "tiny", "plants": [{"M": 0.5, "mu": 0.01, "seed": 0}, {"M": 0.6, "mu": 0.1, "seed": 1}, CHANGED]}
+PLANTS = {
+    "name": "tiny",
+    "plants": [{"M": 0.5, "mu": 0.01, "seed": 0}, {"M": 0.6, "mu": 0.1, "seed": 1}, CHANGED],
+}
 
 
 @dataclass
@@ -44,7 +47,11 @@ quiet = Controller("quiet", no_torque, np.zeros((1, 2)))
 def make_policy(seed=0, **changes):
     """A policy with one layer that pumps energy into the pendulum, a little more with each seed."""
     weights = np.array([[-1.0, 0.05 + 0.02 * seed, 0.0, 0.0, 0.0]], np.float32)
-    fields = {"name": "learnt", "layers": ((weights, np.full(1, 0.1, np.float32)),), "training_seed": seed}
+    fields = {
+        "name": "learnt",
+        "layers": ((weights, np.full(1, 0.1, np.float32)),),
+        "training_seed": seed,
+    }
     plain = {"mean": np.zeros(5), "variance": np.ones(5), "env_kwargs": {"randomization": "wide"}}
     return policies.make_policy(**{**plain, **fields, **changes})
 

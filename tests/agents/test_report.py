@@ -26,7 +26,11 @@ COMPARED += [("CapsuleGoal-v0", GOAL, {"M": 0.5, "mu": 0.2, "goal": 0.1}, "share
 def test_a_finished_run_is_compared(tmp_path, monkeypatch, capsys, env, options, plant, shown):
     folder, set_file = tmp_path / "run", tmp_path / "two.json"
     write_run(folder, 3, **options)
-    content = {"task": "direct", "algo": "ppo", "hyperparameters": {**small("direct", "ppo").to_dict(), "env": env}}
+    content = {
+        "task": "direct",
+        "algo": "ppo",
+        "hyperparameters": {**small("direct", "ppo").to_dict(), "env": env},
+    }
     (folder / "config.json").write_text(json.dumps(content))
     task = options.get("env_kwargs", {}).get("task", "speed")
     plants = [{**plant, "seed": n} for n in range(2)]
@@ -34,7 +38,15 @@ def test_a_finished_run_is_compared(tmp_path, monkeypatch, capsys, env, options,
     monkeypatch.setattr(report, "compare_to_row", lambda *_: "the published row")
     report.compare(folder, str(set_file))
     out = capsys.readouterr().out
-    words = ("mean speed", "peak torque", "failures", "difference", "the published row\n", "comparison.png", shown)
+    words = (
+        "mean speed",
+        "peak torque",
+        "failures",
+        "difference",
+        "the published row\n",
+        "comparison.png",
+        shown,
+    )
     assert all(word in out for word in words)
 
 
@@ -49,7 +61,9 @@ def test_a_finished_run_is_compared(tmp_path, monkeypatch, capsys, env, options,
         ({}, 0.0, (2.0, 1.0), 0.0, "the spread of seeds"),
     ],
 )
-def test_a_run_worse_than_its_row_names_a_likely_reason(tmp_path, changes, theta, speeds, failed, reason):
+def test_a_run_worse_than_its_row_names_a_likely_reason(
+    tmp_path, changes, theta, speeds, failed, reason
+):
     row, name = load_row(ROOT / report.RESULTS / "direct-ppo.npz"), "paper"
     config = replace(TRAINED_ROWS["direct-ppo"], seed=7, **changes)
     content = {"task": "direct", "algo": "ppo", "hyperparameters": config.to_dict()}
@@ -58,9 +72,13 @@ def test_a_run_worse_than_its_row_names_a_likely_reason(tmp_path, changes, theta
     (tmp_path / "evaluations.csv").write_text("\n".join(["steps,mean_speed_cm_s", *lines]))
     speed = row.score(name, "mean_speed").mean(axis=1).min() + (1e-6 if reason is None else -1e-6)
     episodes = [{"mean_speed": speed, "failed": failed}] * 3
-    text = report.compare_to_row(tmp_path, episodes, load_set(name), theta + 0.5 * np.sin(np.arange(100.0)))
+    text = report.compare_to_row(
+        tmp_path, episodes, load_set(name), theta + 0.5 * np.sin(np.arange(100.0))
+    )
     assert f"Published row direct-ppo: mean of {len(row.header['training_seeds'])} seeds" in text
-    assert f"This run: {speed:.2f} cm/s" in text and ("worse than the row's worst seed" in text) is (reason is not None)
+    assert f"This run: {speed:.2f} cm/s" in text and (
+        "worse than the row's worst seed" in text
+    ) is (reason is not None)
     assert reason is None or f"A likely reason: {reason}" in text
 
 
@@ -75,7 +93,9 @@ def test_a_recording_is_the_episode(amplitude):
 
 
 @pytest.mark.parametrize("goal", [None, 0.1])
-def test_a_comparison_shows_both_recordings_and_the_end_of_the_longer_one(tmp_path, saved_figures, goal):
+def test_a_comparison_shows_both_recordings_and_the_end_of_the_longer_one(
+    tmp_path, saved_figures, goal
+):
     recordings = {}
     for name, seconds in (("adaptive", 9.0), ("agent", 12.0)):
         t = np.arange(0.0, seconds + 1e-9, 0.02)
@@ -88,9 +108,15 @@ def test_a_comparison_shows_both_recordings_and_the_end_of_the_longer_one(tmp_pa
     assert texts(displacement.get_legend().texts) == speeds + ["goal"] * bool(goal)
     both = list(zip(recordings.values(), (MUTED, BLUE), strict=True))
     line = [([0.0, 1.0], [100.0 * goal] * 2, MUTED)] if goal else []
-    assert_lines(displacement, *((each["t"], 100.0 * each["x"], colour) for each, colour in both), *line)
+    assert_lines(
+        displacement, *((each["t"], 100.0 * each["x"], colour) for each, colour in both), *line
+    )
     assert_lines(angle, *((each["t"], np.degrees(each["theta"]), colour) for each, colour in both))
     assert_lines(torque, *((each["t"], each["torque"], colour) for each, colour in both))
     assert {each.get_drawstyle() for each in torque.lines} == {"steps-pre"}
-    for axes, label, start in ((displacement, "x (cm)", 0.0), (angle, "θ (deg)", 5.4), (torque, "u (N m)", 5.4)):
+    for axes, label, start in (
+        (displacement, "x (cm)", 0.0),
+        (angle, "θ (deg)", 5.4),
+        (torque, "u (N m)", 5.4),
+    ):
         assert axes.get_ylabel().endswith(label) and axes.get_xlim() == pytest.approx((start, 12.0))

@@ -4,7 +4,17 @@ from capsule_gym import Controller
 from capsule_gym.core.layout import ROW_NAMES
 
 # Inputs of a step, and values that every step overwrites; all other rows belong to the episode.
-SCRATCH = {"action", "active", "mass_ratio", "before_x", "read_before_x", "slip", "elapsed", "halt", "cursor"} | {
+SCRATCH = {
+    "action",
+    "active",
+    "mass_ratio",
+    "before_x",
+    "read_before_x",
+    "slip",
+    "elapsed",
+    "halt",
+    "cursor",
+} | {
     *("next_theta", "next_theta_dot", "next_x", "next_x_dot"),
     *("theta_ddot", "x_ddot", "first_normal_force", "least_normal_force"),
 }
@@ -30,12 +40,19 @@ def picky_controller():
 
 def flatten(info):
     """The values of an info, also those inside dictionaries."""
-    return [each for value in info.values() for each in (flatten(value) if isinstance(value, dict) else [value])]
+    return [
+        each
+        for value in info.values()
+        for each in (flatten(value) if isinstance(value, dict) else [value])
+    ]
 
 
 def layout(info):
-    """The keys of an info with the type, dtype and shape of each value, also inside dictionaries."""
+    """The keys of an info with the type, dtype and shape of each value, also inside
+    dictionaries."""
     return {
-        key: layout(value) if isinstance(value, dict) else (type(value), np.asarray(value).dtype, np.shape(value))
+        key: layout(value)
+        if isinstance(value, dict)
+        else (type(value), np.asarray(value).dtype, np.shape(value))
         for key, value in info.items()
     }

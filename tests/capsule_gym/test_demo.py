@@ -31,7 +31,9 @@ def test_every_policy_has_one_name_and_acts():
         assert episode.policy.name in name and state(episode)["torque"] != 0.0
 
 
-@pytest.mark.parametrize(("name", "found", "horizon"), [("residual-ppo", "nominal", 33.0), ("goal", "goal", 15.0)])
+@pytest.mark.parametrize(
+    ("name", "found", "horizon"), [("residual-ppo", "nominal", 33.0), ("goal", "goal", 15.0)]
+)
 def test_an_episode_is_the_environments_and_stands_still_at_its_end(name, found, horizon):
     episode = Episode(find_policy(name), load_set(found), load_set(found).plants[0])
     episode.advance(0.1)
@@ -58,14 +60,20 @@ def test_a_file_has_the_pictures_that_were_asked_for(tmp_path, capsys, refused):
         assert demo.main([*options, "-o", str(path)]) == 0
         with Image.open(path) as picture:
             assert picture.info["duration"] == 40
-            return [np.asarray(each.convert("RGB"), int) for each in ImageSequence.Iterator(picture)]
+            return [
+                np.asarray(each.convert("RGB"), int) for each in ImageSequence.Iterator(picture)
+            ]
 
     both = pictures("direct-ppo", "--rival", "pd", "--seconds", "0.4")
     episodes = [Episode(find_policy(name), PAPER, PLANT) for name in ("direct-ppo", "pd")]
     for episode in episodes:
         episode.advance(0.4)
-    speeds = "; ".join(f"{each.policy.name} {100.0 * state(each)['x'] / 0.4:.2f} cm/s" for each in episodes)
-    assert capsys.readouterr().out.startswith(f"{speeds} over 0.4 s on M = {PLANT.M:g} kg, mu = {PLANT.mu:g}")
+    speeds = "; ".join(
+        f"{each.policy.name} {100.0 * state(each)['x'] / 0.4:.2f} cm/s" for each in episodes
+    )
+    assert capsys.readouterr().out.startswith(
+        f"{speeds} over 0.4 s on M = {PLANT.M:g} kg, mu = {PLANT.mu:g}"
+    )
     assert len(both) == 11 and (both[0] != both[10]).any()
     # Without the rival.
     alone = pictures("direct-ppo", "--seconds", "0.4", path=tmp_path / "alone.gif")
@@ -73,7 +81,9 @@ def test_a_file_has_the_pictures_that_were_asked_for(tmp_path, capsys, refused):
     refused(demo.main, ["adaptive", "--seconds", "0.1", "-o", str(tmp_path / "out.gif")])
     with Image.open(tmp_path / "out.gif") as picture:
         assert picture.n_frames == 11
-    assert len(pictures("pd", "--seconds", "0.2", "--speed", "0.5", "--M", "0.6", "--overwrite")) == 11
+    assert (
+        len(pictures("pd", "--seconds", "0.2", "--speed", "0.5", "--M", "0.6", "--overwrite")) == 11
+    )
     assert f"M = 0.6 kg, mu = {PLANT.mu:g}" in capsys.readouterr().out
 
 
@@ -81,7 +91,11 @@ def test_held_keys_apply_torque_and_cancel_each_other(monkeypatch):
     held = set()
     monkeypatch.setattr(pygame.key, "get_pressed", lambda: {key: key in held for key in KEYS})
     episode = Episode(KEYBOARD, PAPER, PLANT)
-    for keys, action in (*((key, 1.0 - index // 2 * 2.0) for index, key in enumerate(KEYS)), (KEYS, 0.0), ((), 0.0)):
+    for keys, action in (
+        *((key, 1.0 - index // 2 * 2.0) for index, key in enumerate(KEYS)),
+        (KEYS, 0.0),
+        ((), 0.0),
+    ):
         held.clear()
         held.update(np.atleast_1d(keys).tolist())
         episode.advance(episode.time + 0.02)

@@ -17,7 +17,9 @@ def lowest_free_descriptor():
 
 def test_a_file_replaces_what_was_there_whole_or_not_at_all(tmp_path, monkeypatch):
     path, synchronised = tmp_path / "result.json", []
-    monkeypatch.setattr(os, "fsync", lambda descriptor: synchronised.append(os.fstat(descriptor).st_ino))
+    monkeypatch.setattr(
+        os, "fsync", lambda descriptor: synchronised.append(os.fstat(descriptor).st_ino)
+    )
     free = lowest_free_descriptor()
     for content, written in (("one", b"one"), ("zwölf\n", b"zw\xc3\xb6lf\n"), (b"\xff", b"\xff")):
         write_atomically(path, content)
@@ -35,7 +37,9 @@ def test_a_file_replaces_what_was_there_whole_or_not_at_all(tmp_path, monkeypatc
     assert list(tmp_path.iterdir()) == [path]
 
 
-@pytest.mark.parametrize(("error", "named"), [((28, "failed"), "run"), ((2, "failed", "b"), "b"), (("failed",), None)])
+@pytest.mark.parametrize(
+    ("error", "named"), [((28, "failed"), "run"), ((2, "failed", "b"), "b"), (("failed",), None)]
+)
 def test_an_error_of_the_system_names_a_file(error, named):
     with pytest.raises(OSError, match="failed") as caught, add_name_to_errors(Path("run")):
         raise OSError(*error)
@@ -43,7 +47,13 @@ def test_an_error_of_the_system_names_a_file(error, named):
 
 
 def test_json_has_null_where_a_number_is_not_finite():
-    value = {"a": [1.0, math.inf, (math.nan, np.float64(-math.inf))], "b": {"c": 0.1, "d": None, "e": "nan"}}
+    value = {
+        "a": [1.0, math.inf, (math.nan, np.float64(-math.inf))],
+        "b": {"c": 0.1, "d": None, "e": "nan"},
+    }
     text = to_json(value)
-    assert json.loads(text) == {"a": [1.0, None, [None, None]], "b": {"c": 0.1, "d": None, "e": "nan"}}
+    assert json.loads(text) == {
+        "a": [1.0, None, [None, None]],
+        "b": {"c": 0.1, "d": None, "e": "nan"},
+    }
     assert text.endswith("}\n")

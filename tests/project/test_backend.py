@@ -16,7 +16,11 @@ SET = ("CMAKE_ARGS", "CMAKE_GENERATOR", "ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE
 def backend(monkeypatch):
     """The module, with hooks of scikit-build-core that return what a build needs or sees."""
     monkeypatch.setattr(os, "umask", lambda mode: None)
-    monkeypatch.setattr(os, "environ", {name: each for name, each in os.environ.items() if name not in ("CXX", *SET)})
+    monkeypatch.setattr(
+        os,
+        "environ",
+        {name: each for name, each in os.environ.items() if name not in ("CXX", *SET)},
+    )
     build = ModuleType("scikit_build_core.build")
     for kind in ("wheel", "editable"):
         setattr(build, f"get_requires_for_build_{kind}", lambda settings: [settings])
@@ -29,7 +33,9 @@ def backend(monkeypatch):
 @pytest.mark.skipif(os.name == "nt", reason="on Windows only CXX names a compiler")
 @pytest.mark.parametrize("found", ["", "g++", "named"])
 @pytest.mark.parametrize("kind", ["wheel", "editable"])
-def test_a_build_asks_for_zig_where_it_finds_no_compiler(kind, found, backend, monkeypatch, tmp_path):
+def test_a_build_asks_for_zig_where_it_finds_no_compiler(
+    kind, found, backend, monkeypatch, tmp_path
+):
     for name, status in {"c++": 1, **({"g++": 0, "clang++": 0} if found == "g++" else {})}.items():
         (tmp_path / name).write_text(f"#!/bin/sh\nexit {status}\n")
         (tmp_path / name).chmod(0o755)
@@ -38,11 +44,19 @@ def test_a_build_asks_for_zig_where_it_finds_no_compiler(kind, found, backend, m
         monkeypatch.setenv("CXX", "named")
     needed = getattr(backend, f"get_requires_for_build_{kind}")("ninja")
     folder, given, seen = getattr(backend, f"build_{kind}")("here", settings=1)
-    assert (folder, given, needed) == ("here", {"settings": 1}, ["ninja", *([] if found else [backend.ZIG])])
+    assert (folder, given, needed) == (
+        "here",
+        {"settings": 1},
+        ["ninja", *([] if found else [backend.ZIG])],
+    )
     if found:
         assert seen["CXX"].endswith(found) and not {*SET} & set(seen)
     else:
-        assert "zig;cc" in seen["CMAKE_ARGS"] and seen["CMAKE_GENERATOR"] == "Ninja" and "CXX" not in seen
+        assert (
+            "zig;cc" in seen["CMAKE_ARGS"]
+            and seen["CMAKE_GENERATOR"] == "Ninja"
+            and "CXX" not in seen
+        )
         assert seen[SET[2]] == seen[SET[3]] and not os.path.exists(seen[SET[2]])
 
 
@@ -53,8 +67,15 @@ def test_the_published_readme_has_absolute_links(url, backend, monkeypatch, tmp_
     (tmp_path / "README.md").write_text("![a](b.png) [c](d.md) [e](https://f) [g](#h)")
     made, files = backend.dynamic_metadata({}, {"version": "1"}), "https://x/blob/v1"
     links = f"![a]({files}/b.png?raw=true) [c]({files}/d.md)" if url else " c"
-    assert made["readme"] == {"text": f"{links} [e](https://f) [g](#h)", "content-type": "text/markdown"}
-    urls = {"Repository": "https://x", "Issues": "https://x/issues", "Changelog": f"{files}/CHANGELOG.md"}
+    assert made["readme"] == {
+        "text": f"{links} [e](https://f) [g](#h)",
+        "content-type": "text/markdown",
+    }
+    urls = {
+        "Repository": "https://x",
+        "Issues": "https://x/issues",
+        "Changelog": f"{files}/CHANGELOG.md",
+    }
     assert made["urls"] == (urls if url else {})
 
 

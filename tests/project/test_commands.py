@@ -1,4 +1,5 @@
-"""Properties of all commands: fast help with examples and without heavy imports, and errors that name the argument."""
+"""Properties of all commands: fast help with examples and without heavy imports, and errors that
+name the argument."""
 
 import ast
 import json
@@ -11,7 +12,17 @@ import pytest
 
 from tests import ROOT
 
-HEAVY = {"torch", "stable_baselines3", "sb3_contrib", "matplotlib", "scipy", "numba", "joblib", "optuna", "mujoco"}
+HEAVY = {
+    "torch",
+    "stable_baselines3",
+    "sb3_contrib",
+    "matplotlib",
+    "scipy",
+    "numba",
+    "joblib",
+    "optuna",
+    "mujoco",
+}
 # Shows the help of every command in a process of its own, forked after the shared imports.
 HELP = """
 import contextlib, io, json, os, runpy, sys
@@ -39,18 +50,26 @@ def commands():
     found = {"train"}
     for package in ("capsule_gym", "baselines", "agents", "benchmarks", "tests", "web"):
         for path in (ROOT / package).rglob("*.py"):
-            guards = (node for node in ast.parse(path.read_text(encoding="utf-8")).body if isinstance(node, ast.If))
+            guards = (
+                node
+                for node in ast.parse(path.read_text(encoding="utf-8")).body
+                if isinstance(node, ast.If)
+            )
             guarded = any(ast.unparse(guard.test) == "__name__ == '__main__'" for guard in guards)
             # The build calls the one of the core.
             if guarded and not path.name.startswith("test_") and path.parent.name != "core":
-                found.add(".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__main__"))
+                found.add(
+                    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__main__")
+                )
     return sorted(found)
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 def test_help_shows_examples_and_needs_nothing_heavy():
     names = commands()
-    done = subprocess.run([sys.executable, "-c", HELP, *names], cwd=ROOT, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", HELP, *names], cwd=ROOT, capture_output=True, text=True, check=True
+    )
     shown = list(map(json.loads, done.stdout.splitlines()))
     assert [name for name, *_ in shown] == names
     for name, status, text, loaded in shown:
@@ -58,4 +77,6 @@ def test_help_shows_examples_and_needs_nothing_heavy():
         assert status == 0 and "Examples:" in text and not set(loaded) & HEAVY, name
         assert text.count(example) >= 2 or f"{example} " in text, name
         words = " ".join(re.sub("[│╭╮╰╯─]", "", text).split())
-        assert re.findall(r"(--[a-z-]+)(?: \S+)? \(default: ", words) == [], f"{name}: options without a text"
+        assert re.findall(r"(--[a-z-]+)(?: \S+)? \(default: ", words) == [], (
+            f"{name}: options without a text"
+        )

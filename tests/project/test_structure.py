@@ -18,7 +18,9 @@ PACKAGES = ("capsule_gym", "baselines", "agents", "benchmarks", "web", "examples
 # What imports a module by a name that is computed.
 IMPORTING = ("import_module", "resolve_name", "__import__", "entry_points")
 # Paths from the project's folder; texts of `capsule_gym` name its core without that.
-PATHS = re.compile(r"(?<![\w./*+-])(?:agents|baselines|benchmarks|capsule_gym|core|examples|tests|web)(?:/[\w.-]*\w)+")
+PATHS = re.compile(
+    r"(?<![\w./*+-])(?:agents|baselines|benchmarks|capsule_gym|core|examples|tests|web)(?:/[\w.-]*\w)+"
+)
 FORMER_PATH = re.compile(r"`[^`]+` of revision")
 # Names under which the documentation has shown objects, and where they are.
 FORMER_NAMES = {
@@ -63,10 +65,17 @@ def test_no_module_is_imported_by_its_name_unless_the_user_gives_it():
     for package in PACKAGES:
         for path in (ROOT / package).rglob("*.py"):
             text = path.read_text(encoding="utf-8")
-            found |= {(path.relative_to(ROOT).as_posix(), name) for name in IMPORTING if f"{name}(" in text}
+            found |= {
+                (path.relative_to(ROOT).as_posix(), name)
+                for name in IMPORTING
+                if f"{name}(" in text
+            }
     assert found == {
         ("capsule_gym/control/lookup.py", "resolve_name"),  # the argument `controller`
-        ("capsule_gym/evaluation/candidates.py", "resolve_name"),  # `python -m agents.evaluate module:attribute`
+        (
+            "capsule_gym/evaluation/candidates.py",
+            "resolve_name",
+        ),  # `python -m agents.evaluate module:attribute`
         ("agents/training/algorithms.py", "resolve_name"),  # `train.py --wrapper module:attribute`
         (
             "capsule_gym/policies/scripted.py",
@@ -78,11 +87,23 @@ def test_no_module_is_imported_by_its_name_unless_the_user_gives_it():
 def test_settings_and_results_cannot_be_changed():
     """Copies, caches and threads share them."""
     # `backend` needs scikit-build-core, which only the build of a wheel has.
-    names = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in MODULES if path.name != "backend.py"]
+    names = [
+        ".".join(path.relative_to(ROOT).with_suffix("").parts)
+        for path in MODULES
+        if path.name != "backend.py"
+    ]
     values = [each for name in names for each in vars(importlib.import_module(name)).values()]
-    found = [each for each in values if dataclasses.is_dataclass(each) and getattr(each, "__module__", "") in names]
-    changing = {(each.__module__, each.__name__) for each in found if not each.__dataclass_params__.frozen}
-    assert {name for _, name in changing} == {"Archive", "Progress", "ShootingProblem"} and len(changing) == 3
+    found = [
+        each
+        for each in values
+        if dataclasses.is_dataclass(each) and getattr(each, "__module__", "") in names
+    ]
+    changing = {
+        (each.__module__, each.__name__) for each in found if not each.__dataclass_params__.frozen
+    }
+    assert {name for _, name in changing} == {"Archive", "Progress", "ShootingProblem"} and len(
+        changing
+    ) == 3
 
 
 def read_texts():
@@ -99,14 +120,25 @@ def read_texts():
 def test_no_tracked_file_is_large_or_names_a_path_of_a_machine():
     # The strings are joined here, so that this file does not contain them.
     paths = [("/work/" + "main").encode(), ("/ro" + "ot/").encode()]
-    assert [str(path) for path, text in read_texts().items() if any(each in text for each in paths)] == []
+    assert [
+        str(path) for path, text in read_texts().items() if any(each in text for each in paths)
+    ] == []
 
 
 def test_paths_that_texts_name_exist():
-    """Comments, docstrings and pages; the changelog names files of earlier versions, and NAME stands for several."""
-    texts = {path: text.decode() for path, text in read_texts().items() if path.name != "CHANGELOG.md"}
-    named = {(path, each) for path, text in texts.items() for each in PATHS.findall(FORMER_PATH.sub("", text))}
+    """Comments, docstrings and pages; the changelog names files of earlier versions, and NAME
+    stands for several."""
+    texts = {
+        path: text.decode() for path, text in read_texts().items() if path.name != "CHANGELOG.md"
+    }
+    named = {
+        (path, each)
+        for path, text in texts.items()
+        for each in PATHS.findall(FORMER_PATH.sub("", text))
+    }
     named = {(str(path), each) for path, each in named if "NAME" not in each}
     assert {
-        each for each in named if not any((root / each[1]).exists() for root in (ROOT, ROOT / "capsule_gym"))
+        each
+        for each in named
+        if not any((root / each[1]).exists() for root in (ROOT, ROOT / "capsule_gym"))
     } == set()

@@ -1,4 +1,5 @@
-"""The built site, which the tests of the module and of the page share, and JavaScript that uses the module."""
+"""The built site, which the tests of the module and of the page share, and JavaScript that uses the
+module."""
 
 import json
 import os

@@ -1,4 +1,5 @@
-"""What follows from the options of an environment is equal in JavaScript and in Python, bit for bit."""
+"""What follows from the options of an environment is equal in JavaScript and in Python, bit for
+bit."""
 
 import json
 
@@ -9,7 +10,15 @@ from capsule_gym.control.laws import LAWS
 from capsule_gym.control.lookup import find_controller
 from capsule_gym.core import _core
 from capsule_gym.envs.contract import core_options, describe
-from capsule_gym.parameters import CONSTANTS, DISTURBANCES, NOMINAL, SENSORS, Capsule, Disturbances, Randomization
+from capsule_gym.parameters import (
+    CONSTANTS,
+    DISTURBANCES,
+    NOMINAL,
+    SENSORS,
+    Capsule,
+    Disturbances,
+    Randomization,
+)
 from capsule_gym.tasks.registry import TASKS, find_task
 from capsule_gym.tasks.velocity import with_commands
 
@@ -29,7 +38,9 @@ def draw_constant(rng, name):
     value = getattr(NOMINAL, name)
     if name in LARGEST_CONSTANTS:
         return draw_range(rng, 0.3 * LARGEST_CONSTANTS[name], LARGEST_CONSTANTS[name])
-    return draw_range(rng, max(1.0, 0.9 * value) if name == "static_ratio" else 0.9 * value, 1.1 * value)
+    return draw_range(
+        rng, max(1.0, 0.9 * value) if name == "static_ratio" else 0.9 * value, 1.1 * value
+    )
 
 
 def draw_capsule(rng):
@@ -84,7 +95,9 @@ def draw_kwargs(rng):
     law_dt = find_controller(controller).dt if controller else 0.0
     period = rng.choice([0.01, 0.02, 0.04])
     kwargs = {
-        "task": with_commands(*draw_range(rng, -0.2, 0.2)) if task == "velocity" and rng.random() < 0.5 else task,
+        "task": with_commands(*draw_range(rng, -0.2, 0.2))
+        if task == "velocity" and rng.random() < 0.5
+        else task,
         "controller": controller,
         "capsule": draw_capsule(rng),
         "randomization": draw_randomization(rng),
@@ -180,7 +193,9 @@ def test_javascript_asks_the_core_as_python_does(node, tmp_path):
         task = find_task(options.task).name
         given = core_options(options, controller)
         numbers = {name: None if value is None else float(value) for name, value in given.items()}
-        cases.append({"controller": law, "task": task, "options": numbers, "seed": seed, "action": action})
+        cases.append(
+            {"controller": law, "task": task, "options": numbers, "seed": seed, "action": action}
+        )
         seen |= {law, task, *(name for name, value in numbers.items() if value)}
     # Everything is drawn at least once.
     assert seen >= {"direct", *LAWS, *TASKS, *_core.OPTIONS} - {"task"}

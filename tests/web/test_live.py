@@ -13,7 +13,13 @@ from web import build, data, episodes
 
 COMMITTED = json.loads(episodes.FILE.read_text(encoding="utf-8"))
 TASKS = [("goal", {"goal": -0.07}, {"x_noise": 0.001})]
-TASKS += [("velocity", {"commands": [{"t": 0.0, "v": 0.05}, {"t": 4.0, "v": -0.08}]}, {"x_dot_bias": 0.02})]
+TASKS += [
+    (
+        "velocity",
+        {"commands": [{"t": 0.0, "v": 0.05}, {"t": 4.0, "v": -0.08}]},
+        {"x_dot_bias": 0.02},
+    )
+]
 
 
 @pytest.mark.parametrize("name", ["residual-real", "gait-predictive, disturbed"])
@@ -35,8 +41,12 @@ def test_episodes_are_written_and_compared(tmp_path, monkeypatch, capsys):
     found = [(each["driver"], each["set"], each["plant"]) for each in written]
     assert found == [(names[0], "drift", 0), (names[1], "goal", 1)]
     recorded = dict(np.load(episodes.RECORDINGS))
-    assert {each.shape for each in recorded.values()} == {(2, 30)} and "dp-nominal paper" in recorded
-    np.savez_compressed(episodes.RECORDINGS, **{**recorded, "dp-nominal paper": recorded["dp-nominal paper"] + 1})
+    assert {each.shape for each in recorded.values()} == {
+        (2, 30)
+    } and "dp-nominal paper" in recorded
+    np.savez_compressed(
+        episodes.RECORDINGS, **{**recorded, "dp-nominal paper": recorded["dp-nominal paper"] + 1}
+    )
     episodes.FILE.write_text(json.dumps([{**written[0], "steps": 3}, written[1]]), encoding="utf-8")
     assert episodes.main([]) == 1
     assert capsys.readouterr().out.splitlines()[-3:] == [
@@ -61,7 +71,9 @@ def mine(tmp_path):
     """JavaScript that reads `mine`, the description of a policy."""
     described = data.describe_policy("mine", load_policy("residual-ppo"))
     file = tmp_path / "mine.json"
-    file.write_text(json.dumps({**described, "network": described["network"].tolist()}), encoding="utf-8")
+    file.write_text(
+        json.dumps({**described, "network": described["network"].tolist()}), encoding="utf-8"
+    )
     read = f"JSON.parse(readFileSync({json.dumps(str(file))}))"
     return f'import {{ readFileSync }} from "node:fs";\nconst mine = {read};\n'
 
@@ -125,7 +137,8 @@ WRONG_PARTS = {
 
 def test_a_driver_that_does_not_fit_is_refused(node, mine):
     wrong = {
-        f"options: {{ ...mine.options, {option} }}": error for option, error in WRONG_OPTIONS.items()
+        f"options: {{ ...mine.options, {option} }}": error
+        for option, error in WRONG_OPTIONS.items()
     } | WRONG_PARTS
     attempts = "".join(f"attempt(() => ({{ {part} }}));\n" for part in wrong)
     code = f"""
@@ -162,7 +175,12 @@ def test_a_driver_has_one_value_for_each_field(node, mine):
 
 def test_the_history_reaches_back_to_a_latency_that_only_plants_draw(node):
     # Without disturbances in the options, but with a range of a constant and a latency.
-    options = {"m_low": 0.13, "m_high": 0.14, "disturbances_latency_low": 0.1, "disturbances_latency_high": 0.1}
+    options = {
+        "m_low": 0.13,
+        "m_high": 0.14,
+        "disturbances_latency_low": 0.1,
+        "disturbances_latency_high": 0.1,
+    }
     code = f"""
         const capsule = await live.load("direct", {{ options: {json.dumps(options)} }});
         const {{ settings, layout }} = capsule.description;
@@ -178,7 +196,9 @@ def test_the_history_reaches_back_to_a_latency_that_only_plants_draw(node):
 @pytest.mark.parametrize("name", episodes.RECORDED)
 def test_recordings_are_what_the_policies_do(name):
     known = np.load(episodes.RECORDINGS)
-    assert [key for key in known if key.startswith(name)] == [f"{name} {each}" for each in SET_NAMES]
+    assert [key for key in known if key.startswith(name)] == [
+        f"{name} {each}" for each in SET_NAMES
+    ]
     for each, n in (("wide", 17), ("drift", 4)):
         actions = episodes.record_actions(name, [load_set(each).plants[n]])
         assert actions[0].tolist() == known[f"{name} {each}"][n].tolist()
@@ -220,9 +240,17 @@ def test_an_episode_ends_as_pythons(node):
 
 
 def test_disturbances_are_drawn_and_set_as_in_python(node):
-    given = {"latency": [0.002, 0.011], "theta_noise": 0.01, "x_dot_bias": [-0.02, 0.02], "lag": 0.004, "push": 2.0}
+    given = {
+        "latency": [0.002, 0.011],
+        "theta_noise": 0.01,
+        "x_dot_bias": [-0.02, 0.02],
+        "lag": 0.004,
+        "push": 2.0,
+    }
     given |= {"theta_dot_resolution": 0.01, "unmeasured": ["theta_dot"], "controls": "agent"}
-    ranges = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
+    ranges = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in given.items()
+    }
     env = CapsuleEnv(controller="baselines:adaptive", disturbances=Disturbances(**ranges))
     plant = {"M": 0.5, "mu": 0.01}
     fixed = {**plant, "capsule": {"slope": 0.02, "m": 0.14}, "disturbances": {"latency": 0.007}}
@@ -266,12 +294,16 @@ def test_a_latency_between_two_periods_is_accepted_up_to_its_end(node):
     """
     world, message = node(code)
     assert world == env.simulation.world[0, :, 0].tobytes().hex()
-    assert message == f"disturbances.latency must be a finite number in [0, {longest!r}], got 0.0421"
+    assert (
+        message == f"disturbances.latency must be a finite number in [0, {longest!r}], got 0.0421"
+    )
 
 
 @pytest.mark.parametrize(("task", "options", "disturbances"), TASKS)
 def test_tasks_have_pythons_observations_and_metrics(node, task, options, disturbances):
-    env = CapsuleEnv(task=task, controller=f"baselines:{task}_pulses", disturbances=Disturbances(**disturbances))
+    env = CapsuleEnv(
+        task=task, controller=f"baselines:{task}_pulses", disturbances=Disturbances(**disturbances)
+    )
     observation, info = env.reset(seed=3, options={"M": 0.5, "mu": 0.2, **options})
     for _ in range(300):
         observation, _, _, _, info = env.step(np.zeros(1, np.float32))
@@ -331,9 +363,15 @@ def test_the_documented_examples_run(node):
     examples = re.findall(r"^```js\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
     assert examples
     for example in examples:
-        body, imported = re.subn(r'^import \{.*\} from "\./capsule\.mjs";\n', "", example, flags=re.MULTILINE)
+        body, imported = re.subn(
+            r'^import \{.*\} from "\./capsule\.mjs";\n', "", example, flags=re.MULTILINE
+        )
         assert imported == 1
         outputs = re.findall(r"console\.log\(.*\); // (.*)", body)
         code = "const { load, drive, check, drivers, constants } = live; const lines = []; const console_ = console;\n"
-        code += "{ const console = { log: (...words) => lines.push(words.join(' ')) };\n" + body + "}\nshow(lines);"
+        code += (
+            "{ const console = { log: (...words) => lines.push(words.join(' ')) };\n"
+            + body
+            + "}\nshow(lines);"
+        )
         assert node(code) == outputs

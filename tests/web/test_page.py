@@ -34,19 +34,29 @@ def browser():
 
 @pytest.fixture
 def open_page(browser, site):
-    """Opens the page with a hash; at the end, checks that no page wrote to the console or requested another file."""
+    """Opens the page with a hash; at the end, checks that no page wrote to the console or requested
+    another file."""
     live = (site / "index.html").as_uri()
     contexts, said = [], []
 
     def opened(scene="", **settings):
-        contexts.append(browser.new_context(**{"viewport": {"width": 1280, "height": 800}, **settings}))
+        contexts.append(
+            browser.new_context(**{"viewport": {"width": 1280, "height": 800}, **settings})
+        )
         page = contexts[-1].new_page()
         page.set_default_timeout(PATIENCE)
         page.on("console", lambda message: said.append(f"{message.type}: {message.text}"))
         page.on("pageerror", lambda error: said.append(f"error: {error}"))
-        page.on("request", lambda one: None if one.url.startswith((live, "data:", "blob:")) else said.append(one.url))
+        page.on(
+            "request",
+            lambda one: (
+                None if one.url.startswith((live, "data:", "blob:")) else said.append(one.url)
+            ),
+        )
         page.goto(live + scene)
-        page.wait_for_function("document.getElementById('driver').value && location.hash.length > 1")
+        page.wait_for_function(
+            "document.getElementById('driver').value && location.hash.length > 1"
+        )
         return page
 
     yield opened
@@ -57,7 +67,9 @@ def open_page(browser, site):
 
 def reaches(page, time):
     """Waits until the page shows that time or a later one."""
-    page.wait_for_function("time => Number(document.getElementById('figure-time').textContent) >= time", arg=time)
+    page.wait_for_function(
+        "time => Number(document.getElementById('figure-time').textContent) >= time", arg=time
+    )
 
 
 def shows(page, name, text, patience=PATIENCE):
@@ -68,7 +80,9 @@ def shows(page, name, text, patience=PATIENCE):
 
 def link(page):
     """The parameters behind the # of the address."""
-    return {key: values[0] for key, values in parse_qs(page.evaluate("location.hash.slice(1)")).items()}
+    return {
+        key: values[0] for key, values in parse_qs(page.evaluate("location.hash.slice(1)")).items()
+    }
 
 
 def playing(page):
@@ -116,7 +130,12 @@ def test_plays_pauses_steps_and_scrubs_by_mouse_and_keyboard(open_page):
         shows(page, "figure-time", time)
         rows.append(page.locator("#rows tr").all_inner_texts())
     assert rows[:2] == rows[2:] and rows[0] != rows[1]
-    presses = ("scrub", "Home", "0.00"), ("step", "Enter", "0.02"), ("stage", ".", "0.04"), ("back", "Enter", "0.02")
+    presses = (
+        ("scrub", "Home", "0.00"),
+        ("step", "Enter", "0.02"),
+        ("stage", ".", "0.04"),
+        ("back", "Enter", "0.02"),
+    )
     for name, key, time in presses:
         page.press(f"#{name}", key)
         shows(page, "figure-time", time)
@@ -125,7 +144,9 @@ def test_plays_pauses_steps_and_scrubs_by_mouse_and_keyboard(open_page):
 def test_every_driver_drives_and_is_the_rival(open_page):
     page = open_page(PAUSED)
     for control in ("driver", "rival"):
-        for value in page.locator(f"#{control} option").evaluate_all("options => options.map((one) => one.value)"):
+        for value in page.locator(f"#{control} option").evaluate_all(
+            "options => options.map((one) => one.value)"
+        ):
             page.select_option(f"#{control}", value)
             if control == "driver":
                 page.click("#play") if playing(page) else None
@@ -137,11 +158,17 @@ def test_every_driver_drives_and_is_the_rival(open_page):
 
 def test_every_task_has_drivers_measures_and_sets_of_its_own(open_page):
     page = open_page(PAUSED)
-    tasks = ("goal", "15.00", "Goal reached"), ("velocity", "20.00", "Velocity error"), ("speed", "33.00", "")
+    tasks = (
+        ("goal", "15.00", "Goal reached"),
+        ("velocity", "20.00", "Velocity error"),
+        ("speed", "33.00", ""),
+    )
     for task, end, row in tasks:
         driver = f"{task}-pulses" if row else "residual-ppo"
         page.select_option("#task", task)
-        page.wait_for_function("name => document.getElementById('driver').value === name", arg=driver)
+        page.wait_for_function(
+            "name => document.getElementById('driver').value === name", arg=driver
+        )
         page.click("#play") if playing(page) else None
         page.press("#scrub", "End")
         shows(page, "figure-time", end)
@@ -158,7 +185,9 @@ def test_plant_jumps_while_it_runs(open_page):
     shows(page, "jumps", "0.2000")
     assert playing(page)
     t, mass, friction = (float(part) for part in link(page)["jumps"].split(":"))
-    assert (mass, friction) == (0.5, 0.2) and t >= 0.5 and t / 0.02 == pytest.approx(round(t / 0.02))
+    assert (
+        (mass, friction) == (0.5, 0.2) and t >= 0.5 and t / 0.02 == pytest.approx(round(t / 0.02))
+    )
     page.click("#jump")
     page.wait_for_function("location.hash.split(',').length === 2")
     page.click("#clear")
@@ -198,7 +227,9 @@ def test_what_is_wrong_in_a_link_is_shown(open_page):
     follow = "scene => { location.hash = scene; history.replaceState(null, '', '#driver=epc'); }"
     for scene, words in WRONG:
         page.evaluate(follow, scene)
-        page.wait_for_function("words => RegExp(words).test(document.getElementById('trouble').textContent)", arg=words)
+        page.wait_for_function(
+            "words => RegExp(words).test(document.getElementById('trouble').textContent)", arg=words
+        )
         assert page.locator("#trouble").is_visible()
 
 

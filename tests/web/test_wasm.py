@@ -1,4 +1,5 @@
-"""The core as WebAssembly: the fused multiply-add, which WebAssembly lacks, and the bytes of the module."""
+"""The core as WebAssembly: the fused multiply-add, which WebAssembly lacks, and the bytes of the
+module."""
 
 import ctypes.util
 import itertools
@@ -35,13 +36,21 @@ def fused(folder, triples):
     (folder / "fma.cpp").write_text(SOURCE, encoding="utf-8")
     (folder / "fma.wasm").write_bytes(build.compile_wasm(folder / "fma.cpp"))
     (folder / "triples").write_bytes(triples.tobytes())
-    command = ["node", "--input-type=module", "--eval", SCRIPT, str(folder / "fma.wasm"), str(folder / "triples")]
+    command = [
+        "node",
+        "--input-type=module",
+        "--eval",
+        SCRIPT,
+        str(folder / "fma.wasm"),
+        str(folder / "triples"),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     return np.array(np.frombuffer(bytes.fromhex(json.loads(done.stdout))))
 
 
 def draw_triples():
-    """Zeros, infinities; ordinary numbers; sums that cancel, or lie halfway between two numbers; any size."""
+    """Zeros, infinities; ordinary numbers; sums that cancel, or lie halfway between two numbers;
+    any size."""
     rng, count = np.random.default_rng(3), 4000
 
     def sized(low, high, places=52):
@@ -53,14 +62,19 @@ def draw_triples():
     # With few digits a sum often lies halfway between two numbers.
     halves = (sized(-3, 4, 3), np.abs(near), sized(-60, 60, 3))
     any_size = (sized(-1000, 500), sized(-500, 500), sized(-1074, 1000))
-    special = itertools.product((0.0, -0.0, 1.5, -1.5, 2.0**-400, 2.0**400, math.inf, -math.inf), repeat=3)
+    special = itertools.product(
+        (0.0, -0.0, 1.5, -1.5, 2.0**-400, 2.0**400, math.inf, -math.inf), repeat=3
+    )
     return np.hstack([ordinary, cancel, halves, any_size, np.array([*special]).T]).T.copy()
 
 
 def test_products_and_sums_are_rounded_once(tmp_path):
     exact, triples = ctypes.CDLL(ctypes.util.find_library("m")).fma, draw_triples()
     exact.restype, exact.argtypes = ctypes.c_double, [ctypes.c_double] * 3
-    expected, found = np.array([exact(*triple) for triple in triples.tolist()]), fused(tmp_path, triples)
+    expected, found = (
+        np.array([exact(*triple) for triple in triples.tolist()]),
+        fused(tmp_path, triples),
+    )
     assert (np.isnan(expected) == np.isnan(found)).all() and np.isnan(found).any()
     expected[np.isnan(expected)] = found[np.isnan(found)] = 0.0
     assert triples[found.view(np.uint64) != expected.view(np.uint64)].tolist() == []

@@ -1,19 +1,24 @@
 // One driver on one plant: an episode, its recorded values, and snapshots for a return to any step.
 
-import { constants, drive, load, sets } from "capsule.mjs";
-import { YOURSELF, disturbancesOf, driverNamed, startOf, titleOf } from "scene.js";
+import {constants, drive, load, sets} from "capsule.mjs";
+import {disturbancesOf, driverNamed, startOf, titleOf, YOURSELF} from "scene.js";
 
 // Tolerance of `Simulation` for the time of a jump, s.
 const TIME_TOLERANCE = 1e-9;
 const SNAPSHOT_SECONDS = 1;
-// Angles of the helper, rad: beyond LET_GO, the motor does not push the ball further out; the key to hold changes at
-// RETURN_AT and PUSH_AT.
+// Angles of the helper, rad: beyond LET_GO, the motor does not push the ball further out; the key
+// to hold changes at RETURN_AT and PUSH_AT.
 const LET_GO = 0.8;
 const RETURN_AT = 0.7;
 const PUSH_AT = 0.09;
-const CHANNELS = ["theta", "theta_dot", "x", "x_dot", "torque", "normal", "speed", "transport", "action", "target"];
+const CHANNELS = [
+  "theta", "theta_dot", "x", "x_dot", "torque", "normal", "speed", "transport", "action", "target"
+];
 
-/** The reader as driver: a capsule without a law, and an action that the page changes between two steps. */
+/**
+ * The reader as driver: a capsule without a law, and an action that the page changes between two
+ * steps.
+ */
 class Hand {
   /** @param {number[]} replay actions of the first steps. */
   constructor(capsule, replay) {
@@ -27,7 +32,7 @@ class Hand {
   }
 
   tick() {
-    const { theta } = this.capsule.state;
+    const {theta} = this.capsule.state;
     const outwards = this.helped && this.live * theta > 0 && Math.abs(theta) > LET_GO;
     this.action = this.replay[this.capsule.info.steps] ?? (outwards ? 0 : this.live);
     if (this.turn > 0 ? theta > RETURN_AT : theta < PUSH_AT) this.turn *= -1;
@@ -37,17 +42,17 @@ class Hand {
 
 /** Opens a driver's episode; the lane applies the jumps. */
 async function start(name, scene) {
-  const { set, plant, task, hand } = scene;
-  const common = set ? { set } : { disturbances: disturbancesOf(scene) };
+  const {set, plant, task, hand} = scene;
+  const common = set ? {set} : {disturbances: disturbancesOf(scene)};
   if (name === YOURSELF) {
-    const capsule = await load("direct", set ? common : { task, ...common });
-    const { seed, ...first } = set ? sets[set].plants[plant] : startOf(scene);
-    capsule.reset({ ...first, ...(capsule.draws && { seed }), changes: [] });
-    return { capsule, driver: new Hand(capsule, hand) };
+    const capsule = await load("direct", set ? common : {task, ...common});
+    const {seed, ...first} = set ? sets[set].plants[plant] : startOf(scene);
+    capsule.reset({...first, ...(capsule.draws && {seed}), changes: []});
+    return {capsule, driver: new Hand(capsule, hand)};
   }
-  const first = set ? { plant, changes: [] } : startOf(scene);
-  const episode = await drive(name, { ...common, ...first });
-  return { capsule: episode, driver: episode };
+  const first = set ? {plant, changes: []} : startOf(scene);
+  const episode = await drive(name, {...common, ...first});
+  return {capsule: episode, driver: episode};
 }
 
 /** An episode and its recording. */
@@ -56,13 +61,12 @@ export class Lane {
    * Opens the lane of a driver at the start of its episode.
    *
    * @param {string} name of the driver.
-   * @param {object} scene plant, jumps and hand; a recorded driver requires `keepFrozen(scene)` before.
+   * @param {object} scene plant, jumps and hand; a recorded driver requires `keepFrozen(scene)`
+   *   before.
    */
-  static async open(name, scene) {
-    return new Lane(name, await start(name, scene), scene.jumps);
-  }
+  static async open(name, scene) { return new Lane(name, await start(name, scene), scene.jumps); }
 
-  constructor(name, { capsule, driver }, jumps) {
+  constructor(name, {capsule, driver}, jumps) {
     this.name = name;
     this.title = titleOf(name);
     this.capsule = capsule;
@@ -75,7 +79,8 @@ export class Lane {
     this.steps = 0;
     /** Why the episode failed, or "". */
     this.failure = "";
-    this.trace = Object.fromEntries(CHANNELS.map((name) => [name, new Float64Array(this.horizon + 1)]));
+    this.trace =
+      Object.fromEntries(CHANNELS.map((name) => [name, new Float64Array(this.horizon + 1)]));
     /** Lowest and highest value so far, per channel. */
     this.extent = Object.fromEntries(CHANNELS.map((name) => [name, [Infinity, -Infinity]]));
     this.metrics = new Array(this.horizon + 1);
@@ -84,24 +89,18 @@ export class Lane {
   }
 
   /** The `Hand` if the reader drives, else null. */
-  get hand() {
-    return this.name === YOURSELF ? this.driver : null;
-  }
+  get hand() { return this.name === YOURSELF ? this.driver : null; }
 
   /** Simulated time of the episode, s. */
-  get time() {
-    return this.steps * this.dt;
-  }
+  get time() { return this.steps * this.dt; }
 
-  get ended() {
-    return this.failure !== "" || this.steps >= this.horizon;
-  }
+  get ended() { return this.failure !== "" || this.steps >= this.horizon; }
 
   /** Takes one agent step unless the episode has ended. */
   advance() {
     if (this.ended) return;
     this.applyJump();
-    const { terminated } = this.driver.tick();
+    const {terminated} = this.driver.tick();
     this.steps += 1;
     if (terminated) this.failure = this.reason();
     this.record();
@@ -110,9 +109,7 @@ export class Lane {
   }
 
   /** The first step that begins at that time (s) or after it. */
-  stepAt(time) {
-    return Math.min(Math.ceil(time / this.dt - 1e-6), this.horizon);
-  }
+  stepAt(time) { return Math.min(Math.ceil(time / this.dt - 1e-6), this.horizon); }
 
   /** Rewinds to a time (s), and deletes what was recorded after it. */
   rewind(time) {
@@ -131,7 +128,7 @@ export class Lane {
 
   /** The values to draw at a time (s), interpolated between steps if `smooth`; SI units. */
   at(time, smooth) {
-    const { trace } = this;
+    const {trace} = this;
     const place = Math.min(time / this.dt, this.steps);
     const k = Math.min(Math.floor(place + 1e-9), this.steps);
     const share = smooth && k < this.steps ? place - k : 0;
@@ -139,17 +136,27 @@ export class Lane {
       share > 1e-9 ? cubic(trace[name], trace[rate], k, share, this.dt) : trace[name][k];
     const later = share > 0.5 ? k + 1 : k;
     return {
-      step: k, theta: between("theta", "theta_dot"), x: between("x", "x_dot"), theta_dot: trace.theta_dot[later],
-      x_dot: trace.x_dot[later], torque: trace.torque[share > 1e-9 ? k + 1 : k], target: trace.target[later],
+      step: k,
+      theta: between("theta", "theta_dot"),
+      x: between("x", "x_dot"),
+      theta_dot: trace.theta_dot[later],
+      x_dot: trace.x_dot[later],
+      torque: trace.torque[share > 1e-9 ? k + 1 : k],
+      target: trace.target[later],
       metrics: this.metrics[k],
     };
   }
 
   record() {
-    const { state, info, metrics } = this.capsule;
+    const {state, info, metrics} = this.capsule;
     const values = {
-      ...state, torque: info.torque, normal: info.normal_force, speed: metrics.mean_speed,
-      transport: metrics.cost_of_transport, action: this.driver.action, target: info.goal ?? info.target ?? NaN,
+      ...state,
+      torque: info.torque,
+      normal: info.normal_force,
+      speed: metrics.mean_speed,
+      transport: metrics.cost_of_transport,
+      action: this.driver.action,
+      target: info.goal ?? info.target ?? NaN,
     };
     for (const name of CHANNELS) {
       const value = values[name];
@@ -164,13 +171,14 @@ export class Lane {
 
   applyJump() {
     const now = this.time + TIME_TOLERANCE;
-    const due = this.jumps.findLast(({ t }) => t <= now);
+    const due = this.jumps.findLast(({t}) => t <= now);
     if (due && due.t > now - this.dt) this.capsule.setPlant(due);
   }
 
   reason() {
-    const { theta } = this.capsule.state;
-    if (Math.abs(theta) >= constants.theta_limit) return "the ball met the platform (|θ| reached 90°)";
+    const {theta} = this.capsule.state;
+    if (Math.abs(theta) >= constants.theta_limit)
+      return "the ball met the platform (|θ| reached 90°)";
     return this.capsule.info.normal_force <= 0
       ? "the platform left the floor (the normal force fell to 0)"
       : "the motion was lost";

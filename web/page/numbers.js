@@ -14,11 +14,7 @@ export function niceStep(least) {
 }
 
 /** Number of decimals that distinguish multiples of `step`. */
-export function decimals(step) {
-  return Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
-}
+export function decimals(step) { return Math.max(0, -Math.floor(Math.log10(step) + 1e-9)); }
 
 /** Clamps the value to [low, high]. */
-export function clamp(value, low, high) {
-  return Math.min(high, Math.max(low, value));
-}
+export function clamp(value, low, high) { return Math.min(high, Math.max(low, value)); }

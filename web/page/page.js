@@ -1,29 +1,68 @@
 // The page: its controls, its lanes, and their drawing.
 
-import { check, constants, drivers, sets } from "capsule.mjs";
-import { CURVES, PhasePortrait, TimeChart } from "charts.js";
-import { Lane } from "lane.js";
-import { clamp, written } from "numbers.js";
-import { Player } from "player.js";
-import { DISTURBED, END, ONLY_FROZEN, SEEDS, YOURSELF, disturbancesOf, driverNamed, firstScene } from "scene.js";
-import { handAction, hasOwnJumps, hasRecorded, keepFrozen, limits, readScene, takePlant, titleOf } from "scene.js";
-import { useTask, writeScene } from "scene.js";
-import { Contact, Stage } from "stage.js";
+import {check, constants, drivers, sets} from "capsule.mjs";
+import {CURVES, PhasePortrait, TimeChart} from "charts.js";
+import {Lane} from "lane.js";
+import {clamp, written} from "numbers.js";
+import {Player} from "player.js";
+import {
+  disturbancesOf,
+  DISTURBED,
+  driverNamed,
+  END,
+  firstScene,
+  handAction,
+  hasOwnJumps,
+  hasRecorded,
+  keepFrozen,
+  limits,
+  ONLY_FROZEN,
+  readScene,
+  SEEDS,
+  takePlant,
+  titleOf,
+  useTask,
+  writeScene,
+  YOURSELF
+} from "scene.js";
+import {Contact, Stage} from "stage.js";
 
 const DT = constants.control_dt;
 const SPEEDS = [0.1, 0.15, 0.2, 0.3, 0.5, 0.7, 1, 1.5, 2, 3, 5, 7, 10, 15, 20];
-const KINDS = { law: "Control laws", policy: "Trained policies", recording: "The optimum, recorded" };
-const KEYS = { ArrowLeft: 1, a: 1, A: 1, ArrowRight: -1, d: -1, D: -1 };
+const KINDS = {
+  law: "Control laws",
+  policy: "Trained policies",
+  recording: "The optimum, recorded"
+};
+const KEYS = {
+  ArrowLeft: 1,
+  a: 1,
+  A: 1,
+  ArrowRight: -1,
+  d: -1,
+  D: -1
+};
 // Factor by which the helper reduces the strength of the right key.
 const RETURN_SHARE = 0.25;
 const BEST_KEY = "capsule_gym.best_distance";
 // Drag distance for the full torque, pixels.
 const DRAG = 140;
 
-/** The measures of an episode: name, unit, and format; the text is empty if the task has no such measure. */
+/**
+ * The measures of an episode: name, unit, and format; the text is empty if the task has no such
+ * measure.
+ */
 const MEASURES = [
-  ["Goal reached", "s", ({ success, goal_time }) => success === 1 ? written(goal_time, 2) : success === 0 ? "not yet" : ""],
-  ["Velocity error", "%", ({ velocity_error: error }) => (error === undefined ? "" : written(error, 1))],
+  [
+    "Goal reached", "s",
+    ({success, goal_time}) => success === 1 ? written(goal_time, 2)
+      : success === 0                       ? "not yet"
+                                            : ""
+  ],
+  [
+    "Velocity error", "%",
+    ({velocity_error: error}) => (error === undefined ? "" : written(error, 1))
+  ],
   ["Mean speed", "cm/s", (metrics) => written(metrics.mean_speed, 2)],
   ["Cost of transport", "1", (metrics) => written(metrics.cost_of_transport, 2)],
   ["Distance", "cm", (metrics) => written(100 * metrics.distance, 1)],
@@ -43,15 +82,17 @@ let span = reduced.matches ? 0 : 10;
 let told = "";
 let best = remembered();
 
-const redraw = () => { dirty = true; };
+const redraw = () => {
+  dirty = true;
+};
 const contacts = [new Contact(), new Contact()];
 const stage = new Stage(element("scene"), redraw);
 const charts = makeCharts();
 
-// --- Lanes -------------------------------------------------------------------------------------------------------
+// --- Lanes ---
 
 /** Opens the scene's lanes again at a time, and plays or pauses. */
-async function open({ time = 0, play = player.playing } = {}) {
+async function open({time = 0, play = player.playing} = {}) {
   const turn = ++opening;
   player.playing = false;
   try {
@@ -74,7 +115,7 @@ async function open({ time = 0, play = player.playing } = {}) {
 
 player.stepped = (lane) => {
   if (!lane.hand || scene.hand.length) return;
-  const { distance } = lane.metrics[lane.steps];
+  const {distance} = lane.metrics[lane.steps];
   if (distance > best) remember(distance);
 };
 
@@ -99,35 +140,32 @@ function remember(distance) {
 function jump(M, mu) {
   player.branch();
   if (player.moment === 0) {
-    Object.assign(scene, { set: "", M, mu, theta: undefined });
+    Object.assign(scene, {set: "", M, mu, theta: undefined});
     return open();
   }
   const t = Number(player.moment.toFixed(6));
   const others = scene.jumps.filter((jump) => Math.abs(jump.t - t) > DT / 2);
   // The lanes share this array.
-  scene.jumps.splice(0, Infinity, ...[...others, { t, M, mu }].sort((a, b) => a.t - b.t));
-  announce(`At ${written(t, 2)} s: ${plantText({ M, mu })}`);
+  scene.jumps.splice(0, Infinity, ...[...others, {t, M, mu}].sort((a, b) => a.t - b.t));
+  announce(`At ${written(t, 2)} s: ${plantText({M, mu})}`);
   showPlant();
   link();
 }
 
-function plantNow() {
-  return scene.jumps.findLast(({ t }) => t <= player.moment + 1e-9) ?? scene;
-}
+function plantNow() { return scene.jumps.findLast(({t}) => t <= player.moment + 1e-9) ?? scene; }
 
-function plantText({ M, mu }) {
-  return `M ${written(M, 4)} kg, μ ${written(mu, 4)}`;
-}
+function plantText({M, mu}) { return `M ${written(M, 4)} kg, μ ${written(mu, 4)}`; }
 
 /** The reader's actions: those of a link, or the recorded ones. */
 function handsSoFar() {
   const [lane] = player.lanes;
   if (!lane?.hand) return [];
-  const { replay } = lane.hand;
-  return replay.length > lane.steps ? replay : Array.from(lane.trace.action.subarray(1, lane.steps + 1));
+  const {replay} = lane.hand;
+  return replay.length > lane.steps ? replay
+                                    : Array.from(lane.trace.action.subarray(1, lane.steps + 1));
 }
 
-// --- Manual control ------------------------------------------------------------------------------------------------
+// --- Manual control ---
 
 const held = new Set();
 
@@ -190,7 +228,8 @@ function bindHands() {
     drive(-Number(torque.value));
     if (!player.over) setPlaying(true);
   });
-  for (const end of ["change", "pointerup", "pointercancel", "blur"]) torque.addEventListener(end, release);
+  for (const end of ["change", "pointerup", "pointercancel", "blur"])
+    torque.addEventListener(end, release);
   const area = element("stage");
   let begin = null;
   area.addEventListener("pointerdown", (event) => {
@@ -211,7 +250,7 @@ function bindHands() {
   element("strength").addEventListener("input", showStrength);
   element("help").addEventListener("change", help);
   for (const button of document.querySelectorAll(".push")) {
-    const { key } = button.dataset;
+    const {key} = button.dataset;
     button.addEventListener("pointerdown", (event) => {
       button.setPointerCapture(event.pointerId);
       held.add(key);
@@ -232,7 +271,7 @@ function showStrength() {
   show("strength-value", `${written(element("strength").value * constants.torque_limit, 2)} N m`);
 }
 
-// --- Playback ------------------------------------------------------------------------------------------------------
+// --- Playback ---
 
 function setPlaying(playing) {
   const changed = playing !== player.playing;
@@ -253,7 +292,7 @@ function togglePlay() {
 
 function restart() {
   scene.hand = [];
-  open({ play: true });
+  open({play: true});
 }
 
 /** Writes the scene to the page's address, with the time if the page is paused. */
@@ -261,7 +300,8 @@ function link() {
   const time = player.goal ?? player.now;
   scene.t = player.playing || time === 0 ? null : Number(time.toFixed(3));
   // In a page embedded in another, relative addresses refer to the outer page.
-  history.replaceState(null, "", new URL(writeScene({ ...scene, hand: handsSoFar() }), location.href));
+  history.replaceState(
+    null, "", new URL(writeScene({...scene, hand: handsSoFar()}), location.href));
 }
 
 function bindPlayback() {
@@ -304,11 +344,9 @@ function showSpeed() {
   show("speed-value", `${scene.speed} ×`);
 }
 
-// --- Controls ------------------------------------------------------------------------------------------------------
+// --- Controls ---
 
-function option(value, text) {
-  return new Option(text, value);
-}
+function option(value, text) { return new Option(text, value); }
 
 /** Fills the lists with the choices of the scene's task. */
 function fillChoices() {
@@ -325,9 +363,11 @@ function fillChoices() {
     }
   }
   const known = Object.keys(sets).filter((name) => sets[name].task === scene.task);
-  element("set").replaceChildren(option("", "own values"), ...known.map((name) => option(name, name)));
+  element("set").replaceChildren(
+    option("", "own values"), ...known.map((name) => option(name, name)));
   element("scrub").max = END;
-  for (const row of element("rows").rows) row.hidden = row.dataset.task !== undefined && row.dataset.task !== scene.task;
+  for (const row of element("rows").rows)
+    row.hidden = row.dataset.task !== undefined && row.dataset.task !== scene.task;
 }
 
 function setRanges() {
@@ -336,7 +376,8 @@ function setRanges() {
     [element(name).min, element(name).max] = limits[name].map(map);
     [element(`${name}-number`).min, element(`${name}-number`).max] = limits[name];
   }
-  for (const [name, bounds] of Object.entries(DISTURBED)) [element(name).min, element(name).max] = bounds;
+  for (const [name, bounds] of Object.entries(DISTURBED))
+    [element(name).min, element(name).max] = bounds;
 }
 
 function bindChoices() {
@@ -347,22 +388,23 @@ function bindChoices() {
   choose("task", "task", () => {
     useTask(scene.task);
     const first = firstScene();
-    const own = scene.task === first.task ? first.driver : drivers.find(({ task }) => task === scene.task).name;
+    const own =
+      scene.task === first.task ? first.driver : drivers.find(({task}) => task === scene.task).name;
     const set = Object.keys(sets).find((name) => sets[name].task === scene.task);
-    Object.assign(scene, { driver: own, rival: "", hand: [] });
+    Object.assign(scene, {driver: own, rival: "", hand: []});
     takePlant(scene, set, 0);
-    open({ play: !reduced.matches });
+    open({play: !reduced.matches});
   });
   choose("driver", "driver", () => {
     scene.hand = [];
     keepFrozen(scene);
     // With manual control, the reader starts the episode.
-    open({ play: scene.driver !== YOURSELF && !reduced.matches });
+    open({play: scene.driver !== YOURSELF && !reduced.matches});
   });
   choose("rival", "rival", () => {
     const other = keepFrozen(scene);
     scene.hand = other ? [] : handsSoFar();
-    open({ time: other ? 0 : player.now });
+    open({time: other ? 0 : player.now});
   });
   choose("view", "view", () => {
     showScene();
@@ -382,27 +424,33 @@ function bindPlant() {
       const [wanted, last] = [Number(index.value), sets[set].plants.length - 1];
       index.value = clamp(Math.trunc(wanted) || 0, 0, last);
       const right = wanted === Number(index.value);
-      complain(right ? "" : `Plant must be a whole number from 0 to ${last}: ${index.value} is taken`);
+      complain(
+        right ? "" : `Plant must be a whole number from 0 to ${last}: ${index.value} is taken`);
       takePlant(scene, set, Number(index.value));
     } else {
-      Object.assign(scene, { set: "", theta: undefined, jumps: [] });
+      Object.assign(scene, {set: "", theta: undefined, jumps: []});
     }
     scene.hand = [];
     open();
   };
   element("set").addEventListener("change", choosePlant);
   element("plant").addEventListener("change", choosePlant);
-  const values = { M: [Number, (value) => value], mu: [Math.log10, (value) => 10 ** value] };
+  const values = {M: [Number, (value) => value], mu: [Math.log10, (value) => 10 ** value]};
   for (const [name, [, back]] of Object.entries(values)) {
     const [slider, field] = [element(name), element(`${name}-number`)];
     const set = (given) => {
       const value = Number(given.toPrecision(4));
       const kept = clamp(Number.isFinite(value) ? value : plantNow()[name], ...limits[name]);
-      complain(kept === value ? "" : `${name} must be a number from ${limits[name].join(" to ")}: ${kept} is taken`);
+      complain(
+        kept === value
+          ? ""
+          : `${name} must be a number from ${limits[name].join(" to ")}: ${kept} is taken`);
       field.value = kept;
       jump(...["M", "mu"].map((other) => (other === name ? kept : plantNow()[other])));
     };
-    slider.addEventListener("input", () => { field.value = Number(back(Number(slider.value)).toPrecision(4)); });
+    slider.addEventListener("input", () => {
+      field.value = Number(back(Number(slider.value)).toPrecision(4));
+    });
     slider.addEventListener("change", () => set(back(Number(slider.value))));
     field.addEventListener("change", () => set(field.value === "" ? NaN : Number(field.value)));
   }
@@ -412,18 +460,20 @@ function bindPlant() {
     open();
   });
   const disturb = (changed) => {
-    Object.assign(scene, { set: "", theta: undefined, hand: [] }, changed);
+    Object.assign(scene, {set: "", theta: undefined, hand: []}, changed);
     open();
   };
   element("disturbances").addEventListener("change", () => {
-    const own = element("disturbances").value === "own" ? { latency: 0.01, noise: 1 } : { latency: 0, noise: 0 };
-    disturb({ disturbances: element("disturbances").value, ...own });
+    const own =
+      element("disturbances").value === "own" ? {latency: 0.01, noise: 1} : {latency: 0, noise: 0};
+    disturb({disturbances: element("disturbances").value, ...own});
   });
   for (const name of Object.keys(DISTURBED)) {
     const value = () => Number(element(name).value);
-    element(name).addEventListener("input", () => show(`${name}-value`, disturbanceText(name, value())));
-    const own = name === "latency" || name === "noise" ? { disturbances: "own" } : {};
-    element(name).addEventListener("change", () => disturb({ [name]: value(), ...own }));
+    element(name).addEventListener(
+      "input", () => show(`${name}-value`, disturbanceText(name, value())));
+    const own = name === "latency" || name === "noise" ? {disturbances: "own"} : {};
+    element(name).addEventListener("change", () => disturb({[name]: value(), ...own}));
   }
   element("jump").addEventListener("click", () => {
     const range = constants.ranges.wide ?? Object.fromEntries(Object.entries(limits));
@@ -435,12 +485,16 @@ function bindPlant() {
     const time = player.now;
     if (scene.set) takePlant(scene, scene.set, scene.plant);
     else scene.jumps = [];
-    open({ time });
+    open({time});
   });
 }
 
 function disturbanceText(name, value) {
-  const shown = { latency: [1000 * value, 0, "ms"], noise: [value, 1, "× real"], motor: [value, 2, "N m"] };
+  const shown = {
+    latency: [1000 * value, 0, "ms"],
+    noise: [value, 1, "× real"],
+    motor: [value, 2, "N m"]
+  };
   const [number, digits, unit] = shown[name] ?? [value, 1, "°"];
   return `${written(number, digits)} ${unit}`;
 }
@@ -448,7 +502,8 @@ function disturbanceText(name, value) {
 /** Draws a number between two, uniformly or log-uniformly, with four digits. */
 function drawn(low, high, logarithmic) {
   const share = Math.random();
-  return Number((logarithmic ? low * (high / low) ** share : low + (high - low) * share).toPrecision(4));
+  return Number(
+    (logarithmic ? low * (high / low) ** share : low + (high - low) * share).toPrecision(4));
 }
 
 function bindPage() {
@@ -462,7 +517,9 @@ function bindPage() {
       announce("The link stands in the address of the page");
       element("copy").textContent = "In the address bar";
     }
-    setTimeout(() => { element("copy").textContent = "Copy link"; }, 2000);
+    setTimeout(() => {
+      element("copy").textContent = "Copy link";
+    }, 2000);
   });
   element("share").addEventListener("click", share);
   element("check").addEventListener("click", runCheck);
@@ -471,14 +528,18 @@ function bindPage() {
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
 }
 
-/** Shares a picture of the stage and the link by the system's dialog; saves the picture if there is none. */
+/**
+ * Shares a picture of the stage and the link by the system's dialog; saves the picture if there is
+ * none.
+ */
 async function share() {
   link();
-  const { metrics } = player.lanes[0].at(player.now, false);
-  const text = `${player.lanes[0].title}: ${written(100 * metrics.distance, 1)} cm in ${written(player.now, 1)} s`;
+  const {metrics} = player.lanes[0].at(player.now, false);
+  const text = `${player.lanes[0].title}: ${written(100 * metrics.distance, 1)} cm in ${
+    written(player.now, 1)} s`;
   const picture = await stage.picture(text);
-  const files = [new File([picture], "capsule.png", { type: picture.type })];
-  const content = { files, text, url: location.href };
+  const files = [new File([picture], "capsule.png", {type: picture.type})];
+  const content = {files, text, url: location.href};
   if (navigator.canShare?.(content)) return navigator.share(content).catch(() => {});
   const save = document.createElement("a");
   save.download = files[0].name;
@@ -500,17 +561,18 @@ async function runCheck() {
   rows.replaceChildren();
   show("verdict", "Replaying …");
   try {
-    const equal = await check(({ name, equal, steps, doubles }) => {
+    const equal = await check(({name, equal, steps, doubles}) => {
       const row = rows.insertRow();
       const head = document.createElement("th");
       head.scope = "row";
       head.textContent = name;
       row.append(head);
-      for (const text of [steps, doubles]) row.insertCell().textContent = Number(text).toLocaleString("en");
+      for (const text of [steps, doubles])
+        row.insertCell().textContent = Number(text).toLocaleString("en");
       const bits = row.insertCell();
       bits.textContent = equal ? "equal" : "different";
       bits.className = bits.textContent;
-      row.scrollIntoView({ block: "nearest" });
+      row.scrollIntoView({block: "nearest"});
     });
     const all = `All ${rows.rows.length} episodes are equal, bit for bit.`;
     show("verdict", equal ? all : "Some episodes are different.");
@@ -520,16 +582,14 @@ async function runCheck() {
   checking = false;
 }
 
-// --- Display -------------------------------------------------------------------------------------------------------
+// --- Display ---
 
 function show(id, text) {
   const node = element(id);
   if (node.textContent !== text) node.textContent = text;
 }
 
-function announce(text) {
-  show("status", text);
-}
+function announce(text) { show("status", text); }
 
 function complain(text) {
   element("trouble").hidden = text === "";
@@ -544,7 +604,8 @@ function showScene() {
   element("rival").value = scene.rival;
   element("view").value = scene.view;
   element("view").disabled = !scene.rival;
-  const own = "Keys, buttons or the slider below the stage, or a finger on it: hold to turn the motor.";
+  const own =
+    "Keys, buttons or the slider below the stage, or a finger on it: hold to turn the motor.";
   const described = (name) => driverNamed(name).description.replaceAll("`", "");
   show("driver-text", scene.driver === YOURSELF ? own : described(scene.driver));
   show("rival-text", scene.rival ? described(scene.rival) : "");
@@ -572,7 +633,8 @@ function showDisturbances(recorded) {
     element(name).value = scene[name];
     element(name).disabled = !varied;
     element(name).setAttribute("aria-valuetext", disturbanceText(name, scene[name]));
-    const said = name === "latency" || name === "noise" ? element("disturbances").value === "real" : false;
+    const said =
+      name === "latency" || name === "noise" ? element("disturbances").value === "real" : false;
     show(`${name}-value`, said ? "real" : disturbanceText(name, scene[name]));
   }
   const real = "Real: noise, bias and drift, 5 to 15 ms of latency, a motor with lag and friction.";
@@ -586,7 +648,7 @@ function showPlant() {
   element("set").value = scene.set;
   element("plant").value = scene.plant;
   element("plant").disabled = !scene.set;
-  const { M, mu } = plantNow();
+  const {M, mu} = plantNow();
   if (document.activeElement !== element("M-number")) element("M-number").value = M;
   if (document.activeElement !== element("mu-number")) element("mu-number").value = mu;
   element("M").value = M;
@@ -615,13 +677,15 @@ function makeCharts() {
     element("charts").append(figure);
     return build(canvas);
   };
-  const [first, ...others] = CURVES.map((curve) => () =>
-    make(curve.title, curve.unit, (canvas) => new TimeChart(canvas, curve, redraw)),
+  const [first, ...others] = CURVES.map(
+    (curve) => () =>
+      make(curve.title, curve.unit, (canvas) => new TimeChart(canvas, curve, redraw)),
   );
-  const portrait = () =>
-    make("Phase portrait: rate, rad/s, over angle", "1", (canvas) => new PhasePortrait(canvas, redraw), "tall");
+  const portrait = () => make(
+    "Phase portrait: rate, rad/s, over angle", "1", (canvas) => new PhasePortrait(canvas, redraw),
+    "tall");
   const made = [first, portrait, ...others].map((build) => build());
-  for (const chart of made.filter(({ curve }) => curve)) {
+  for (const chart of made.filter(({curve}) => curve)) {
     chart.sheet.canvas.addEventListener("click", (event) => {
       seek(chart.value(event.offsetX));
       link();
@@ -639,7 +703,7 @@ function makeRows() {
     row.append(head);
     row.insertCell();
     row.insertCell();
-    const task = { "Goal reached": "goal", "Velocity error": "velocity" }[name];
+    const task = {"Goal reached": "goal", "Velocity error": "velocity"}[name];
     if (task) row.dataset.task = task;
   }
 }
@@ -647,10 +711,12 @@ function makeRows() {
 /** Draws all that changes with time. */
 function draw() {
   const smooth = !reduced.matches;
-  const views = player.lanes.map((lane) => ({ name: named(lane), view: lane.at(player.now, smooth) }));
+  const views =
+    player.lanes.map((lane) => ({name: named(lane), view: lane.at(player.now, smooth)}));
   const [driver, rival = null] = views;
-  for (const [index, { view }] of views.entries()) view.contact = contacts[index].see(view.x_dot === 0);
-  if (stage.sheet.seen) stage.draw(driver, rival, { lanes: scene.view === "lane", still: !smooth });
+  for (const [index, {view}] of views.entries())
+    view.contact = contacts[index].see(view.x_dot === 0);
+  if (stage.sheet.seen) stage.draw(driver, rival, {lanes: scene.view === "lane", still: !smooth});
   drawings += 1;
   for (const [index, chart] of charts.entries()) {
     // While playing, charts are drawn in every second frame, half of them in each.
@@ -666,19 +732,20 @@ function draw() {
       if (cells[column + 1].textContent !== value) cells[column + 1].textContent = value;
     });
   });
-  const change = player.moment === 0 ? "A change sets the plant of the episode." : "A change acts from this time on.";
+  const change = player.moment === 0 ? "A change sets the plant of the episode."
+                                     : "A change acts from this time on.";
   show("plant-text", hasRecorded(scene) ? `${ONLY_FROZEN}.` : change);
   showEnd();
 }
 
-function showFigures({ x, x_dot, torque, metrics, contact }) {
-  const { now } = player;
+function showFigures({x, x_dot, torque, metrics, contact}) {
+  const {now} = player;
   show("figure-time", written(now, 2));
   show("figure-x", written(100 * x, 1));
   show("figure-speed", written(100 * x_dot, 1));
   show("figure-mean", written(metrics.mean_speed, 2));
   show("figure-torque", written(torque, 2));
-  const words = { stick: "stick", slip: x_dot > 0 ? "slip →" : "← slip", both: "stick, slip" };
+  const words = {stick: "stick", slip: x_dot > 0 ? "slip →" : "← slip", both: "stick, slip"};
   show("figure-contact", words[contact]);
   element("figure-contact").dataset.contact = contact;
   const scrub = element("scrub");
@@ -686,7 +753,7 @@ function showFigures({ x, x_dot, torque, metrics, contact }) {
   scrub.setAttribute("aria-valuetext", `${written(now, 2)} s`);
   show("scrub-value", `${written(now, 2)} s`);
   show("best", best > 0 ? `${written(100 * best, 1)} cm` : "none yet");
-  const { hand } = player.lanes[0];
+  const {hand} = player.lanes[0];
   for (const [id, turn] of [["push-left", 1], ["push-right", -1]]) {
     element(id).classList.toggle("now", hand?.helped === true && hand.turn === turn);
   }
@@ -694,24 +761,22 @@ function showFigures({ x, x_dot, torque, metrics, contact }) {
 
 /** Describes a still picture in words. */
 function describe(views) {
-  const told = views.map(({ name, view }) => {
-    const contact = view.x_dot === 0 ? "in stick" : `slipping at ${written(100 * view.x_dot, 1)} cm/s`;
+  const told = views.map(({name, view}) => {
+    const contact =
+      view.x_dot === 0 ? "in stick" : `slipping at ${written(100 * view.x_dot, 1)} cm/s`;
     const angle = written((view.theta * 180) / Math.PI, 0);
     const pendulum = `pendulum at ${angle}°, torque ${written(view.torque, 2)} N m`;
     return `${name}: at ${written(100 * view.x, 1)} cm, ${contact}, ${pendulum}`;
   });
-  element("scene").setAttribute("aria-label", `At ${written(player.now, 2)} s. ${told.join(". ")}.`);
+  element("scene").setAttribute(
+    "aria-label", `At ${written(player.now, 2)} s. ${told.join(". ")}.`);
 }
 
 /** Whether a lane has failed and the failure is on the screen. */
-function hasFailed(lane) {
-  return lane.failure !== "" && player.now >= lane.time - 1e-9;
-}
+function hasFailed(lane) { return lane.failure !== "" && player.now >= lane.time - 1e-9; }
 
 /** Whether the reader has failed; this also stops the rival. */
-function handFailed() {
-  return player.lanes[0].hand !== null && hasFailed(player.lanes[0]);
-}
+function handFailed() { return player.lanes[0].hand !== null && hasFailed(player.lanes[0]); }
 
 /** A lane's title, with the time of its failure if any. */
 function named(lane) {
@@ -721,7 +786,8 @@ function named(lane) {
 /** Shows failures and the end of the episode once they are on the screen. */
 function showEnd() {
   const failures = player.lanes.filter(hasFailed).map((lane) => `${named(lane)}: ${lane.failure}.`);
-  if (player.over && failures.length < player.lanes.length) failures.push(`The episode of ${END} s has ended.`);
+  if (player.over && failures.length < player.lanes.length)
+    failures.push(`The episode of ${END} s has ended.`);
   if (handFailed()) failures.push("Space begins again.");
   const text = failures.join(" ");
   element("banner").hidden = text === "";
@@ -730,7 +796,7 @@ function showEnd() {
   told = text;
 }
 
-// --- The loop ------------------------------------------------------------------------------------------------------
+// --- The loop ---
 
 let last = performance.now();
 let shownPlant = null;
@@ -757,10 +823,11 @@ function frame(time) {
 
 /** Shows the scene of an address's fragment. */
 async function readLink(hash) {
-  const { scene: read, complaints } = readScene(hash);
+  const {scene: read, complaints} = readScene(hash);
   scene = read;
   complain(complaints.join(". "));
-  await open({ time: scene.t ?? 0, play: scene.t === null && scene.driver !== YOURSELF && !reduced.matches });
+  await open(
+    {time: scene.t ?? 0, play: scene.t === null && scene.driver !== YOURSELF && !reduced.matches});
 }
 
 makeRows();

@@ -18,9 +18,7 @@ export function colour(name) {
 }
 
 /** Length of a rem in CSS pixels. */
-export function rem() {
-  return remembered(" rem", () => parseFloat(style.fontSize));
-}
+export function rem() { return remembered(" rem", () => parseFloat(style.fontSize)); }
 
 /** The page's font at a size in rem. */
 export function font(rems, weight = 400) {
@@ -31,7 +29,8 @@ export function font(rems, weight = 400) {
 export class Sheet {
   /**
    * @param {HTMLCanvasElement} canvas
-   * @param {() => void} changed called when the canvas is empty or outdated: after a change of size or scrolling to it.
+   * @param {() => void} changed called when the canvas is empty or outdated: after a change of size
+   *   or scrolling to it.
    */
   constructor(canvas, changed) {
     this.canvas = canvas;

@@ -1,8 +1,8 @@
 // Playback: simulated time, shown time, and speed.
 
-import { constants } from "capsule.mjs";
-import { END } from "scene.js";
-import { clamp } from "numbers.js";
+import {constants} from "capsule.mjs";
+import {clamp} from "numbers.js";
+import {END} from "scene.js";
 
 const DT = constants.control_dt;
 // Longest time counted for a frame, s; time for simulation in a frame of 16.7 ms, ms.
@@ -23,19 +23,13 @@ export class Player {
   }
 
   /** The shown time, rounded up to a multiple of 20 ms, s. */
-  get moment() {
-    return Math.min(Math.ceil(this.now / DT - 1e-6) * DT, END);
-  }
+  get moment() { return Math.min(Math.ceil(this.now / DT - 1e-6) * DT, END); }
 
   /** Whether all lanes have ended and are shown up to their ends. */
-  get over() {
-    return this.lanes.every((lane) => lane.ended && this.now >= lane.time - 1e-9);
-  }
+  get over() { return this.lanes.every((lane) => lane.ended && this.now >= lane.time - 1e-9); }
 
   /** Goes to a time (s), and simulates the missing steps. */
-  seek(time) {
-    this.goal = clamp(time, 0, this.reach);
-  }
+  seek(time) { this.goal = clamp(time, 0, this.reach); }
 
   /** Pauses, and goes forward or back by steps. */
   nudge(steps) {
@@ -83,13 +77,15 @@ export class Player {
 
   /** The time at which the last lane ends, if known, else END; s. */
   get last() {
-    return this.lanes.every((lane) => lane.ended) ? Math.max(...this.lanes.map((lane) => lane.time)) : END;
+    return this.lanes.every((lane) => lane.ended) ? Math.max(...this.lanes.map((lane) => lane.time))
+                                                  : END;
   }
 
   /** Latest time of `seek`, s: the reader's future actions are unknown. */
   get reach() {
-    const lane = this.lanes.find(({ hand }) => hand);
+    const lane = this.lanes.find(({hand}) => hand);
     if (!lane) return this.last;
-    return Math.min(this.last, Math.max(lane.time, lane.hand.replay.length * lane.dt, this.moment + DT));
+    return Math.min(
+      this.last, Math.max(lane.time, lane.hand.replay.length * lane.dt, this.moment + DT));
   }
 }

@@ -1,40 +1,63 @@
 // The scene of a link: drivers, plant, view and time.
 
-import { constants, drivers, sets } from "capsule.mjs";
-import { clamp } from "numbers.js";
+import {constants, drivers, sets} from "capsule.mjs";
+import {clamp} from "numbers.js";
 
 /** Name of the reader of the page as a driver. */
 export const YOURSELF = "yourself";
-/** Number of values, from -1 to 1, of the reader's actions, so that a link can contain them exactly. */
+/**
+ * Number of values, from -1 to 1, of the reader's actions, so that a link can contain them
+ * exactly.
+ */
 export const HAND_STEPS = 41;
-export const SPEEDS = { least: 0.1, most: 20 };
+export const SPEEDS = {
+  least: 0.1,
+  most: 20
+};
 /** Length of an episode of the scene's task, s. */
 export let END = constants.horizons.speed;
-/** Lowest and highest values of the sliders of disturbances: latency in s, noise relative to the real noise. */
-export const DISTURBED = { latency: [0, 0.03], noise: [0, 2], motor: [0, 0.2], slope: [-3, 3] };
+/**
+ * Lowest and highest values of the sliders of disturbances: latency in s, noise relative to the
+ * real noise.
+ */
+export const DISTURBED = {
+  latency: [0, 0.03],
+  noise: [0, 2],
+  motor: [0, 0.2],
+  slope: [-3, 3]
+};
 /** Number of seeds. */
 export const SEEDS = 100;
-const IDEAL = { disturbances: "none", latency: 0, noise: 0, motor: 0, slope: 0 };
+const IDEAL = {
+  disturbances: "none",
+  latency: 0,
+  noise: 0,
+  motor: 0,
+  slope: 0
+};
 
 /** Sets the task that the page shows. */
-export function useTask(task) {
-  END = constants.horizons[task];
-}
+export function useTask(task) { END = constants.horizons[task]; }
 
 /** Returns a scene's disturbances for `drive` and `load`. */
-export function disturbancesOf({ disturbances, latency, noise, motor, slope }) {
+export function disturbancesOf({disturbances, latency, noise, motor, slope}) {
   if (disturbances === "real") return "real";
-  if (disturbances === "none") return motor || slope ? { stick_threshold: 0 } : "none";
-  const errors = Object.entries(constants.real).filter(([name, size]) => size !== null && /_(noise|bias|drift)$/.test(name));
+  if (disturbances === "none") return motor || slope ? {stick_threshold: 0} : "none";
+  const errors = Object.entries(constants.real)
+                   .filter(([name, size]) => size !== null && /_(noise|bias|drift)$/.test(name));
   const scaled = errors.map(([name, size]) => [name, [size].flat().map((end) => noise * end)]);
-  return { latency, ...Object.fromEntries(scaled.map(([name, [low, high = low]]) => [name, [low, high]])) };
+  return {
+    latency,
+    ...Object.fromEntries(scaled.map(([name, [low, high = low]]) => [name, [low, high]]))
+  };
 }
 
 /** Returns the start of a scene's episode. */
-export function startOf({ task, M, mu, theta, seed, motor, slope, ...scene }) {
-  const drawn = task !== "speed" || disturbancesOf({ motor, slope, ...scene }) !== "none";
-  const tilted = motor || slope ? { capsule: { motor_friction: motor, slope: (slope * Math.PI) / 180 } } : {};
-  return { M, mu, ...(theta !== undefined && { theta }), ...(drawn && { seed }), ...tilted };
+export function startOf({task, M, mu, theta, seed, motor, slope, ...scene}) {
+  const drawn = task !== "speed" || disturbancesOf({motor, slope, ...scene}) !== "none";
+  const tilted =
+    motor || slope ? {capsule: {motor_friction: motor, slope: (slope * Math.PI) / 180}} : {};
+  return {M, mu, ...(theta !== undefined && {theta}), ...(drawn && {seed}), ...tilted};
 }
 
 /** Why M and mu cannot be chosen with some drivers. */
@@ -47,28 +70,30 @@ const HALF = (HAND_STEPS - 1) / 2;
 export const limits = Object.fromEntries(
   ["M", "mu"].map((name) => {
     const bounds = Object.values(constants.ranges).map((range) => range[name]);
-    return [name, [Math.min(...bounds.map(([low]) => low)), Math.max(...bounds.map(([, high]) => high))]];
+    return [
+      name, [Math.min(...bounds.map(([low]) => low)), Math.max(...bounds.map(([, high]) => high))]
+    ];
   }),
 );
 
 /** The entry of `drivers` by its name; undefined for the reader and for no driver. */
-export function driverNamed(name) {
-  return drivers.find((driver) => driver.name === name);
-}
+export function driverNamed(name) { return drivers.find((driver) => driver.name === name); }
 
 /** A driver's title. */
-export function titleOf(name) {
-  return name === YOURSELF ? "Yourself" : name;
-}
+export function titleOf(name) { return name === YOURSELF ? "Yourself" : name; }
 
 /** Whether the scene has a recorded driver, which drives only on plants of the frozen sets. */
-export function hasRecorded({ driver, rival }) {
+export function hasRecorded({driver, rival}) {
   return [driver, rival].some((name) => driverNamed(name)?.recorded);
 }
 
-/** Gives a scene with a recorded driver an unchanged plant of a frozen set; returns whether it had another plant. */
+/**
+ * Gives a scene with a recorded driver an unchanged plant of a frozen set; returns whether it had
+ * another plant.
+ */
 export function keepFrozen(scene) {
-  const known = [scene.driver, scene.rival].map((name) => driverNamed(name)?.recorded).find(Boolean);
+  const known =
+    [scene.driver, scene.rival].map((name) => driverNamed(name)?.recorded).find(Boolean);
   if (!known || (known.includes(scene.set) && !hasOwnJumps(scene))) return false;
   takePlant(scene, known.includes(scene.set) ? scene.set : known[0], scene.plant);
   return true;
@@ -78,17 +103,29 @@ export function keepFrozen(scene) {
 export function firstScene() {
   const known = (name) => (driverNamed(name) ? name : drivers[0].name);
   return {
-    task: "speed", driver: known("residual-ppo"), rival: known("adaptive"), view: "ghost",
-    set: "", plant: 0, M: constants.nominal.M, mu: constants.nominal.mu, theta: undefined, jumps: [],
-    seed: 0, ...IDEAL, speed: 1, t: null, hand: [],
+    task: "speed",
+    driver: known("residual-ppo"),
+    rival: known("adaptive"),
+    view: "ghost",
+    set: "",
+    plant: 0,
+    M: constants.nominal.M,
+    mu: constants.nominal.mu,
+    theta: undefined,
+    jumps: [],
+    seed: 0,
+    ...IDEAL,
+    speed: 1,
+    t: null,
+    hand: [],
   };
 }
 
 /** Puts a plant of a frozen set, with its start and its jumps, into a scene. */
 export function takePlant(scene, set, index) {
-  const { M, mu, theta, changes = [] } = sets[set].plants[index];
-  const jumps = changes.map(({ t, M, mu }) => ({ t, M, mu }));
-  Object.assign(scene, { set, plant: index, M, mu, theta, jumps, ...IDEAL });
+  const {M, mu, theta, changes = []} = sets[set].plants[index];
+  const jumps = changes.map(({t, M, mu}) => ({t, M, mu}));
+  Object.assign(scene, {set, plant: index, M, mu, theta, jumps, ...IDEAL});
 }
 
 /**
@@ -116,13 +153,13 @@ export function readScene(hash) {
       complaints.push(error.message);
     }
   }
-  return { scene, complaints };
+  return {scene, complaints};
 }
 
 /** The part of a link after the #, with all values that differ from the defaults of `readScene`. */
 export function writeScene(scene) {
   const first = firstScene();
-  const parts = new URLSearchParams({ driver: scene.driver });
+  const parts = new URLSearchParams({driver: scene.driver});
   if (scene.driver === YOURSELF && scene.task !== first.task) parts.set("task", scene.task);
   if (scene.rival) parts.set("rival", scene.rival);
   if (scene.rival && scene.view !== first.view) parts.set("view", scene.view);
@@ -147,21 +184,19 @@ export function writeScene(scene) {
 }
 
 /** Whether the jumps of M and mu differ from those of the set. */
-export function hasOwnJumps({ set, plant, jumps }) {
+export function hasOwnJumps({set, plant, jumps}) {
   const expected = set ? (sets[set].plants[plant].changes ?? []) : [];
   return writeJumps(jumps) !== writeJumps(expected);
 }
 
 /** The nearest action that a link can contain. */
-export function handAction(action) {
-  return Math.round(clamp(action, -1, 1) * HALF) / HALF;
-}
+export function handAction(action) { return Math.round(clamp(action, -1, 1) * HALF) / HALF; }
 
 function readDrivers(given, scene, complaints) {
   for (const part of ["driver", "rival"]) {
     const name = given.get(part);
     if (name === null || name === "") continue;
-    const chosen = drivers.filter(({ task }) => part === "driver" || task === scene.task);
+    const chosen = drivers.filter(({task}) => part === "driver" || task === scene.task);
     const accepted = chosen.map((driver) => driver.name).concat(part === "driver" ? YOURSELF : []);
     if (accepted.includes(name)) {
       scene[part] = name;
@@ -174,7 +209,8 @@ function readDrivers(given, scene, complaints) {
 function readTask(given, complaints) {
   const task = given.get("task") ?? "speed";
   if (Object.hasOwn(constants.horizons, task)) return task;
-  complaints.push(`task must be one of ${Object.keys(constants.horizons).join(", ")}, got "${task}"`);
+  complaints.push(
+    `task must be one of ${Object.keys(constants.horizons).join(", ")}, got "${task}"`);
   return "speed";
 }
 
@@ -184,7 +220,8 @@ function readDisturbances(given, scene, complaints) {
   if (scene.task !== "speed") return;
   const disturbances = given.get("disturbances");
   if (disturbances === "real") scene.disturbances = "real";
-  else if (disturbances !== null) complaints.push(`disturbances must be real, got "${disturbances}"`);
+  else if (disturbances !== null)
+    complaints.push(`disturbances must be real, got "${disturbances}"`);
   for (const [name, bounds] of Object.entries(DISTURBED)) {
     const value = readNumber(given, name, ...bounds, complaints);
     if (value === null) continue;
@@ -211,7 +248,9 @@ function readPlant(given, scene, complaints) {
   }
   if (given.has("jumps")) scene.jumps = readJumps(given.get("jumps"), complaints);
   readDisturbances(given, scene, complaints);
-  if (keepFrozen(scene) && ["M", "mu", "jumps", "disturbances", ...Object.keys(DISTURBED)].some((name) => given.has(name))) {
+  if (keepFrozen(scene) && [
+        "M", "mu", "jumps", "disturbances", ...Object.keys(DISTURBED)
+      ].some((name) => given.has(name))) {
     complaints.push(`${ONLY_FROZEN}, and what else the link says of the plant is left out`);
   }
 }
@@ -230,17 +269,20 @@ function readJumps(text, complaints) {
   for (const part of text.split(",").filter(Boolean)) {
     const [t, M, mu, ...rest] = part.split(":").map(Number);
     const within = (value, [low, high]) => value >= low && value <= high;
-    if (rest.length || !within(t, [jumps.at(-1)?.t ?? 0, END]) || !within(M, limits.M) || !within(mu, limits.mu)) {
-      complaints.push(`jumps must be t:M:mu, in order of time and within the ranges of M and mu, got "${part}"`);
+    if (
+      rest.length || !within(t, [jumps.at(-1)?.t ?? 0, END]) || !within(M, limits.M) ||
+      !within(mu, limits.mu)) {
+      complaints.push(
+        `jumps must be t:M:mu, in order of time and within the ranges of M and mu, got "${part}"`);
       return [];
     }
-    jumps.push({ t, M, mu });
+    jumps.push({t, M, mu});
   }
   return jumps;
 }
 
 function writeJumps(jumps) {
-  return jumps.map(({ t, M, mu }) => [t, M, mu].map(shortened).join(":")).join(",");
+  return jumps.map(({t, M, mu}) => [t, M, mu].map(shortened).join(":")).join(",");
 }
 
 /** Run-length encoding: a letter per torque, preceded by the number of repetitions if above 1. */
@@ -250,13 +292,12 @@ function writeHand(actions) {
 }
 
 function readHand(text) {
-  if (!/^(\d{0,4}[a-zA-O])*$/.test(text)) throw new RangeError("hand must be letters a to O with counts before them");
-  const actions = [...text.matchAll(/(\d*)(\D)/g)].flatMap(([, count, letter]) =>
-    new Array(Number(count || 1)).fill(LETTERS.indexOf(letter) / HALF - 1),
+  if (!/^(\d{0,4}[a-zA-O])*$/.test(text))
+    throw new RangeError("hand must be letters a to O with counts before them");
+  const actions = [...text.matchAll(/(\d*)(\D)/g)].flatMap(
+    ([, count, letter]) => new Array(Number(count || 1)).fill(LETTERS.indexOf(letter) / HALF - 1),
   );
   return actions.slice(0, constants.steps).map(handAction);
 }
 
-function shortened(value) {
-  return String(Number(value.toPrecision(6)));
-}
+function shortened(value) { return String(Number(value.toPrecision(6))); }

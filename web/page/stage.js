@@ -1,12 +1,12 @@
-// The robot as `capsule_gym.rendering.renderer` draws it, with trail and speed arrow. Lengths are that drawing's pixels;
-// `lane` scales them.
+// The robot as `capsule_gym.rendering.renderer` draws it, with trail and speed arrow. Lengths are
+// that drawing's pixels; `lane` scales them.
 
-import { constants } from "capsule.mjs";
-import { figure } from "figure.js";
-import { clamp, decimals, niceStep, written } from "numbers.js";
-import { Sheet, colour, font, rem } from "paint.js";
+import {constants} from "capsule.mjs";
+import {figure} from "figure.js";
+import {clamp, decimals, niceStep, written} from "numbers.js";
+import {colour, font, rem, Sheet} from "paint.js";
 
-const { ROD, BALL, PIVOT, SHELL_HALF, SHELL_HEIGHT, GAUGE } = figure;
+const {ROD, BALL, PIVOT, SHELL_HALF, SHELL_HEIGHT, GAUGE} = figure;
 const PER_METRE = ROD / constants.l;
 // The labelled marks of the ruler, m.
 const MAJOR = niceStep(50 / PER_METRE);
@@ -46,30 +46,29 @@ export class Stage {
    * @param {HTMLCanvasElement} canvas
    * @param {() => void} changed called when the canvas has become empty.
    */
-  constructor(canvas, changed) {
-    this.sheet = new Sheet(canvas, changed);
-  }
+  constructor(canvas, changed) { this.sheet = new Sheet(canvas, changed); }
 
   /**
    * @param {{name: string, view: object}} driver a title, and the result of `Lane.at`.
    * @param {{name: string, view: object} | null} rival
-   * @param {{lanes: boolean, still: boolean}} how `lanes` draws the rival in its own lane; `still` draws no trail.
+   * @param {{lanes: boolean, still: boolean}} how `lanes` draws the rival in its own lane; `still`
+   *   draws no trail.
    */
-  draw(driver, rival, { lanes, still }) {
-    const { context, width, height } = this.sheet;
+  draw(driver, rival, {lanes, still}) {
+    const {context, width, height} = this.sheet;
     context.fillStyle = colour("paper");
     context.fillRect(0, 0, width, height);
     if (rival && lanes) {
-      this.lane({ top: 0, height: height / 2 }, driver, null, still, "line");
-      this.lane({ top: height / 2, height: height / 2 }, rival, null, still, "rival");
+      this.lane({top: 0, height: height / 2}, driver, null, still, "line");
+      this.lane({top: height / 2, height: height / 2}, rival, null, still, "rival");
     } else {
-      this.lane({ top: 0, height }, driver, rival, still, "line");
+      this.lane({top: 0, height}, driver, rival, still, "line");
     }
   }
 
   /** Returns the shown picture as a PNG with a line of text below. */
   picture(text) {
-    const { canvas } = this.sheet;
+    const {canvas} = this.sheet;
     const copy = document.createElement("canvas");
     const [size, band] = [canvas.width / 32, canvas.width / 16];
     [copy.width, copy.height] = [canvas.width, canvas.height + band];
@@ -80,12 +79,15 @@ export class Stage {
     context.fillStyle = colour("ink");
     context.font = `600 ${size}px sans-serif`;
     context.fillText(`capsule_gym  ${text}`, size, copy.height - band / 3);
-    return new Promise((resolve) => { copy.toBlob(resolve); });
+    return new Promise((resolve) => {
+      copy.toBlob(resolve);
+    });
   }
 
-  lane({ top, height }, { name, view }, ghost, still, ink) {
-    const { context, width } = this.sheet;
-    const scale = Math.min(WIDEST, width / (2.2 * SHELL_HALF), height / (ABOVE + SHELL_HEIGHT + BELOW));
+  lane({top, height}, {name, view}, ghost, still, ink) {
+    const {context, width} = this.sheet;
+    const scale =
+      Math.min(WIDEST, width / (2.2 * SHELL_HALF), height / (ABOVE + SHELL_HEIGHT + BELOW));
     const half = width / 2 / scale;
     context.save();
     context.beginPath();
@@ -105,7 +107,8 @@ export class Stage {
     context.font = font(0.88, 600);
     context.textAlign = "left";
     const away = isAway(lead * PER_METRE, half);
-    const where = away ? `, ${written(Math.abs(100 * lead), 0)} cm ${lead > 0 ? "ahead" : "behind"}` : "";
+    const where =
+      away ? `, ${written(Math.abs(100 * lead), 0)} cm ${lead > 0 ? "ahead" : "behind"}` : "";
     const names = ghost ? [[name, ink], [ghost.name + where, "rival"]] : [[name, ink]];
     context.lineWidth = 5;
     context.strokeStyle = colour("paper");
@@ -169,7 +172,8 @@ function drawFloor(context, x, half, scale, height) {
     }
     context.fillStyle = grey;
     const centimetres = 100 * MAJOR;
-    if (mark % every === 0) context.fillText(written(mark * centimetres, decimals(centimetres)), at, BELOW - 10);
+    if (mark % every === 0)
+      context.fillText(written(mark * centimetres, decimals(centimetres)), at, BELOW - 10);
   }
   if (Math.abs(start) < half + 30) {
     const ink = colour("ink");
@@ -181,7 +185,10 @@ function drawFloor(context, x, half, scale, height) {
   context.fillRect(-half, -1, 2 * half, 2);
 }
 
-/** Draws the target of the platform's centre on the ruler, or at the edge if it is out of the picture. */
+/**
+ * Draws the target of the platform's centre on the ruler, or at the edge if it is out of the
+ * picture.
+ */
 function drawTarget(context, offset, half) {
   const at = clamp(offset, 10 - half, half - 10);
   polygon(context, [[at, 4], [at - 11, 26], [at + 11, 26]], colour("accent"));
@@ -189,7 +196,7 @@ function drawTarget(context, offset, half) {
 
 /** Draws the shell, the platform, the gauge's scale, and the contact. */
 function drawBody(context, state) {
-  const { PLATFORM_HALF, PLATFORM_HEIGHT, SPRING_OUTER } = figure;
+  const {PLATFORM_HALF, PLATFORM_HEIGHT, SPRING_OUTER} = figure;
   const contact = colour(state === "both" ? "tick" : state);
   context.beginPath();
   context.roundRect(-SHELL_HALF, -SHELL_HEIGHT, 2 * SHELL_HALF, SHELL_HEIGHT, SHELL_HEIGHT / 2);
@@ -213,7 +220,8 @@ function drawBody(context, state) {
   const tick = colour("tick");
   for (let degrees = -90; degrees <= 90; degrees += 15) {
     const angle = (degrees * Math.PI) / 180;
-    line(context, [polar(angle, GAUGE - (degrees % 90 === 0 ? 7 : 4)), polar(angle, GAUGE)], 1, tick);
+    line(
+      context, [polar(angle, GAUGE - (degrees % 90 === 0 ? 7 : 4)), polar(angle, GAUGE)], 1, tick);
   }
   const flat = SHELL_HALF - SHELL_HEIGHT / 2 + 6;
   context.fillStyle = contact;
@@ -221,9 +229,7 @@ function drawBody(context, state) {
 }
 
 /** Whether a robot at an offset is out of the picture. */
-function isAway(offset, half) {
-  return Math.abs(offset) > half + SHELL_HALF;
-}
+function isAway(offset, half) { return Math.abs(offset) > half + SHELL_HALF; }
 
 /** Draws the rival's outline, or an arrow at the edge if it is out of the picture. */
 function drawGhost(context, view, offset, half, scale) {
@@ -233,7 +239,9 @@ function drawGhost(context, view, offset, half, scale) {
     const side = Math.sign(offset);
     const at = side * (half - 12 / scale);
     const [long, wide] = [14 / scale, 8 / scale];
-    polygon(context, [[at, -PIVOT], [at - side * long, -PIVOT - wide], [at - side * long, -PIVOT + wide]], ink);
+    polygon(
+      context, [[at, -PIVOT], [at - side * long, -PIVOT - wide], [at - side * long, -PIVOT + wide]],
+      ink);
   } else {
     context.translate(offset, 0);
     context.globalAlpha = 0.8;
@@ -266,7 +274,10 @@ function drawSpeed(context, x_dot) {
   polygon(context, [[length, y], [length - head, y - wide], [length - head, y + wide]], slip);
 }
 
-/** Draws the torque as an arc arrow around the pivot, from the upright; the limit is a quarter turn. */
+/**
+ * Draws the torque as an arc arrow around the pivot, from the upright; the limit is a quarter
+ * turn.
+ */
 function drawTorque(context, share) {
   if (!(Math.abs(share) >= 0.01)) return;
   const torque = colour("torque");
@@ -279,28 +290,32 @@ function drawTorque(context, share) {
   context.strokeStyle = torque;
   context.stroke();
   const wide = 50 * Math.abs(head);
-  polygon(context, [polar(end, GAUGE), polar(base, GAUGE - wide), polar(base, GAUGE + wide)], torque);
+  polygon(
+    context, [polar(end, GAUGE), polar(base, GAUGE - wide), polar(base, GAUGE + wide)], torque);
 }
 
 /** Draws the spring, the rod, and the ball with a trail. */
-function drawPendulum(context, { theta, theta_dot }, still) {
-  const { SPRING_INNER, SPRING_OUTER, SPRING_TURNS } = figure;
+function drawPendulum(context, {theta, theta_dot}, still) {
+  const {SPRING_INNER, SPRING_OUTER, SPRING_TURNS} = figure;
   const ball = colour("ball-colour");
   const swept = clamp(TRAIL_SECONDS * theta_dot, -1, 1);
   if (!still && Math.abs(swept) > 0.02) {
     const begin = clamp(theta - swept, -Math.PI / 2, Math.PI / 2);
     const parts = 12;
     for (let i = 0; i < parts; i++) {
-      const corner = (j, side) => polar(begin + ((theta - begin) * j) / parts, ROD + (side * BALL * j) / parts);
+      const corner = (j, side) =>
+        polar(begin + ((theta - begin) * j) / parts, ROD + (side * BALL * j) / parts);
       context.globalAlpha = 0.45 * (i / parts) ** 1.5;
       polygon(context, [corner(i, 1), corner(i, -1), corner(i + 1, -1), corner(i + 1, 1)], ball);
     }
     context.globalAlpha = 1;
   }
   // The inner end turns with the rod; the outer end is fixed to the platform.
-  const spiral = Array.from({ length: 60 }, (_, i) => {
+  const spiral = Array.from({length: 60}, (_, i) => {
     const share = i / 59;
-    return polar(theta + (TURN * SPRING_TURNS - theta) * share, SPRING_INNER + (SPRING_OUTER - SPRING_INNER) * share);
+    return polar(
+      theta + (TURN * SPRING_TURNS - theta) * share,
+      SPRING_INNER + (SPRING_OUTER - SPRING_INNER) * share);
   });
   line(context, spiral, 2.5, colour("shell"));
   const ink = colour("ink");

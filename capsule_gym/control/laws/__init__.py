@@ -5,7 +5,8 @@ from collections.abc import Callable
 from capsule_gym.control.controller import Controller
 from capsule_gym.control.laws import adaptive, feedback_linearisation, gait, periodic
 
-# Laws by the names of their functions: the environment's argument `controller` takes "baselines:NAME".
+# Laws by the names of their functions: the environment's argument `controller` takes
+# "baselines:NAME".
 LAWS: dict[str, Callable[..., Controller]] = {
     law.__name__: law
     for law in (

@@ -1,4 +1,6 @@
-"""The paper's adaptive variable-structure law (37) to (39) as a `Controller`: regularised, or corrected only."""
+"""The paper's adaptive variable-structure law (37) to (39) as a `Controller`: regularised, or
+corrected only.
+"""
 
 import math
 from collections.abc import Sequence
@@ -21,7 +23,8 @@ from capsule_gym.control.laws.gains import (
 from capsule_gym.control.laws.profiles import COLUMNS, PROPOSED, Profile, optimal, reference_table
 from capsule_gym.parameters import NOMINAL, Capsule, Plant
 
-# The memory: the estimates of alpha_theta and alpha_x, the (2n + 1)-th root of eta, and the start of x_d, m.
+# The memory: the estimates of alpha_theta and alpha_x, the (2n + 1)-th root of eta, and the start
+# of x_d, m.
 ESTIMATES = (*(f"alpha_theta_{i}" for i in range(1, 6)), *(f"alpha_x_{i}" for i in range(1, 5)))
 MEMORY = (*ESTIMATES, "eta_root", "x_anchor")
 
@@ -32,8 +35,12 @@ def nominal_estimates(p: Plant) -> tuple[float, ...]:
     return ml * p.l, ml, p.k, p.c, ml * p.g, ml, p.M + p.m, p.mu, ml
 
 
-def constants_of(gains: Gains, choices: Choices, plant: Plant, table: np.ndarray, dt: float) -> dict[str, Any]:
-    """The constants of the law by the names that the core gives them; `table` is from `reference_table`."""
+def constants_of(
+    gains: Gains, choices: Choices, plant: Plant, table: np.ndarray, dt: float
+) -> dict[str, Any]:
+    """The constants of the law by the names that the core gives them; `table` is from
+    `reference_table`.
+    """
     free = math.isinf(choices.estimate_range)
     low, high = 1.0 - choices.estimate_range, 1.0 + choices.estimate_range
     estimates = nominal_estimates(plant)
@@ -48,7 +55,8 @@ def constants_of(gains: Gains, choices: Choices, plant: Plant, table: np.ndarray
         "lowest": [-math.inf if free else low * estimate for estimate in estimates],
         "highest": [math.inf if free else high * estimate for estimate in estimates],
         "anchored": choices.anchored,
-        # The last row is one step before the end of the cycle; the platform rests there, so x_d is the same.
+        # The last row is one step before the end of the cycle; the platform rests there, so x_d is
+        # the same.
         "cycle_advance": float(table[-1, COLUMNS.index("x_d")]),
         "dt": dt,
     }
@@ -57,7 +65,8 @@ def constants_of(gains: Gains, choices: Choices, plant: Plant, table: np.ndarray
 def root_of_eta(eta: float, n: int) -> float:
     """The (2n + 1)-th root of the auxiliary variable, which the memory holds.
 
-    The root is computed in decimal arithmetic: the last digit of a float's power depends on the C library.
+    The root is computed in decimal arithmetic: the last digit of a float's power depends on the C
+    library.
     """
     exact = Context(prec=40)
     return float(exact.power(Decimal(eta), exact.divide(Decimal(1), Decimal(2 * n + 1))))
@@ -72,7 +81,9 @@ def eta_of(memory: np.ndarray, n: int = REGULARISED.n) -> np.ndarray:
 def sliding_variables(
     state: Sequence[np.ndarray], anchor: np.ndarray, reference: np.ndarray, gains: Gains
 ) -> tuple[np.ndarray, np.ndarray]:
-    """delta_theta (rad/s) and delta_x (m/s) of (37b); x_d starts from `anchor`, m; `reference` is by `COLUMNS`."""
+    """delta_theta (rad/s) and delta_x (m/s) of (37b); x_d starts from `anchor`, m; `reference` is
+    by `COLUMNS`.
+    """
     (theta, theta_dot, x, x_dot), (theta_d, theta_d_dot, _, x_d, x_d_dot, _, _) = state, reference
     delta_theta = (theta_dot - theta_d_dot) + gains.Lambda_theta * (theta - theta_d)
     return delta_theta, (x_dot - x_d_dot) + gains.Lambda_x * (x - (anchor + x_d))
@@ -96,10 +107,12 @@ def adaptive(
     nominal: Capsule = NOMINAL,
     name: str = "adaptive",
 ) -> Controller:
-    """The adaptive variable-structure law (39) along a profile, with the published gains by default.
+    """The adaptive variable-structure law (39) along a profile, with the published gains by
+    default.
 
-    In the regularised form x_d starts from the platform at every cycle, sgn(delta_theta) is a saturation, beta is 1,
-    and estimates and eta are bounded. `adaptive_as_published` describes the unregularised form.
+    In the regularised form x_d starts from the platform at every cycle, sgn(delta_theta) is a
+    saturation, beta is 1, and estimates and eta are bounded. `adaptive_as_published` describes the
+    unregularised form.
 
     Args:
         profile: reference of the pendulum.
@@ -113,9 +126,10 @@ def adaptive(
         regularised: False for the corrected law without regularisation.
         beta: beta of (39c) and (39d), rad^2/s^2, > 0; None for the form's `Choices.beta`.
         n: n of the exponent in (39d), at least 1; None for the form's value.
-        eta_0: initial auxiliary variable, > 0 and at most `Choices.eta_bound`; None for the form's value.
-        dt: period of the law and of its Euler steps, s. It divides the period of the profile, and the environment's
-            `physics_dt` divides it.
+        eta_0: initial auxiliary variable, > 0 and at most `Choices.eta_bound`; None for the form's
+            value.
+        dt: period of the law and of its Euler steps, s. It divides the period of the profile, and
+            the environment's `physics_dt` divides it.
         nominal: the nominal plant, from which the estimates start.
         name: name of the controller.
 
@@ -135,7 +149,9 @@ def adaptive(
         choices = choices._replace(n=check_count("n", n))
     if eta_0 is not None:
         accepted, bound = f"a number > 0 and <= {choices.eta_bound:g}", choices.eta_bound
-        choices = choices._replace(eta_0=check_number("eta_0", eta_0, accepted, 0.0, bound, open_low=True))
+        choices = choices._replace(
+            eta_0=check_number("eta_0", eta_0, accepted, 0.0, bound, open_low=True)
+        )
     plant = nominal.plant()
     table = reference_table(profile, plant, dt)
     constants = constants_of(gains, choices, plant, table, float(dt))
@@ -148,19 +164,23 @@ def adaptive(
 def adaptive_as_published() -> Controller:
     """The adaptive law with corrected equations and without regularisation.
 
-    Corrections, which follow from the paper's own derivation: the tilde of the errors in (37a); the minus of both
-    regressors in (38), and m l sin(theta) theta' rho_theta as the last term of N_x; the norm in (39c) includes
-    alpha^_x; the norm in (39d) is that of (41); (2n + 2) / (2n + 1) in (39d) is an exponent of eta.
+    Corrections, which follow from the paper's own derivation: the tilde of the errors in (37a); the
+    minus of both regressors in (38), and m l sin(theta) theta' rho_theta as the last term of N_x;
+    the norm in (39c) includes alpha^_x; the norm in (39d) is that of (41); (2n + 2) / (2n + 1) in
+    (39d) is an exponent of eta.
 
-    Choices that the paper leaves open (`UNREGULARISED` of the module `gains`): beta = 0.01, n = 1, eta(0) = 1 and
-    sgn(0) = 0; eta is limited to [0, 1e6]; (39d) and (39e) are integrated by Euler steps at 1 kHz with constant torque
-    in between; the normal force in Y_x is that of the nominal plant with theta_d'' for theta'', and not below zero; the
-    estimates start at the nominal values and are not limited; x_d is the motion of the nominal platform along theta_d
-    from the start of the episode.
+    Choices that the paper leaves open (`UNREGULARISED` of the module `gains`): beta = 0.01, n = 1,
+    eta(0) = 1 and sgn(0) = 0; eta is limited to [0, 1e6]; (39d) and (39e) are integrated by Euler
+    steps at 1 kHz with constant torque in between; the normal force in Y_x is that of the nominal
+    plant with theta_d'' for theta'', and not below zero; the estimates start at the nominal values
+    and are not limited; x_d is the motion of the nominal platform along theta_d from the start of
+    the episode.
     """
     return adaptive(regularised=False, name="adaptive-as-published")
 
 
 def adaptive_optimal_profile() -> Controller:
-    """The adaptive law along the fastest profile (9) that satisfies Principles 1 to 4 with 1.5 N m."""
+    """The adaptive law along the fastest profile (9) that satisfies Principles 1 to 4 with 1.5 N
+    m.
+    """
     return adaptive(optimal(1.5), name="adaptive-optimal-profile")

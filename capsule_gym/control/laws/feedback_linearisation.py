@@ -11,8 +11,8 @@ def feedback_linearising(
 ) -> Controller:
     """Feedback linearisation (35) along a profile.
 
-    The paper does not publish its gains. The default is a double pole at -20 rad/s, well below the 1 kHz of the law and
-    well above the profile.
+    The paper does not publish its gains. The default is a double pole at -20 rad/s, well below the
+    1 kHz of the law and well above the profile.
 
     Args:
         profile: reference of the pendulum.

@@ -1,4 +1,6 @@
-"""Gains and constants of the control laws: those of the paper, those that it leaves open, and tuned parameters."""
+"""Gains and constants of the control laws: those of the paper, those that it leaves open, and tuned
+parameters.
+"""
 
 import json
 import math
@@ -25,7 +27,9 @@ class Gains(NamedTuple):
 
 
 # Sect. 5.
-PUBLISHED = Gains(Lambda_theta=12.0, Lambda_x=30.0, K1=1.3, K2=10.0, K3=50.0, Gamma_1=0.1, Gamma_2=0.1)
+PUBLISHED = Gains(
+    Lambda_theta=12.0, Lambda_x=30.0, K1=1.3, K2=10.0, K3=50.0, Gamma_1=0.1, Gamma_2=0.1
+)
 
 
 class Choices(NamedTuple):
@@ -35,9 +39,11 @@ class Choices(NamedTuple):
         beta: the 'selected small constant' in the denominators of (39c) and (39d), rad^2/s^2.
         n: n of the exponent (2n + 2) / (2n + 1) in (39d).
         eta_0: initial auxiliary variable eta.
-        saturation_width: width of the saturation that replaces sgn(delta_theta), rad/s; 0.0 for sgn itself.
+        saturation_width: width of the saturation that replaces sgn(delta_theta), rad/s; 0.0 for sgn
+            itself.
         eta_bound: largest eta, since (39d) can grow without bound in finite time.
-        estimate_range: largest deviation of an estimate from its nominal value, as a fraction of it; can be infinite.
+        estimate_range: largest deviation of an estimate from its nominal value, as a fraction of
+            it; can be infinite.
         anchored: x_d starts from the position of the platform at every cycle.
     """
 
@@ -51,9 +57,23 @@ class Choices(NamedTuple):
 
 
 # (eta - 1) makes the last term of (39c) positive feedback while eta < 1; eta(0) = 1 rules that out.
-REGULARISED = Choices(beta=1.0, n=1, eta_0=1.0, saturation_width=0.5, eta_bound=10.0, estimate_range=0.5, anchored=True)
+REGULARISED = Choices(
+    beta=1.0,
+    n=1,
+    eta_0=1.0,
+    saturation_width=0.5,
+    eta_bound=10.0,
+    estimate_range=0.5,
+    anchored=True,
+)
 UNREGULARISED = Choices(
-    beta=0.01, n=1, eta_0=1.0, saturation_width=0.0, eta_bound=1e6, estimate_range=math.inf, anchored=False
+    beta=0.01,
+    n=1,
+    eta_0=1.0,
+    saturation_width=0.0,
+    eta_bound=1e6,
+    estimate_range=math.inf,
+    anchored=False,
 )
 
 # Results of `python -m baselines.tuning`.
@@ -70,7 +90,10 @@ def known_parameters(name: str) -> tuple[float, ...]:
 
 def check_gains(**gains: Any) -> dict[str, float]:
     """The gains as floats, each finite and not negative."""
-    return {name: check_number(name, value, "a finite number >= 0", 0.0) for name, value in gains.items()}
+    return {
+        name: check_number(name, value, "a finite number >= 0", 0.0)
+        for name, value in gains.items()
+    }
 
 
 def plant_constants(plant: Plant) -> dict[str, float]:

@@ -1,8 +1,10 @@
-"""A gait without a clock as a `Controller`: the torque is a polynomial of the state, and a guard keeps the contact.
+"""A gait without a clock as a `Controller`: the torque is a polynomial of the state, and a guard
+keeps the contact.
 
-`gait` does not observe the plant and follows no reference. The guard identifies a platform that is lighter than those
-of the search by the momentum that the pendulum gives it. `gait_predictive` is for late, noisy measurements and a
-lagging motor, `goal_pulses` and `velocity_pulses` for the tasks `goal` and `velocity`.
+`gait` does not observe the plant and follows no reference. The guard identifies a platform that is
+lighter than those of the search by the momentum that the pendulum gives it. `gait_predictive` is
+for late, noisy measurements and a lagging motor, `goal_pulses` and `velocity_pulses` for the tasks
+`goal` and `velocity`.
 """
 
 from collections.abc import Sequence
@@ -14,8 +16,9 @@ from capsule_gym.core import _core
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
 from capsule_gym.tasks.task import TORQUE_LIMIT
 
-# In the order of the core: the coefficients phi_ijk of theta^i theta_dot^j x_dot^k and of the step in the direction of
-# slip; the guard's gain in N m s^2, and the theta_dot^2 cos(theta), 1/s^2, from which it acts.
+# In the order of the core: the coefficients phi_ijk of theta^i theta_dot^j x_dot^k and of the step
+# in the direction of slip; the guard's gain in N m s^2, and the theta_dot^2 cos(theta), 1/s^2, from
+# which it acts.
 PARAMETERS = tuple(_core.LAWS["gait"][0].partition(" torque_limit")[0].split())
 # The parameters were searched on platforms of this mass and larger ones, kg.
 _WIDE = RANDOMIZATIONS["wide"].M
@@ -23,11 +26,13 @@ assert _WIDE is not None
 LIGHTEST = _WIDE[0]
 # The friction coefficient that the observer assumes at first.
 FIRST_MU = 0.02
-# The observer's estimate at first: 1.0 after the first measurement, theta (rad), theta_dot (rad/s), x_dot (m/s), the
-# motor's torque after its lag (N m), M (kg), mu and the bias of the measured x_dot (m/s). Earlier torques follow.
+# The observer's estimate at first: 1.0 after the first measurement, theta (rad), theta_dot (rad/s),
+# x_dot (m/s), the motor's torque after its lag (N m), M (kg), mu and the bias of the measured x_dot
+# (m/s). Earlier torques follow.
 ESTIMATE = (0.0, 0.0, 0.0, 0.0, 0.0, NOMINAL.M, FIRST_MU, 0.0)
-# The memory of the pulses at first, behind that of the filter: the phase, a return of the pendulum; the direction of
-# the pulse, its rate (rad/s), its start (m), its gain (m s^2) and the time since its end (s).
+# The memory of the pulses at first, behind that of the filter: the phase, a return of the pendulum;
+# the direction of the pulse, its rate (rad/s), its start (m), its gain (m s^2) and the time since
+# its end (s).
 FIRST_PULSE = (1.0, 1.0, 0.0, 0.0, 1e-4, 0.0)
 
 
@@ -46,9 +51,11 @@ def gait_constants(parameters: Sequence[float] | None = None) -> dict[str, float
 
 
 def gait(parameters: Sequence[float] | None = None) -> Controller:
-    """The gait: its torque is a function of theta, theta_dot and x_dot. It does not observe M and mu.
+    """The gait: its torque is a function of theta, theta_dot and x_dot. It does not observe M and
+    mu.
 
-    Its guard estimates M while the platform slips and acts earlier on platforms lighter than those of `wide`.
+    Its guard estimates M while the platform slips and acts earlier on platforms lighter than those
+    of `wide`.
 
     Args:
         parameters: numbers in the order of `PARAMETERS`; None for the tuned ones.
@@ -65,30 +72,37 @@ def gait(parameters: Sequence[float] | None = None) -> Controller:
 def gait_predictive() -> Controller:
     """The gait on the state of an observer and a predictor.
 
-    The sensors show an earlier state. An observer with fixed gains estimates it, and the nominal model predicts from
-    it, with the torques returned since, the state at which the next torque acts. M, mu and the bias of the measured
-    x_dot are estimated on the way. The position is not measured.
+    The sensors show an earlier state. An observer with fixed gains estimates it, and the nominal
+    model predicts from it, with the torques returned since, the state at which the next torque
+    acts. M, mu and the bias of the measured x_dot are estimated on the way. The position is not
+    measured.
     """
     constants = {**gait_constants(), **plant_constants(NOMINAL.plant())}
     law = CoreLaw("gait_predictive", **constants, lightest=LIGHTEST, dt=LAW_DT)
-    return Controller(law.name, law, NO_REFERENCE, (*ESTIMATE, *(0.0,) * (law.cells - len(ESTIMATE))))
+    return Controller(
+        law.name, law, NO_REFERENCE, (*ESTIMATE, *(0.0,) * (law.cells - len(ESTIMATE)))
+    )
 
 
 def goal_pulses() -> Controller:
     """The law of the task `goal`: the gait and torque pulses, or strokes on smooth floors.
 
-    The size of the pulses adapts to the floor. The law reads the goal's position, which follows the reference, and the
-    exact position of the platform.
+    The size of the pulses adapts to the floor. The law reads the goal's position, which follows the
+    reference, and the exact position of the platform.
     """
     return _pulses("goal_pulses", "goal")
 
 
 def velocity_pulses() -> Controller:
-    """The law of the task `velocity`: the gait and torque pulses towards the position of the target 0.3 s later."""
+    """The law of the task `velocity`: the gait and torque pulses towards the position of the target
+    0.3 s later.
+    """
     return _pulses("velocity_pulses", "velocity")
 
 
 def _pulses(name: str, task: str) -> Controller:
     pendulum = {key: getattr(NOMINAL, key) for key in ("m", "l", "g", "k", "c")}
     law = CoreLaw(name, **gait_constants(), **pendulum, dt=LAW_DT)
-    return Controller(name, law, NO_REFERENCE, (*(0.0,) * (law.cells - len(FIRST_PULSE)), *FIRST_PULSE), task=task)
+    return Controller(
+        name, law, NO_REFERENCE, (*(0.0,) * (law.cells - len(FIRST_PULSE)), *FIRST_PULSE), task=task
+    )

@@ -23,7 +23,8 @@ def fourier(series: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
     """One period of a Fourier series and of its derivative, sampled every `LAW_DT`.
 
     Args:
-        series: the period in s, which is rounded to a multiple of `LAW_DT`, the mean, the cosines and the sines.
+        series: the period in s, which is rounded to a multiple of `LAW_DT`, the mean, the cosines
+            and the sines.
     """
     mean, coefficients = series[1], np.reshape(series[2:], (2, -1))
     rows = max(2, round(series[0] / LAW_DT))
@@ -37,7 +38,9 @@ def fourier(series: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def tracking(name: str, columns: Mapping[int, Any], rows: int) -> Controller:
-    """State feedback about a periodic trajectory; a column is a number or an array, and 0 if it is not given."""
+    """State feedback about a periodic trajectory; a column is a number or an array, and 0 if it is
+    not given.
+    """
     table = np.zeros((rows, _core.LAWS["tracking"][2]))
     for column, values in columns.items():
         table[:, column] = values
@@ -48,7 +51,8 @@ def open_loop(parameters: Sequence[float] | None = None, name: str = "open-loop"
     """Torque as a function of time alone: a Fourier series with four harmonics.
 
     Args:
-        parameters: period (s), mean, cosines and sines of the torque (N m); None for the tuned ones.
+        parameters: period (s), mean, cosines and sines of the torque (N m); None for the tuned
+            ones.
         name: name of the controller; without parameters, also the entry of the file.
     """
     torque, _ = fourier(known_parameters(name) if parameters is None else parameters)
@@ -61,25 +65,35 @@ def open_loop_real() -> Controller:
 
 
 def pd(parameters: Sequence[float] | None = None) -> Controller:
-    """Proportional-derivative control of the pendulum's angle along a Fourier series with four harmonics.
+    """Proportional-derivative control of the pendulum's angle along a Fourier series with four
+    harmonics.
 
     Args:
-        parameters: period (s), mean, cosines and sines of theta_d (rad), K_theta (N m/rad) and K_theta_dot (N m s/rad);
-            None for the tuned ones.
+        parameters: period (s), mean, cosines and sines of theta_d (rad), K_theta (N m/rad) and
+            K_theta_dot (N m s/rad); None for the tuned ones.
     """
     *series, K_theta, K_theta_dot = known_parameters("pd") if parameters is None else parameters
     theta_d, theta_d_dot = fourier(series)
-    columns = {THETA_D: theta_d, THETA_D_DOT: theta_d_dot, K_THETA: K_theta, K_THETA_DOT: K_theta_dot}
+    columns = {
+        THETA_D: theta_d,
+        THETA_D_DOT: theta_d_dot,
+        K_THETA: K_theta,
+        K_THETA_DOT: K_theta_dot,
+    }
     return tracking("pd", columns, len(theta_d))
 
 
 def oscillator(parameters: Sequence[float] | None = None) -> Controller:
-    """A Hopf oscillator that the state entrains; a polynomial of its state, a spring and a damper give the torque.
+    """A Hopf oscillator that the state entrains; a polynomial of its state, a spring and a damper
+    give the torque.
 
     Args:
-        parameters: the constants of the law `oscillator` of the core, in order, without `dt`; None for the tuned ones.
+        parameters: the constants of the law `oscillator` of the core, in order, without `dt`; None
+            for the tuned ones.
     """
     values = iter(known_parameters("oscillator") if parameters is None else parameters)
     items = [item.partition(":") for item in _core.LAWS["oscillator"][0].split() if item != "dt"]
     constants = {key: [next(values) for _ in range(int(count or 1))] for key, _, count in items}
-    return Controller("oscillator", CoreLaw("oscillator", **constants, dt=LAW_DT), NO_REFERENCE, memory=(1.0, 0.0))
+    return Controller(
+        "oscillator", CoreLaw("oscillator", **constants, dt=LAW_DT), NO_REFERENCE, memory=(1.0, 0.0)
+    )

@@ -1,8 +1,9 @@
-"""The reference of the control laws: a profile of the pendulum, and the motion of the nominal platform along it.
+"""The reference of the control laws: a profile of the pendulum, and the motion of the nominal
+platform along it.
 
-The profiles are the paper's, with seven phases (9), and EPC's, with six. A profile is a sequence of segments
-theta_d' = A sin(phase + rate s) + offset + slope s, with s from the start of the segment. Angle and acceleration are
-computed in closed form.
+The profiles are the paper's, with seven phases (9), and EPC's, with six. A profile is a sequence of
+segments theta_d' = A sin(phase + rate s) + offset + slope s, with s from the start of the segment.
+Angle and acceleration are computed in closed form.
 """
 
 import json
@@ -23,7 +24,8 @@ from capsule_gym.tasks.task import START_THETA
 
 # Results of `python -m baselines.paper.optimal_profiles`.
 OPTIMA = Path(__file__).parents[2] / "data" / "laws" / "optimal_profiles.json"
-# The nominal platform is integrated in steps of about this length, s; the error is then below 1e-8 m.
+# The nominal platform is integrated in steps of about this length, s; the error is then below 1e-8
+# m.
 FINE_DT = 2e-5
 
 COLUMNS = ("theta_d", "theta_d_dot", "theta_d_ddot", "x_d", "x_d_dot", "x_d_ddot", "cycle_start")
@@ -31,7 +33,9 @@ COLUMNS = ("theta_d", "theta_d_dot", "theta_d_ddot", "x_d", "x_d_dot", "x_d_ddot
 
 @dataclass(frozen=True)
 class Segment:
-    """One phase: theta_d'(s) = amplitude sin(phase + rate s) + offset + slope s for s in [0, duration); SI units."""
+    """One phase: theta_d'(s) = amplitude sin(phase + rate s) + offset + slope s for s in [0,
+    duration); SI units.
+    """
 
     duration: float
     amplitude: float = 0.0
@@ -87,7 +91,8 @@ class Profile:
         return float(self.times[-1])
 
     def evaluate(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """theta_d (rad), theta_d' (rad/s) and theta_d'' (rad/s^2) at times t (s), which may span several cycles.
+        """theta_d (rad), theta_d' (rad/s) and theta_d'' (rad/s^2) at times t (s), which may span
+        several cycles.
 
         At the edge of a phase the acceleration is that of the phase that begins.
         """
@@ -96,7 +101,9 @@ class Profile:
         phase = np.minimum(np.searchsorted(ends, local, side="right"), len(ends) - 1)
         return self.evaluate_phases(phase, local - np.append(0.0, ends)[phase])
 
-    def evaluate_phases(self, phase: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def evaluate_phases(
+        self, phase: np.ndarray, s: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """`evaluate` at times s (s) from the starts of phases, which are numbered from 0."""
         numbers = np.array([astuple(segment) for segment in self.segments]).T
         turned = Segment(*numbers).turned(numbers[0])
@@ -107,23 +114,38 @@ class Profile:
 
 
 def _durations(times: Sequence[float], count: int, V1: float, P2: float) -> list[float]:
-    """The durations of the phases between the given times, which must increase from 0; also checks the velocities."""
+    """The durations of the phases between the given times, which must increase from 0; also checks
+    the velocities.
+    """
     if not 0.0 < P2 < V1:
         raise ValueError(f"P2 must be between 0 and V1, got P2={P2!r}, V1={V1!r}")
     if len(times) != count:
         raise ValueError(f"times must be t1 to t{count}, got {len(times)} values")
-    durations = np.diff([0.0, *(check_number("times", t, "finite numbers > 0 (s)", 0.0, open_low=True) for t in times)])
+    durations = np.diff(
+        [
+            0.0,
+            *(
+                check_number("times", t, "finite numbers > 0 (s)", 0.0, open_low=True)
+                for t in times
+            ),
+        ]
+    )
     if (durations <= 0.0).any():
         raise ValueError(f"times must increase, got {tuple(times)}")
     return [float(duration) for duration in durations]
 
 
 def _closed(name: str, progressive: Sequence[Segment], durations: Sequence[float]) -> Profile:
-    """A profile that ends with the slow return: down to -P3, hold, back to zero, with the P3 that closes the cycle."""
+    """A profile that ends with the slow return: down to -P3, hold, back to zero, with the P3 that
+    closes the cycle.
+    """
     down, hold, back = durations
     swept = math.fsum(segment.turned(np.float64(segment.duration)) for segment in progressive)
     P3 = swept / (0.5 * down + hold + 0.5 * back)
-    return Profile(name, (*progressive, _ramp(down, 0.0, -P3), Segment(hold, offset=-P3), _ramp(back, -P3, 0.0)))
+    return Profile(
+        name,
+        (*progressive, _ramp(down, 0.0, -P3), Segment(hold, offset=-P3), _ramp(back, -P3, 0.0)),
+    )
 
 
 def seven_phases(times: Sequence[float], V1: float, P2: float, name: str = "proposed") -> Profile:
@@ -162,7 +184,9 @@ def optimal(torque_limit: float, dropped: int = 0) -> Profile:
 
 
 def six_phases(times: Sequence[float], V1: float, P2: float, name: str = "EPC") -> Profile:
-    """The profile of the EPC system, with which the paper compares: as `seven_phases`, with t1 to t6 and P2 at t2."""
+    """The profile of the EPC system, with which the paper compares: as `seven_phases`, with t1 to
+    t6 and P2 at t2.
+    """
     d = _durations(times, 6, V1, P2)
     rise = Segment(d[0], amplitude=V1, rate=math.pi / (2.0 * d[0]))
     return _closed(name, (rise, _ramp(d[1], V1, P2), _ramp(d[2], P2, 0.0)), d[3:])
@@ -171,7 +195,8 @@ def six_phases(times: Sequence[float], V1: float, P2: float, name: str = "EPC") 
 # Table 1: t1 to t7, and t1 to t6 of EPC, s.
 TABLE_1 = (0.133, 0.195, 0.27, 0.9, 1.7, 5.8, 6.6)
 TABLE_1_EPC = (0.1, 0.33, 0.9, 1.4, 5.8, 6.6)
-# rad/s. V1 is the published peak velocity; P2 is not published, and calibrated to the published largest angle.
+# rad/s. V1 is the published peak velocity; P2 is not published, and calibrated to the published
+# largest angle.
 V1, P2 = 7.8, 2.122
 V1_EPC, P2_EPC = 11.0, 1.451
 
@@ -182,24 +207,28 @@ EPC = six_phases(TABLE_1_EPC, V1_EPC, P2_EPC)
 def platform_motion(
     angle: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray, h: float, p: Plant
 ) -> np.ndarray:
-    """x, x' and x'' of the platform while the pendulum follows a prescribed motion: the second row of Eq. (1).
+    """x, x' and x'' of the platform while the pendulum follows a prescribed motion: the second row
+    of Eq. (1).
 
-    The pendulum's angle (rad), velocity and acceleration are given at every h seconds, shape (n,). The environment's
-    step is not used, only its functions for the forces, which are constant over h. Viscous friction and the Stribeck
-    curve are left out.
+    The pendulum's angle (rad), velocity and acceleration are given at every h seconds, shape (n,).
+    The environment's step is not used, only its functions for the forces, which are constant over
+    h. Viscous friction and the Stribeck curve are left out.
 
     Returns:
         Shape (3, n), from rest at x = 0: m, m/s, m/s^2.
     """
     motion, plant = np.zeros((3, len(angle))), native.ordered(_core.PLANT, p._asdict())
-    arrays = (np.ascontiguousarray(values, np.float64) for values in (angle, velocity, acceleration))
+    arrays = (
+        np.ascontiguousarray(values, np.float64) for values in (angle, velocity, acceleration)
+    )
     native.call("platform_motion", *arrays, len(angle), float(h), plant, motion)
     return motion
 
 
 @lru_cache(maxsize=16)
 def reference_table(profile: Profile, nominal: Plant, dt: float = LAW_DT) -> np.ndarray:
-    """One cycle of a profile, whose period must be a multiple of the law's, dt in s; x_d is the nominal platform's.
+    """One cycle of a profile, whose period must be a multiple of the law's, dt in s; x_d is the
+    nominal platform's.
 
     Returns:
         Shape (steps, 7), float64, columns COLUMNS; read-only.
@@ -211,10 +240,13 @@ def reference_table(profile: Profile, nominal: Plant, dt: float = LAW_DT) -> np.
     dt = check_number("dt", dt, "a finite number > 0 (s)", 0.0, open_low=True)
     steps = round(profile.period / dt)
     if abs(steps * dt - profile.period) > 1e-9:
-        raise ValueError(f"the profile's period must be a multiple of dt = {dt!r} s, got {profile.period!r} s")
+        raise ValueError(
+            f"the profile's period must be a multiple of dt = {dt!r} s, got {profile.period!r} s"
+        )
     fine = max(1, round(dt / FINE_DT))
     h = dt / fine
-    # Sampled at the middle of the fine steps, where the jumps of theta_d'' at the edges of the phases do not lie.
+    # Sampled at the middle of the fine steps, where the jumps of theta_d'' at the edges of the
+    # phases do not lie.
     angle, velocity, acceleration = profile.evaluate((np.arange(steps * fine) + 0.5) * h)
     platform = platform_motion(angle, velocity, acceleration, h, nominal)[:, ::fine]
     table = np.zeros((steps, len(COLUMNS)))

@@ -1,11 +1,13 @@
-// What Python and JavaScript learn from the core: lists of names, the metrics of a task, and as plain arrays what
-// follows from the options of an environment.
+// What Python and JavaScript learn from the core: lists of names, the metrics of a task, and as
+// plain arrays what follows from the options of an environment.
 #pragma once
 #include "../step/contract.hpp"
 
 namespace LEVEL {
 // A list and the names in it, which spaces separate.
-struct NameList { const char *list, *names; };
+struct NameList {
+  const char *list, *names;
+};
 
 #define ROW CAPSULE_NAME
 #define FIELD(type, name) CAPSULE_NAME(name)
@@ -20,15 +22,22 @@ constexpr NameList NAME_LISTS[] = {
 #undef FIELD
 #undef ROW
 
-// Puts the metrics of an episode of the task, each as put(name, description): first those that all tasks share.
+// Puts the metrics of an episode of the task, each as put(name, description): first those that all
+// tasks share.
 template <class Task, class Put> void describe_metrics(Put put) {
   // An environment of zeros.
-  struct { Block<1> block; typename Task::template Memory<double> memory; double end; } world = {};
+  struct {
+    Block<1> block;
+    typename Task::template Memory<double> memory;
+    double end;
+  } world = {};
   Layout layout = {};
   layout.rows = layout.task = NUM_ROWS;
   Batch batch = {};
   batch.world = (double*)&world, batch.layout = &layout, batch.lanes = 1;
-  auto put_names = [&](const char* name, const char* description, double) { put(name, description); };
+  auto put_names = [&](const char* name, const char* description, double) {
+    put(name, description);
+  };
   put_metrics<Task, 1>(batch, 0, 0.0, put_names);
 }
 
@@ -41,7 +50,8 @@ struct Entry {
   double age, low, high;
 };
 
-// What follows from the options of an environment, with arrays of `layout.entries` and `layout.draws`.
+// What follows from the options of an environment, with arrays of `layout.entries` and
+// `layout.draws`.
 struct Description {
   Settings settings;
   Layout layout;
@@ -49,9 +59,11 @@ struct Description {
   Draw* draws;
 };
 
-// Describes an environment; returns false if there is no such task. `allocate` returns the address of a number of
-// bytes, at `entries`, which the caller frees; or a null, which ends the description.
-template <class Allocate> bool describe_environment(const Options& o, Description& d, Allocate allocate) {
+// Describes an environment; returns false if there is no such task. `allocate` returns the address
+// of a number of bytes, at `entries`, which the caller frees; or a null, which ends the
+// description.
+template <class Allocate>
+bool describe_environment(const Options& o, Description& d, Allocate allocate) {
   d = {};
   d.settings = make_settings(o);
   return with_type(Tasks(), (long long)o.task, [&]<class Task>() {

@@ -32,10 +32,11 @@ template <class... Parameters> constexpr bool OF_PLANT = (Given<Parameters>::PLA
 template <class... Parameters>
 constexpr int NUMBERS = (Given<Parameters>::NUMBERS + ...) + (OF_PLANT<Parameters...> ? 2 : 0);
 
-// Evaluates a function at n places: `in` has the shape (n, numbers), `out` (results, n). Returns the number of results.
-// module.cpp has checked `numbers`, and whether there is a plant.
+// Evaluates a function at n places: `in` has the shape (n, numbers), `out` (results, n). Returns
+// the number of results. module.cpp has checked `numbers`, and whether there is a plant.
 template <auto function, class Result, class... Parameters>
-long long evaluate(const double* in, long long numbers, double* out, long long n, const AnyPlant* plant) {
+long long evaluate(const double* in, long long numbers, double* out, long long n,
+                   const AnyPlant* plant) {
   struct Call {
     Result result;
     explicit Call(Parameters... given) : result(function(given...)) {}
@@ -64,7 +65,8 @@ constexpr Function evaluated(const char* name, Result (*)(Parameters...)) {
   found.of_plant = OF_PLANT<Parameters...>;
   return found;
 }
-template <auto method, class Result, class... Parameters> Result call_method(const AnyPlant& p, Parameters... given) {
+template <auto method, class Result, class... Parameters>
+Result call_method(const AnyPlant& p, Parameters... given) {
   return (p.*method)(given...);
 }
 template <auto method, class Result, class... Parameters>
@@ -73,15 +75,17 @@ constexpr Function evaluated(const char* name, Result (AnyPlant::*)(Parameters..
   return evaluated<function>(name, function);
 }
 // A function, or a method of the plant, that `evaluate` evaluates, by the name that Python uses.
-template <auto function> constexpr Function evaluated(const char* name) { return evaluated<function>(name, function); }
+template <auto function> constexpr Function evaluated(const char* name) {
+  return evaluated<function>(name, function);
+}
 
 // Two normal numbers from the bits of a number.
 inline Two<double> normals_from(double number) { return normals(scramble(bits_of(number))); }
 
-// The torques of n calls of a law of the core, from arrays of shape (n, numbers): the state, the memory, which is
-// replaced, and the row of the reference with the task's memory.
-inline void law_torques(long long number, const double* constants, const State<double>* states, double* memory,
-                        const double* rows, double* torques, long long n) {
+// The torques of n calls of a law of the core, from arrays of shape (n, numbers): the state, the
+// memory, which is replaced, and the row of the reference with the task's memory.
+inline void law_torques(long long number, const double* constants, const State<double>* states,
+                        double* memory, const double* rows, double* torques, long long n) {
   with_type(Laws(), number, [=]<class Law>() {
     Law law(constants);
     auto* cells = (typename Law::template Cells<double>*)memory;
@@ -90,14 +94,15 @@ inline void law_torques(long long number, const double* constants, const State<d
   });
 }
 
-// The motion of the platform while the pendulum follows a prescribed motion: the second row of Eq. (1). The pendulum's
-// angle, velocity and acceleration are given at every h seconds, n times. Writes x, x' and x'', shape (3, n), from rest
-// at x = 0; x' is exactly 0.0 in stick.
+// The motion of the platform while the pendulum follows a prescribed motion: the second row of Eq.
+// (1). The pendulum's angle, velocity and acceleration are given at every h seconds, n times.
+// Writes x, x' and x'', shape (3, n), from rest at x = 0; x' is exactly 0.0 in stick.
 //
-// The step is not used, only its functions for the forces: with theta'' given, nothing is left to solve. The forces are
-// constant over an interval; viscous friction and the Stribeck curve, which depend on x', are left out.
-inline void platform_motion(const double* angle, const double* velocity, const double* acceleration, long long n,
-                            double h, const AnyPlant& plant, double* motion) {
+// The step is not used, only its functions for the forces: with theta'' given, nothing is left to
+// solve. The forces are constant over an interval; viscous friction and the Stribeck curve, which
+// depend on x', are left out.
+inline void platform_motion(const double* angle, const double* velocity, const double* acceleration,
+                            long long n, double h, const AnyPlant& plant, double* motion) {
   AnyPlant p = plant;
   p.stribeck_excess = 0.0;  // without the Stribeck curve
   double x = 0.0, x_dot = 0.0;
@@ -125,17 +130,19 @@ inline void platform_motion(const double* angle, const double* velocity, const d
   }
 }
 
-// Steps the environments first..last-1 of `batch` with a trained policy, each until its episode ends, without Python
-// between the steps, and returns as `advance`.
+// Steps the environments first..last-1 of `batch` with a trained policy, each until its episode
+// ends, without Python between the steps, and returns as `advance`.
 template <int N>
-long long run_episodes(const Batch& batch, long long first, long long last, long long steps, const double* network) {
+long long run_episodes(const Batch& batch, long long first, long long last, long long steps,
+                       const double* network) {
   for (long long at = first; at < last; at += N) {
     auto& block = block_of<N>(batch, at);
     int n = last - at < N ? (int)(last - at) : N, going = n;
     // One more step than needed, so that the final state is that of a loop in Python.
     for (long long step = 0; step < steps && going > 0; step++) {
       going = 0;
-      for (int j = 0; j < n; j++) going += (int)(block.active[j] = block.termination[j] == 0.0 ? 1.0 : 0.0);
+      for (int j = 0; j < n; j++)
+        going += (int)(block.active[j] = block.termination[j] == 0.0 ? 1.0 : 0.0);
       float actions[N];
       act(network, batch.observations + at * batch.layout->entries, n, actions);
       for (int j = 0; j < n; j++) block.action[j] = actions[j];

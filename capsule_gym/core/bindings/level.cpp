@@ -8,15 +8,20 @@ namespace LEVEL {
 static void begin_any(const Batch& batch, long long count) {
   (batch.lanes == 1 ? begin_episodes<1> : begin_episodes<LANES>)(batch, count);
 }
-static void metrics_any(const Batch& batch, const long long* rows, long long count, double horizon, double* out) {
-  (batch.lanes == 1 ? episode_metrics<1> : episode_metrics<LANES>)(batch, rows, count, horizon, out);
+static void metrics_any(const Batch& batch, const long long* rows, long long count, double horizon,
+                        double* out) {
+  (batch.lanes == 1 ? episode_metrics<1> : episode_metrics<LANES>)(batch, rows, count, horizon,
+                                                                   out);
 }
-static long long run_any(const Batch& batch, long long first, long long last, long long steps, const double* network) {
-  return (batch.lanes == 1 ? run_episodes<1> : run_episodes<LANES>)(batch, first, last, steps, network);
+static long long run_any(const Batch& batch, long long first, long long last, long long steps,
+                         const double* network) {
+  return (batch.lanes == 1 ? run_episodes<1> : run_episodes<LANES>)(batch, first, last, steps,
+                                                                    network);
 }
-static long long trajectory_any(const double* values, const double* partials, long long n, long long steps, double h,
-                                double* states, double* slopes) {
-  return (partials ? trajectory<Dual> : trajectory<double>)(values, partials, n, steps, h, states, slopes);
+static long long trajectory_any(const double* values, const double* partials, long long n,
+                                long long steps, double h, double* states, double* slopes) {
+  return (partials ? trajectory<Dual> : trajectory<double>)(values, partials, n, steps, h, states,
+                                                            slopes);
 }
 
 constexpr Function FUNCTIONS[] = {

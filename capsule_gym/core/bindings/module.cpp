@@ -1,5 +1,6 @@
-// The Python module `capsule_gym.core._core`, by the C API that is stable since Python 3.10. Python allocates the
-// arrays, passes their addresses, and keeps them alive; `capsule_gym.core.native` checks what it passes.
+// The Python module `capsule_gym.core._core`, by the C API that is stable since Python 3.10. Python
+// allocates the arrays, passes their addresses, and keeps them alive; `capsule_gym.core.native`
+// checks what it passes.
 #define PY_SSIZE_T_CLEAN
 #ifndef Py_LIMITED_API
 #define Py_LIMITED_API 0x030A0000
@@ -28,10 +29,12 @@ PyObject* select_level(PyObject*, PyObject* place) {
 
 // --- functions ---
 
-// Reads an argument of a function, whose place counts from 1; otherwise sets an exception and returns false.
-bool read_argument(const Function& function, Py_ssize_t place, PyObject* given, Argument& argument) {
-  constexpr const char* ACCEPTED[] = {"a float or an int", "an int of 64 bits", "the address of an array (int)",
-                                      "a str"};
+// Reads an argument of a function, whose place counts from 1; otherwise sets an exception and
+// returns false.
+bool read_argument(const Function& function, Py_ssize_t place, PyObject* given,
+                   Argument& argument) {
+  constexpr const char* ACCEPTED[] = {"a float or an int", "an int of 64 bits",
+                                      "the address of an array (int)", "a str"};
   Due due = function.due[place - 1];
   // Faster than PyLong_Check, which calls a function that reads the flags of the type.
   bool is_int = PyObject_TypeCheck(given, &PyLong_Type);
@@ -44,32 +47,36 @@ bool read_argument(const Function& function, Py_ssize_t place, PyObject* given, 
   // A number that is too large, or a str that is no text, sets an exception.
   if (accepted && !PyErr_Occurred()) return true;
   PyErr_Clear();
-  PyErr_Format(PyExc_TypeError, "argument %zd of %s must be %s, got %.100R", place, function.name, ACCEPTED[(int)due],
-               given);
+  PyErr_Format(PyExc_TypeError, "argument %zd of %s must be %s, got %.100R", place, function.name,
+               ACCEPTED[(int)due], given);
   return false;
 }
 
-// Whether the arguments of `evaluate` are those of the function that it evaluates; otherwise sets an exception.
+// Whether the arguments of `evaluate` are those of the function that it evaluates; otherwise sets
+// an exception.
 bool check_evaluated(const Function& function, const Argument* arguments) {
   long long numbers = arguments[1].bits;
   long long plant = arguments[4].bits;
   if (numbers != function.numbers) {
-    PyErr_Format(PyExc_TypeError, "argument 2 of %s must be %d, the count of its numbers, got %lld", function.name,
-                 function.numbers, numbers);
+    PyErr_Format(PyExc_TypeError, "argument 2 of %s must be %d, the count of its numbers, got %lld",
+                 function.name, function.numbers, numbers);
     return false;
   }
   if (function.of_plant != (plant != 0)) {
     PyErr_Format(PyExc_TypeError, "argument 5 of %s must be %s, got %lld", function.name,
-                 function.of_plant ? "the address of a plant" : "0, since it needs no plant", plant);
+                 function.of_plant ? "the address of a plant" : "0, since it needs no plant",
+                 plant);
     return false;
   }
   return true;
 }
 
 // Reads all arguments of a function; otherwise sets an exception and returns false.
-bool read_arguments(const Function& function, PyObject* const* given, Py_ssize_t count, Argument* arguments) {
+bool read_arguments(const Function& function, PyObject* const* given, Py_ssize_t count,
+                    Argument* arguments) {
   if (count != function.count) {
-    PyErr_Format(PyExc_TypeError, "%s takes %d arguments, got %zd", function.name, function.count, count);
+    PyErr_Format(PyExc_TypeError, "%s takes %d arguments, got %zd", function.name, function.count,
+                 count);
     return false;
   }
   for (Py_ssize_t i = 0; i < count; i++)
@@ -77,11 +84,14 @@ bool read_arguments(const Function& function, PyObject* const* given, Py_ssize_t
   return function.numbers == 0 || check_evaluated(function, arguments);
 }
 
-// call(name, *arguments) -> index of an environment whose law has failed, or -1: a function of level.cpp with whole and
-// real numbers and addresses. To release the lock takes longer than a step of one environment.
+// call(name, *arguments) -> index of an environment whose law has failed, or -1: a function of
+// level.cpp with whole and real numbers and addresses. To release the lock takes longer than a step
+// of one environment.
 template <bool releases> PyObject* call(PyObject*, PyObject* const* args, Py_ssize_t count) {
   const char* name = count > 0 ? PyUnicode_AsUTF8AndSize(args[0], nullptr) : nullptr;
-  if (!name) return PyErr_Format(PyExc_TypeError, "call takes the name of a function (str) and its arguments");
+  if (!name)
+    return PyErr_Format(PyExc_TypeError,
+                        "call takes the name of a function (str) and its arguments");
   const Function* function = level->find(name);
   if (!function) return PyErr_Format(PyExc_ValueError, "the core has no function '%s'", name);
   Argument arguments[MOST_ARGUMENTS];
@@ -101,33 +111,40 @@ PyObject* trace(PyObject*, PyObject* const* args, Py_ssize_t count) {
   portable::recording = PyList_New(0);
   portable::branch = {-1};
   bool known = TRACE.invoke(arguments);
-  if (!known) PyErr_Format(PyExc_ValueError, "the core records no function %R with the number %R", args[0], args[1]);
+  if (!known)
+    PyErr_Format(PyExc_ValueError, "the core records no function %R with the number %R", args[0],
+                 args[1]);
   if (PyErr_Occurred()) Py_CLEAR(portable::recording);
   return portable::recording;
 }
 
-// A law that Python calls: a function of theta, theta_dot, x, x_dot, the cells of the memory, and the numbers of the
-// reference, which returns a tuple of the torque and the next cells. `numbers` counts cells and reference.
+// A law that Python calls: a function of theta, theta_dot, x, x_dot, the cells of the memory, and
+// the numbers of the reference, which returns a tuple of the torque and the next cells. `numbers`
+// counts cells and reference.
 struct PlainLaw {
   PyObject* function;
   long long cells, numbers, lanes, state;  // `state`: the row of the theta that the law observes
 };
 
-// The `UserLaw` with a `PlainLaw` as its data. An exception, such as that of Ctrl-C, ends the calls.
+// The `UserLaw` with a `PlainLaw` as its data. An exception, such as that of Ctrl-C, ends the
+// calls.
 void call_plain(void* data, double* block, double* torques, long long n) {
   const auto& [function, cells, numbers, lanes, state] = *(const PlainLaw*)data;
   const double* halt = lanes == 1 ? ((Block<1>*)block)->halt : ((Block<LANES>*)block)->halt;
   PyGILState_STATE lock = PyGILState_Ensure();
   for (long long j = 0; j < n && !PyErr_Occurred(); j++) {
     if (halt[j] == HALTED) continue;
-    double *observed = block + state * lanes + j, *memory = block + sizeof(Block<1>) / sizeof(double) * lanes + j;
+    double *observed = block + state * lanes + j,
+           *memory = block + sizeof(Block<1>) / sizeof(double) * lanes + j;
     PyObject* given = PyTuple_New(4 + numbers);
     for (long long r = 0; r < 4 + numbers; r++)
-      PyTuple_SetItem(given, r, PyFloat_FromDouble(r < 4 ? observed[r * lanes] : memory[(r - 4) * lanes]));
+      PyTuple_SetItem(given, r,
+                      PyFloat_FromDouble(r < 4 ? observed[r * lanes] : memory[(r - 4) * lanes]));
     PyObject* found = PyObject_CallObject(function, given);
     Py_DecRef(given);
     if (!found) continue;
-    for (long long r = 0; r < cells; r++) memory[r * lanes] = PyFloat_AsDouble(PyTuple_GetItem(found, 1 + r));
+    for (long long r = 0; r < cells; r++)
+      memory[r * lanes] = PyFloat_AsDouble(PyTuple_GetItem(found, 1 + r));
     double torque = PyFloat_AsDouble(PyTuple_GetItem(found, 0));
     if (!PyErr_Occurred()) torques[j] = torque;
     Py_DecRef(found);
@@ -139,7 +156,8 @@ void call_plain(void* data, double* block, double* torques, long long n) {
 
 // The names in a text, which spaces separate.
 PyObject* names_in(const char* text) {
-  PyObject *joined = PyUnicode_FromString(text), *names = joined ? PyUnicode_Split(joined, nullptr, -1) : nullptr;
+  PyObject *joined = PyUnicode_FromString(text),
+           *names = joined ? PyUnicode_Split(joined, nullptr, -1) : nullptr;
   Py_XDECREF(joined);
   return names;
 }
@@ -161,21 +179,24 @@ void append(PyObject* list, PyObject* value) {
 #define NAMED(name) {#name, nullptr},
 PyStructSequence_Field SETTINGS_FIELDS[] = {CAPSULE_SETTINGS(NAMED){nullptr, nullptr}};
 PyStructSequence_Field LAYOUT_FIELDS[] = {CAPSULE_LAYOUT(NAMED){nullptr, nullptr}};
-PyStructSequence_Field DESCRIPTION_FIELDS[] = {
-    NAMED(settings) NAMED(layout) NAMED(entries) NAMED(draws){nullptr, nullptr}};
-PyStructSequence_Field TASK_FIELDS[] = {
-    NAMED(fields) NAMED(shown) NAMED(term) NAMED(steps) NAMED(draws) NAMED(metrics){nullptr, nullptr}};
+PyStructSequence_Field DESCRIPTION_FIELDS[] = {NAMED(settings) NAMED(layout) NAMED(entries)
+                                                   NAMED(draws){nullptr, nullptr}};
+PyStructSequence_Field TASK_FIELDS[] = {NAMED(fields) NAMED(shown) NAMED(term) NAMED(steps)
+                                            NAMED(draws) NAMED(metrics){nullptr, nullptr}};
 #undef NAMED
-template <class Fields> constexpr int COUNT = (int)(sizeof(Fields) / sizeof(PyStructSequence_Field)) - 1;
+template <class Fields>
+constexpr int COUNT = (int)(sizeof(Fields) / sizeof(PyStructSequence_Field)) - 1;
 PyTypeObject *settings_type, *layout_type, *description_type, *task_type;
 
 PyObject* as_object(double number) { return PyFloat_FromDouble(number); }
 PyObject* as_object(long long number) { return PyLong_FromLongLong(number); }
 
 // A tuple of this type from the numbers of a struct.
-template <class Number> PyObject* named_tuple(PyTypeObject* type, const Number* numbers, int count) {
+template <class Number>
+PyObject* named_tuple(PyTypeObject* type, const Number* numbers, int count) {
   PyObject* found = PyStructSequence_New(type);
-  for (int n = 0; found && n < count; n++) PyStructSequence_SetItem(found, n, as_object(numbers[n]));
+  for (int n = 0; found && n < count; n++)
+    PyStructSequence_SetItem(found, n, as_object(numbers[n]));
   return found;
 }
 
@@ -186,19 +207,21 @@ bool read_option(PyObject* options, const char* name, double& option) {
   if (!value || PyErr_Occurred()) return false;
   if (value == Py_None) return true;
   option = PyFloat_AsDouble(value);
-  if (PyErr_Occurred()) PyErr_Format(PyExc_TypeError, "the option '%s' must be a number or None, got %R", name, value);
+  if (PyErr_Occurred())
+    PyErr_Format(PyExc_TypeError, "the option '%s' must be a number or None, got %R", name, value);
   return true;
 }
 
 // describe(options) -> Description: what follows from options by their names.
 PyObject* describe(PyObject*, PyObject* options) {
   using namespace portable;
-  if (!PyDict_Check(options)) return PyErr_Format(PyExc_TypeError, "options must be a dict, got %R", options);
+  if (!PyDict_Check(options))
+    return PyErr_Format(PyExc_TypeError, "options must be a dict, got %R", options);
   Options o;
   Py_ssize_t found = 0;
 #define READ(name) found += read_option(options, #name, o.name);
-#define READ_ENDS(name, range)                              \
-  found += read_option(options, name "_low", o.range.low);  \
+#define READ_ENDS(name, range)                             \
+  found += read_option(options, name "_low", o.range.low); \
   found += read_option(options, name "_high", o.range.high);
 #define READ_RANGE(name) READ_ENDS(#name, name##_range)
 #define READ_DISTURBANCE(name) READ_ENDS("disturbances_" #name, disturbances_##name)
@@ -214,10 +237,12 @@ PyObject* describe(PyObject*, PyObject* options) {
   bool known = describe_environment(o, d, [](size_t bytes) { return PyMem_Malloc(bytes); });
   if (!known) return PyErr_Format(PyExc_ValueError, "the core has no task of this number");
   if (!d.entries) return PyErr_NoMemory();
-  PyObject *entries = PyList_New(0), *draws = PyList_New(0), *description = PyStructSequence_New(description_type);
+  PyObject *entries = PyList_New(0), *draws = PyList_New(0),
+           *description = PyStructSequence_New(description_type);
   for (long long k = 0; k < d.layout.entries; k++) {
     const auto& [name, age, low, high] = d.entries[k];
-    PyObject* whole = age ? PyUnicode_FromFormat("%s %d", name, (int)age) : PyUnicode_FromString(name);
+    PyObject* whole =
+        age ? PyUnicode_FromFormat("%s %d", name, (int)age) : PyUnicode_FromString(name);
     append(entries, Py_BuildValue("Ndd", whole, low, high));
   }
   for (long long k = 0; k < d.layout.draws; k++) {
@@ -225,7 +250,8 @@ PyObject* describe(PyObject*, PyObject* options) {
     append(draws, Py_BuildValue("dddddd", row, stream, place, low, range, distribution));
   }
   PyMem_Free(d.entries);
-  constexpr int NUM_SETTINGS = COUNT<decltype(SETTINGS_FIELDS)>, NUM_SIZES = COUNT<decltype(LAYOUT_FIELDS)>;
+  constexpr int NUM_SETTINGS = COUNT<decltype(SETTINGS_FIELDS)>,
+                NUM_SIZES = COUNT<decltype(LAYOUT_FIELDS)>;
   PyObject* settings = named_tuple(settings_type, (const double*)&d.settings, NUM_SETTINGS);
   PyObject* layout = named_tuple(layout_type, (const long long*)&d.layout, NUM_SIZES);
   PyStructSequence_SetItem(description, 0, settings);
@@ -239,12 +265,14 @@ PyObject* describe(PyObject*, PyObject* options) {
 // What Python knows of a task: a tuple of type `Task`.
 template <class Task> PyObject* describe_task(PyObject* shared_metrics) {
   using namespace portable;
-  PyObject *found = PyStructSequence_New(task_type), *draws = PyList_New(0), *metrics = PyDict_New();
+  PyObject *found = PyStructSequence_New(task_type), *draws = PyList_New(0),
+           *metrics = PyDict_New();
   Task::draws(NOT_GIVEN, [&](const char* option, double low, double high, double distribution) {
     append(draws, Py_BuildValue("sddd", option, low, high, distribution));
   });
   describe_metrics<Task>([&](const char* name, const char* description) {
-    if (!PyDict_GetItemString(shared_metrics, name)) put_item(metrics, name, PyUnicode_FromString(description));
+    if (!PyDict_GetItemString(shared_metrics, name))
+      put_item(metrics, name, PyUnicode_FromString(description));
   });
   PyStructSequence_SetItem(found, 0, names_in(Task::FIELDS));
   PyStructSequence_SetItem(found, 1, names_in(Task::SHOWN));
@@ -258,27 +286,30 @@ template <class Task> PyObject* describe_task(PyObject* shared_metrics) {
 // Puts the types of tuples into the module's dict; returns whether that has failed.
 bool put_types(PyObject* own) {
   bool failed = false;
-#define PUT_TYPE(type, name, doc, FIELDS)                                                           \
-  {                                                                                                 \
-    PyStructSequence_Desc desc = {"capsule_gym.core._core." name, doc, FIELDS, COUNT<decltype(FIELDS)>}; \
-    type = PyStructSequence_NewType(&desc);                                                         \
-    failed |= !type || PyDict_SetItemString(own, name, (PyObject*)type) < 0;                        \
+#define PUT_TYPE(type, name, doc, FIELDS)                                      \
+  {                                                                            \
+    PyStructSequence_Desc desc = {"capsule_gym.core._core." name, doc, FIELDS, \
+                                  COUNT<decltype(FIELDS)>};                    \
+    type = PyStructSequence_NewType(&desc);                                    \
+    failed |= !type || PyDict_SetItemString(own, name, (PyObject*)type) < 0;   \
   }
   PUT_TYPE(settings_type, "Settings", "The settings of the step.", SETTINGS_FIELDS)
   PUT_TYPE(layout_type, "Layout", "The rows of an environment, and sizes.", LAYOUT_FIELDS)
-  PUT_TYPE(description_type, "Description", "What follows from the options of an environment.", DESCRIPTION_FIELDS)
+  PUT_TYPE(description_type, "Description", "What follows from the options of an environment.",
+           DESCRIPTION_FIELDS)
   PUT_TYPE(task_type, "TaskDescription", "What follows from a task.", TASK_FIELDS)
 #undef PUT_TYPE
   return failed;
 }
 
-// The laws by name, in the order of their numbers: names of constants, sizes of the memory and of a row of the
-// reference.
+// The laws by name, in the order of their numbers: names of constants, sizes of the memory and of a
+// row of the reference.
 PyObject* describe_laws() {
   using namespace portable;
   PyObject* laws = PyDict_New();
   [&]<class... Law>(List<Law...>) {
-    (put_item(laws, Law::NAME, Py_BuildValue("(sii)", Law::CONSTANTS, Law::MEMORY, Law::COLUMNS)), ...);
+    (put_item(laws, Law::NAME, Py_BuildValue("(sii)", Law::CONSTANTS, Law::MEMORY, Law::COLUMNS)),
+     ...);
   }(Laws());
   return laws;
 }
@@ -324,31 +355,50 @@ int fill(PyObject* module) {
   put("LAWS", describe_laws());
   put("Row", row_class());
   char levels[64] = "";
-  for (int i = BEST; i < NUM_LEVELS; i++) __builtin_strcat(__builtin_strcat(levels, LEVELS[i].name), " ");
+  for (int i = BEST; i < NUM_LEVELS; i++)
+    __builtin_strcat(__builtin_strcat(levels, LEVELS[i].name), " ");
   for (auto [list, names] : NAME_LISTS) put(list, names_in(names));
 #define NAMES(list, names) put(#list, names_in(names));
-  NAMES(LEVELS, levels) NAMES(PLANT, NOMINAL_CONSTANTS(CAPSULE_NAME)) NAMES(OBSERVED, OBSERVED(CAPSULE_NAME))
-  NAMES(TRAJECTORY, CAPSULE_TRAJECTORY(CAPSULE_NAME)) NAMES(STREAMS, CAPSULE_STREAMS(CAPSULE_NAME))
+  NAMES(LEVELS, levels)
+  NAMES(PLANT, NOMINAL_CONSTANTS(CAPSULE_NAME))
+  NAMES(OBSERVED, OBSERVED(CAPSULE_NAME))
+  NAMES(TRAJECTORY, CAPSULE_TRAJECTORY(CAPSULE_NAME))
+  NAMES(STREAMS, CAPSULE_STREAMS(CAPSULE_NAME))
 #define REAL(name) put(#name, PyFloat_FromDouble(name));
-  REAL(THETA_LIMIT) REAL(THETA_DOT_BOUND) REAL(MOTOR_WIDTH) REAL(MOTOR_SLOPE) REAL(ROUNDING)
-  REAL(LARGEST_COMMAND) REAL(START_THETA) REAL(M_BOUND) REAL(MU_BOUND)
-  REAL(CONTROL_DT) REAL(DIRECT_PHYSICS_DT) REAL(LAW_PHYSICS_DT)
+  REAL(THETA_LIMIT)
+  REAL(THETA_DOT_BOUND)
+  REAL(MOTOR_WIDTH)
+  REAL(MOTOR_SLOPE)
+  REAL(ROUNDING)
+  REAL(LARGEST_COMMAND)
+  REAL(START_THETA)
+  REAL(M_BOUND)
+  REAL(MU_BOUND)
+  REAL(CONTROL_DT)
+  REAL(DIRECT_PHYSICS_DT)
+  REAL(LAW_PHYSICS_DT)
 #define WHOLE(name) put(#name, PyLong_FromLongLong(name));
-  WHOLE(LANES) WHOLE(MOST_CELLS) WHOLE(PADDING) WHOLE(COMMANDS) WHOLE(ESTIMATOR_CELLS) WHOLE(DIRECTIONS)
-  WHOLE(MOST_RESULTS) WHOLE(MOST_SUBSTEPS)
+  WHOLE(LANES)
+  WHOLE(MOST_CELLS)
+  WHOLE(PADDING)
+  WHOLE(COMMANDS)
+  WHOLE(ESTIMATOR_CELLS)
+  WHOLE(DIRECTIONS)
+  WHOLE(MOST_RESULTS)
+  WHOLE(MOST_SUBSTEPS)
   put("PLAIN_LAW", PyLong_FromVoidPtr((void*)&call_plain));
   return failed || PyErr_Occurred() ? -1 : 0;
 }
 
-PyMethodDef METHODS[] = {
-    {"select_level", select_level, METH_O, nullptr},
-    {"call", (PyCFunction)(void*)call<true>, METH_FASTCALL, nullptr},
-    {"call_locked", (PyCFunction)(void*)call<false>, METH_FASTCALL, nullptr},
-    {"describe", describe, METH_O, nullptr},
-    {"trace", (PyCFunction)(void*)trace, METH_FASTCALL, nullptr},
-    {nullptr, nullptr, 0, nullptr}};
+PyMethodDef METHODS[] = {{"select_level", select_level, METH_O, nullptr},
+                         {"call", (PyCFunction)(void*)call<true>, METH_FASTCALL, nullptr},
+                         {"call_locked", (PyCFunction)(void*)call<false>, METH_FASTCALL, nullptr},
+                         {"describe", describe, METH_O, nullptr},
+                         {"trace", (PyCFunction)(void*)trace, METH_FASTCALL, nullptr},
+                         {nullptr, nullptr, 0, nullptr}};
 PyModuleDef_Slot SLOTS[] = {{Py_mod_exec, (void*)fill}, {0, nullptr}};
-PyModuleDef MODULE = {PyModuleDef_HEAD_INIT, "_core", nullptr, 0, METHODS, SLOTS, nullptr, nullptr, nullptr};
+PyModuleDef MODULE = {
+    PyModuleDef_HEAD_INIT, "_core", nullptr, 0, METHODS, SLOTS, nullptr, nullptr, nullptr};
 }  // namespace
 
 PyMODINIT_FUNC PyInit__core() { return PyModuleDef_Init(&MODULE); }

@@ -1,5 +1,5 @@
-// Records functions of the core as lists of operations, from which Python writes them in other languages
-// (capsule_gym/export/c_code.py).
+// Records functions of the core as lists of operations, from which Python writes them in other
+// languages (capsule_gym/export/c_code.py).
 #pragma once
 #include <Python.h>
 
@@ -14,7 +14,9 @@ inline Condition append(PyObject* row) {
   Py_XDECREF(row);
   return {PyList_Size(recording) - 1};
 }
-inline Condition append_constant(double value) { return append(Py_BuildValue("(sd)", "constant", value)); }
+inline Condition append_constant(double value) {
+  return append(Py_BuildValue("(sd)", "constant", value));
+}
 inline Condition append_row(const char* operation, int count, const long long* operands) {
   constexpr const char* FORMATS[] = {"(s)", "(sL)", "(sLL)", "(sLLL)"};
   return append(Py_BuildValue(FORMATS[count], operation, operands[0], operands[1], operands[2]));
@@ -30,7 +32,8 @@ template <class S> void give(const S& outputs) {
   for (int i = 0; i < WIDTH<S>; i++) append_operation("output", ((const Trace*)&outputs)[i]);
 }
 
-// Records a function, of a law or task with its number, and of the constants or settings. Returns whether there is one.
+// Records a function, of a law or task with its number, and of the constants or settings. Returns
+// whether there is one.
 inline bool record(const char* function, long long number, const double* constants) {
   auto is = [&](const char* name) { return !__builtin_strcmp(function, name); };
   const auto& settings = *(const Settings*)constants;
@@ -55,7 +58,8 @@ inline bool record(const char* function, long long number, const double* constan
     auto row = given<typename Law::template Line<Trace>>();
     give(Law(constants).torque(state, memory, row)), give(memory);
   };
-  // A task: its memory, x, and for an observation the x of the previous one, what is observed, and the estimator.
+  // A task: its memory, x, and for an observation the x of the previous one, what is observed, and
+  // the estimator.
   auto trace_task = [&]<class Task>() {
     auto memory = given<typename Task::template Memory<Trace>>();
     Trace x = given<Trace>();
@@ -65,7 +69,8 @@ inline bool record(const char* function, long long number, const double* constan
       auto begun = given<Trace>() != 0.0;
       auto seen = given<Observed<Trace>>();
       double rest = settings.agent_reads != 0.0 ? settings.stick_threshold : 0.0;
-      if (auto taken = when(begun)) Task::reward(x, seen.x_dot, x - before, settings.control_dt(), rest, memory);
+      if (auto taken = when(begun))
+        Task::reward(x, seen.x_dot, x - before, settings.control_dt(), rest, memory);
       auto put = [](const char*, double, double, Trace entry) { give(entry); };
       put_entries<Task>(settings, seen, memory, put, given<Estimator<Trace>>);
     }

@@ -4,12 +4,14 @@
 #pragma once
 #include "../numbers/number.hpp"
 
-// What a parameter takes from Python: a float, or an int that is converted; an int; an int that is an array's address;
-// a str.
+// What a parameter takes from Python: a float, or an int that is converted; an int; an int that is
+// an array's address; a str.
 enum class Due { REAL, WHOLE, ADDRESS, TEXT };
 
 // The bits of a number or of an address.
-struct Argument { long long bits; };
+struct Argument {
+  long long bits;
+};
 constexpr int MOST_ARGUMENTS = 7;
 
 struct Function {
@@ -18,7 +20,8 @@ struct Function {
   long long (*invoke)(const Argument* arguments);
   int count;  // of its arguments
   Due due[MOST_ARGUMENTS];
-  // Of a function that `evaluate` evaluates: the count of its numbers, else 0, and whether it needs a plant.
+  // Of a function that `evaluate` evaluates: the count of its numbers, else 0, and whether it needs
+  // a plant.
   int numbers;
   bool of_plant;
 };
@@ -68,8 +71,15 @@ template <auto function, class... Parameters> long long invoke(const Argument* n
 template <auto function, class Result, class... Parameters>
 constexpr Function named(const char* name, Result (*)(Parameters...)) {
   static_assert(sizeof...(Parameters) <= MOST_ARGUMENTS);
-  return {name, invoke<function, Parameters...>, sizeof...(Parameters), {Parameter<Parameters>::DUE...}, 0, false};
+  return {name,
+          invoke<function, Parameters...>,
+          sizeof...(Parameters),
+          {Parameter<Parameters>::DUE...},
+          0,
+          false};
 }
 // A function by the name that Python uses.
-template <auto function> constexpr Function named(const char* name) { return named<function>(name, function); }
+template <auto function> constexpr Function named(const char* name) {
+  return named<function>(name, function);
+}
 }  // namespace LEVEL

@@ -1,5 +1,5 @@
-// The core for browsers and node, compiled to WebAssembly: one environment, without Python and without packs. Every
-// environment has an instance of the module with a memory of its own.
+// The core for browsers and node, compiled to WebAssembly: one environment, without Python and
+// without packs. Every environment has an instance of the module with a memory of its own.
 #define LEVEL web
 #define CAPSULE_ONE_ENVIRONMENT
 #include "../network.hpp"
@@ -15,7 +15,8 @@ static web::Description description;
 // JavaScript reads the arrays of a description by these sizes.
 static_assert(sizeof(web::Entry) == 32 && sizeof(Draw) == 48);
 
-// The address of new memory, zeros, which is never freed: whole pages. It invalidates JavaScript's views of the memory.
+// The address of new memory, zeros, which is never freed: whole pages. It invalidates JavaScript's
+// views of the memory.
 EXPORT(allocate) unsigned long allocate(unsigned long bytes) {
   constexpr unsigned long PAGE = 65536;
   return __builtin_wasm_memory_grow(0, (bytes + PAGE - 1) / PAGE) * PAGE;
@@ -23,8 +24,8 @@ EXPORT(allocate) unsigned long allocate(unsigned long bytes) {
 
 // --- the contract ---
 
-// The address of a table of lists and their names, which a null ends; a list may have several lines. From each line
-// "TASK" on, the lists are those of the task.
+// The address of a table of lists and their names, which a null ends; a list may have several
+// lines. From each line "TASK" on, the lists are those of the task.
 EXPORT(name_lists) const web::NameList* name_lists() {
   static web::NameList table[1024];
   web::NameList* next = table;
@@ -39,17 +40,21 @@ EXPORT(name_lists) const web::NameList* name_lists() {
     put("fields", Task::FIELDS);
     put("shown", Task::SHOWN);
     put("draws", "");
-    Task::draws(web::NOT_GIVEN, [&](const char* option, double, double, double) { put("draws", option); });
+    Task::draws(web::NOT_GIVEN,
+                [&](const char* option, double, double, double) { put("draws", option); });
     web::describe_metrics<Task>([&](const char* name, const char*) { put("metrics", name); });
   };
-  [&]<class... Task>(web::List<Task...>) { (put_task.template operator()<Task>(), ...); }(web::Tasks());
+  [&]<class... Task>(web::List<Task...>) {
+    (put_task.template operator()<Task>(), ...);
+  }(web::Tasks());
   return table;
 }
 
 // The address of the options, which JavaScript writes in the order of their names.
 EXPORT(options) web::Options* options_address() { return &options; }
 
-// Describes an environment with these options; returns the address of the description, which the next call replaces.
+// Describes an environment with these options; returns the address of the description, which the
+// next call replaces.
 EXPORT(describe) const web::Description* describe() {
   static unsigned long room = 0, size = 0;
   web::describe_environment(options, description, [](unsigned long bytes) {
@@ -61,7 +66,8 @@ EXPORT(describe) const web::Description* describe() {
 
 // --- an episode ---
 
-// Sets the fields of `Batch` in their order, arrays by their addresses, and those that are part of the description.
+// Sets the fields of `Batch` in their order, arrays by their addresses, and those that are part of
+// the description.
 EXPORT(bind) void bind(const double* fields) {
 #define FIELD(type, name) batch.name = (type)(long)*fields++;
   CAPSULE_BATCH(FIELD)
@@ -74,10 +80,12 @@ EXPORT(bind) void bind(const double* fields) {
 EXPORT(draw_episode) void draw_episode() { web::draw_episodes(batch, 1); }
 EXPORT(begin_episode) void begin_episode() { web::begin_episodes<1>(batch, 1); }
 
-// One agent step, or with `begin` the first call of the law in an episode; false if the law's torque is not finite.
+// One agent step, or with `begin` the first call of the law in an episode; false if the law's
+// torque is not finite.
 EXPORT(advance) bool advance(bool begin) { return web::advance(batch, 0, 1, begin) < 0; }
 
-// Writes the metrics of the episode so far in the order of their names; `horizon`: length of a whole episode, s.
+// Writes the metrics of the episode so far in the order of their names; `horizon`: length of a
+// whole episode, s.
 EXPORT(metrics) void metrics(double horizon, double* out) {
   web::episode_metrics<1>(batch, batch.rows, 1, horizon, out);
 }

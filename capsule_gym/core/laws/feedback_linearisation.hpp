@@ -5,8 +5,11 @@
 namespace LEVEL {
 struct FeedbackLinearising {
   // K_p in 1/s^2, K_v in 1/s.
-#define FEEDBACK_CONSTANTS(ONE, MANY) NOMINAL_CONSTANTS(ONE) ONE(K_p) ONE(K_v)
-  CAPSULE_LAW(FeedbackLinearising, "feedback_linearising", T, NoMemory, Reference, FEEDBACK_CONSTANTS)
+#define FEEDBACK_CONSTANTS(ONE, MANY) \
+  NOMINAL_CONSTANTS(ONE) ONE(K_p)     \
+  ONE(K_v)
+  CAPSULE_LAW(FeedbackLinearising, "feedback_linearising", T, NoMemory, Reference,
+              FEEDBACK_CONSTANTS)
 
   // With f the actual friction force: mu N sign(x') in slip, the reaction in stick.
   template <class T> INLINE T torque(const State<T>& s, NoMemory<T>&, const Reference<T>& r) const {

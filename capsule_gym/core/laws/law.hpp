@@ -3,26 +3,31 @@
 #include "../physics/plant.hpp"
 
 namespace LEVEL {
-// The members of a law besides its function `torque`. The number type is T, or `double` for a law with branches. Memory
-// and Row are the structs of its memory, and of the row of its reference with the memory of the task behind it.
-// LIST(ONE, MANY) names the constants `q`, numbers and arrays: C++ takes the fields from it, Python their order.
-#define CAPSULE_LAW(Law, name, number, Memory, Row, LIST)                                                              \
-  template <class T> using Number = number;                                                                            \
-  template <class T> using Cells = Memory<T>;                                                                          \
-  template <class T> using Line = Row<T>;                                                                              \
-  static constexpr const char *NAME = name, *CONSTANTS = "" LIST(CAPSULE_NAME, LAW_NAMES);                             \
-  static constexpr int MEMORY = WIDTH<Memory<double>>, COLUMNS = WIDTH<Row<double>>;                                   \
-  struct Constants {                                                                                                   \
-    LIST(CAPSULE_DOUBLE, LAW_FIELDS)                                                                                   \
-  } q;                                                                                                                 \
+// The members of a law besides its function `torque`. The number type is T, or `double` for a law
+// with branches. Memory and Row are the structs of its memory, and of the row of its reference with
+// the memory of the task behind it. LIST(ONE, MANY) names the constants `q`, numbers and arrays:
+// C++ takes the fields from it, Python their order.
+#define CAPSULE_LAW(Law, name, number, Memory, Row, LIST)                                  \
+  template <class T> using Number = number;                                                \
+  template <class T> using Cells = Memory<T>;                                              \
+  template <class T> using Line = Row<T>;                                                  \
+  static constexpr const char *NAME = name, *CONSTANTS = "" LIST(CAPSULE_NAME, LAW_NAMES); \
+  static constexpr int MEMORY = WIDTH<Memory<double>>, COLUMNS = WIDTH<Row<double>>;       \
+  struct Constants {                                                                       \
+    LIST(CAPSULE_DOUBLE, LAW_FIELDS)                                                       \
+  } q;                                                                                     \
   explicit Law(const double* constants) : q(load<Constants>(constants)) {}
 #define LAW_NAMES(name, count) #name ":" #count " "
 #define LAW_FIELDS(name, count) double name[count];
 
 // For a law without constants, without memory, and without a reference.
 #define NO_CONSTANTS(ONE, MANY)
-template <class T> struct NoMemory { T unused; };
-template <class T> struct NoReference { T theta_d, theta_d_dot; };
+template <class T> struct NoMemory {
+  T unused;
+};
+template <class T> struct NoReference {
+  T theta_d, theta_d_dot;
+};
 
 // A row of the reference table: rad and m with their derivatives, and 1.0 where a cycle begins.
 template <class T> struct Reference {
@@ -30,7 +35,12 @@ template <class T> struct Reference {
 };
 
 // The constants of a nominal plant.
-#define NOMINAL_CONSTANTS(ONE) ONE(M) ONE(mu) ONE(mass_ratio) ONE(pivot_torque_on_contact) CAPSULE_PLANT(ONE)
+#define NOMINAL_CONSTANTS(ONE) \
+  ONE(M)                       \
+  ONE(mu)                      \
+  ONE(mass_ratio)              \
+  ONE(pivot_torque_on_contact) \
+  CAPSULE_PLANT(ONE)
 template <class T, Kind kind, class Q> INLINE Plant<T, kind> nominal_plant(const Q& q) {
 #define FIELD(name) q.name,
   return {NOMINAL_CONSTANTS(FIELD)};

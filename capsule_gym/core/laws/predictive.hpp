@@ -1,37 +1,45 @@
-// A law for late, noisy measurements and a lagging motor: an observer and a predictor around the gait.
+// A law for late, noisy measurements and a lagging motor: an observer and a predictor around the
+// gait.
 //
-// The sensors show the state of LATENCY calls ago. An observer with fixed gains estimates that state. The nominal model
-// predicts from it, with the torques that the law has returned since, the state at which the next torque acts. The
-// friction coefficient, the mass of the platform and the bias of the measured x_dot are estimated by gradient descent
-// on the squared error of x_dot. The position is not measured.
+// The sensors show the state of LATENCY calls ago. An observer with fixed gains estimates that
+// state. The nominal model predicts from it, with the torques that the law has returned since, the
+// state at which the next torque acts. The friction coefficient, the mass of the platform and the
+// bias of the measured x_dot are estimated by gradient descent on the squared error of x_dot. The
+// position is not measured.
 #pragma once
 #include "gait.hpp"
 
 namespace LEVEL {
 namespace predictor {
-// Assumed: calls from a measurement to its torque, the time constant of the motor in s, and its friction in N m.
+// Assumed: calls from a measurement to its torque, the time constant of the motor in s, and its
+// friction in N m.
 constexpr int LATENCY = 10;
 constexpr double LAG = 0.005, MOTOR_FRICTION = 0.05;
-// Speeds below which the model's friction falls linearly to 0: of the motor in rad/s, of the floor in m/s.
+// Speeds below which the model's friction falls linearly to 0: of the motor in rad/s, of the floor
+// in m/s.
 constexpr double MOTOR_WIDTH = 0.2, FLOOR_WIDTH = 0.005;
 // Share of a measurement's error by which a call corrects the estimate.
 constexpr double GAIN_THETA = 0.005, GAIN_THETA_DOT = 0.05, GAIN_X_DOT = 0.02;
-// Rates of learning per call: of log(mu) in s/m, of log(M) in s^2/m, and of the bias of x_dot as a share of the error.
+// Rates of learning per call: of log(mu) in s/m, of log(M) in s^2/m, and of the bias of x_dot as a
+// share of the error.
 constexpr double RATE_MU = 0.02, RATE_M = 1e-3, RATE_BIAS = 1e-4;
 // The range of mu, and the largest bias of x_dot, m/s.
 constexpr double LOW_MU = 0.0025, HIGH_MU = 1.0, LARGEST_BIAS = 0.05;
 constexpr int STRIDE = 3;  // calls per Euler step of the predictor, whose torques are averaged
 
-// The estimate of the state LATENCY calls ago, before the measurement of that time: 1.0 after the first measurement,
-// the state, the motor's torque after its lag in N m, M in kg, mu, and the bias of the measured x_dot in m/s; and the
-// torques of the last calls, the oldest first.
-template <class T> struct Estimate { T begun, theta, theta_dot, x_dot, motor, M, mu, bias; };
+// The estimate of the state LATENCY calls ago, before the measurement of that time: 1.0 after the
+// first measurement, the state, the motor's torque after its lag in N m, M in kg, mu, and the bias
+// of the measured x_dot in m/s; and the torques of the last calls, the oldest first.
+template <class T> struct Estimate {
+  T begun, theta, theta_dot, x_dot, motor, M, mu, bias;
+};
 template <class T> struct Memory {
   Estimate<T> estimate;
   T queue[LATENCY];
 };
 
-// One Euler step of h seconds of the nominal model with the estimated M and mu; implicit for the motor's lag.
+// One Euler step of h seconds of the nominal model with the estimated M and mu; implicit for the
+// motor's lag.
 template <class T, class Q> INLINE void model_step(Estimate<T>& e, T torque, double h, const Q& q) {
   e.motor = e.motor + h / (LAG + h) * (torque - e.motor);
   T u = e.motor - MOTOR_FRICTION * clip(e.theta_dot / MOTOR_WIDTH, T(1.0));
@@ -46,8 +54,9 @@ template <class T, class Q> INLINE void model_step(Estimate<T>& e, T torque, dou
 
 // Corrects the estimate by a measurement; the first measurement is used unchanged.
 //
-// If the measured x_dot is above its estimate while the platform slides forwards, friction is smaller than estimated.
-// If it is above while the pendulum swings forwards, the platform is lighter than estimated.
+// If the measured x_dot is above its estimate while the platform slides forwards, friction is
+// smaller than estimated. If it is above while the pendulum swings forwards, the platform is
+// lighter than estimated.
 template <class T> INLINE void correct(Estimate<T>& e, T theta, T theta_dot, T x_dot) {
   theta = clip(theta, T(THETA_LIMIT)), theta_dot = clip(theta_dot, T(THETA_DOT_BOUND));
   x_dot = clip(x_dot, T(X_DOT_BOUND));
@@ -67,15 +76,18 @@ template <class T> INLINE void correct(Estimate<T>& e, T theta, T theta_dot, T x
   e.bias = clip(e.bias + RATE_BIAS * error, T(LARGEST_BIAS));
 }
 
-// Corrects the estimate by a measurement of LATENCY calls ago and returns the prediction of the present. The memory
-// becomes that of the next call, but for the last of the queue, the torque of this call.
-template <class T, class Q> INLINE Estimate<T> predict(Memory<T>& memory, const State<T>& s, const Q& q) {
+// Corrects the estimate by a measurement of LATENCY calls ago and returns the prediction of the
+// present. The memory becomes that of the next call, but for the last of the queue, the torque of
+// this call.
+template <class T, class Q>
+INLINE Estimate<T> predict(Memory<T>& memory, const State<T>& s, const Q& q) {
   auto& [estimate, queue] = memory;
   correct(estimate, s.theta, s.theta_dot, s.x_dot);
   model_step(estimate, queue[0], q.dt, q);
   Estimate<T> present = estimate;
   for (int i = 1; i < LATENCY; i += STRIDE)
-    model_step(present, (queue[i] + queue[i + 1] + queue[i + 2]) / double(STRIDE), STRIDE * q.dt, q);
+    model_step(present, (queue[i] + queue[i + 1] + queue[i + 2]) / double(STRIDE), STRIDE * q.dt,
+               q);
   for (int i = 1; i < LATENCY; i++) queue[i - 1] = queue[i];
   return present;
 }
@@ -84,15 +96,19 @@ template <class T, class Q> INLINE Estimate<T> predict(Memory<T>& memory, const 
 // The guarded gait on the predicted state.
 struct GaitPredictive {
   // `lightest` is the smallest mass in kg of a platform that must keep its contact.
-#define GAIT_PREDICTIVE_CONSTANTS(ONE, MANY) GAIT_CONSTANTS(ONE, MANY) NOMINAL_CONSTANTS(ONE) ONE(lightest) ONE(dt)
-  CAPSULE_LAW(GaitPredictive, "gait_predictive", T, predictor::Memory, NoReference, GAIT_PREDICTIVE_CONSTANTS)
-  // Added to the predicted x_dot, m/s: the gait becomes slow if the estimate is too low, but hardly if it is too high.
+#define GAIT_PREDICTIVE_CONSTANTS(ONE, MANY)                     \
+  GAIT_CONSTANTS(ONE, MANY) NOMINAL_CONSTANTS(ONE) ONE(lightest) \
+  ONE(dt)
+  CAPSULE_LAW(GaitPredictive, "gait_predictive", T, predictor::Memory, NoReference,
+              GAIT_PREDICTIVE_CONSTANTS)
+  // Added to the predicted x_dot, m/s: the gait becomes slow if the estimate is too low, but hardly
+  // if it is too high.
   static constexpr double X_DOT_MARGIN = 0.004;
   // Smallest normal force, as a share of the weight with the lightest platform.
   static constexpr double CONTACT_MARGIN = 0.1;
 
-  // Reduces a torque, at most to 0, if the normal force of the lightest platform would become too small. The normal
-  // force is linear in the torque.
+  // Reduces a torque, at most to 0, if the normal force of the lightest platform would become too
+  // small. The normal force is linear in the torque.
   template <class T> INLINE T keep_contact(T torque, T theta, T theta_dot) const {
     auto p = nominal_plant<T, Kind::coulomb>(q);
     p.M = q.lightest, p.mu = 0.0, p.mass_ratio = q.m / (q.lightest + q.m);
@@ -104,9 +120,11 @@ struct GaitPredictive {
                   select(per_torque < -1e-6, min(torque, max(T(0.0), limit)), torque));
   }
 
-  template <class T> INLINE T torque(const State<T>& s, predictor::Memory<T>& memory, const NoReference<T>&) const {
+  template <class T>
+  INLINE T torque(const State<T>& s, predictor::Memory<T>& memory, const NoReference<T>&) const {
     auto now = predict(memory, s, q);
-    T wanted = guarded_torque<T>(now.theta, now.theta_dot, now.x_dot + X_DOT_MARGIN, q, q.guard_from, q.torque_limit);
+    T wanted = guarded_torque<T>(now.theta, now.theta_dot, now.x_dot + X_DOT_MARGIN, q,
+                                 q.guard_from, q.torque_limit);
     return memory.queue[predictor::LATENCY - 1] =
                clip(keep_contact(wanted, now.theta, now.theta_dot), T(q.torque_limit));
   }

@@ -1,5 +1,6 @@
-// Forward differentiation: a number and its derivatives along several directions, under the operators of one
-// environment. The values have the bits of a double; conditions depend on them alone.
+// Forward differentiation: a number and its derivatives along several directions, under the
+// operators of one environment. The values have the bits of a double; conditions depend on them
+// alone.
 #pragma once
 #include "elementary.hpp"
 
@@ -25,8 +26,12 @@ struct Dual {
     for (int i = 0; i < COUNT; i++) d[i] = a.d[i];
     return *this;
   }
-  friend INLINE Dual operator+(const Dual& a, const Dual& b) { return Dual(a.v + b.v, PARTIAL(a.d[i] + b.d[i])); }
-  friend INLINE Dual operator-(const Dual& a, const Dual& b) { return Dual(a.v - b.v, PARTIAL(a.d[i] - b.d[i])); }
+  friend INLINE Dual operator+(const Dual& a, const Dual& b) {
+    return Dual(a.v + b.v, PARTIAL(a.d[i] + b.d[i]));
+  }
+  friend INLINE Dual operator-(const Dual& a, const Dual& b) {
+    return Dual(a.v - b.v, PARTIAL(a.d[i] - b.d[i]));
+  }
   friend INLINE Dual operator-(const Dual& a) { return Dual(-a.v, PARTIAL(-a.d[i])); }
   friend INLINE Dual operator*(const Dual& a, const Dual& b) {
     return Dual(a.v * b.v, PARTIAL(a.d[i] * b.v + b.d[i] * a.v));
@@ -41,7 +46,8 @@ struct Dual {
   // The whole turns that the function of a double subtracts have no derivative.
   friend INLINE SinCos<Dual> sincos(const Dual& a) {
     auto value = sincos(a.v);
-    return {Dual(value.sin, PARTIAL(a.d[i] * value.cos)), Dual(value.cos, PARTIAL(a.d[i] * -value.sin))};
+    return {Dual(value.sin, PARTIAL(a.d[i] * value.cos)),
+            Dual(value.cos, PARTIAL(a.d[i] * -value.sin))};
   }
   friend INLINE Dual select(bool condition, const Dual& a, const Dual& b) {
     return Dual(condition ? a.v : b.v, PARTIAL(condition ? a.d[i] : b.d[i]));
@@ -51,10 +57,12 @@ struct Dual {
 
 #define COMPARISON(symbol) \
   friend INLINE bool operator symbol(const Dual& a, const Dual& b) { return a.v symbol b.v; }
-  COMPARISON(<) COMPARISON(>) COMPARISON(<=) COMPARISON(>=) COMPARISON(==)
+  COMPARISON(<)
+  COMPARISON(>)
+  COMPARISON(<=) COMPARISON(>=) COMPARISON(==)
 #undef COMPARISON
-  // A factor that is zero counts where it has a derivative.
-  friend INLINE bool acts(const Dual& a) {
+      // A factor that is zero counts where it has a derivative.
+      friend INLINE bool acts(const Dual& a) {
     bool any = a.v != 0.0;
     for (int i = 0; i < COUNT; i++) any |= acts(Pack(a.d[i]));
     return any;

@@ -1,9 +1,10 @@
 // Sine, cosine, exponential, logarithm and hyperbolic tangent with the same bits on every machine.
 //
-// The results of the standard libraries differ in the last digit between versions and instruction sets, and no loop
-// that calls them is vectorised. The functions here are straight-line arithmetic, and one environment gives the bits of
-// a batch. The multiplications and additions of the polynomials are fused explicitly: a compiler that may fuse freely
-// decides differently in different loops. tests/capsule_gym/core/test_elementary.py derives the coefficients.
+// The results of the standard libraries differ in the last digit between versions and instruction
+// sets, and no loop that calls them is vectorised. The functions here are straight-line arithmetic,
+// and one environment gives the bits of a batch. The multiplications and additions of the
+// polynomials are fused explicitly: a compiler that may fuse freely decides differently in
+// different loops. tests/capsule_gym/core/test_elementary.py derives the coefficients.
 #pragma once
 #include "number.hpp"
 
@@ -13,28 +14,36 @@ constexpr double TURN = 2.0 * PI, TURN_REST = 2.4492935982947064e-16, TURNS_PER_
 // Adding and subtracting it rounds a number below 2^51 to a whole number, half to even.
 constexpr double ROUNDING = 1.5 * 4503599627370496.0;
 
-// Polynomials in z = y^2 that interpolate (sin(y) / y - 1) / z and (cos(y) - 1 + z / 2) / z^2 at the Chebyshev nodes of
-// [0, (1.0001 pi / 2)^2].
-constexpr double S_0 = -0.16666666666666666, S_1 = 0.008333333333333316, S_2 = -0.00019841269841254955,
-                 S_3 = 2.755731921915843e-06, S_4 = -2.5052107616384595e-08, S_5 = 1.6058977272815506e-10,
+// Polynomials in z = y^2 that interpolate (sin(y) / y - 1) / z and (cos(y) - 1 + z / 2) / z^2 at
+// the Chebyshev nodes of [0, (1.0001 pi / 2)^2].
+constexpr double S_0 = -0.16666666666666666, S_1 = 0.008333333333333316,
+                 S_2 = -0.00019841269841254955, S_3 = 2.755731921915843e-06,
+                 S_4 = -2.5052107616384595e-08, S_5 = 1.6058977272815506e-10,
                  S_6 = -7.643969031052769e-13, S_7 = 2.731428986122616e-15;
-constexpr double C_0 = 0.041666666666666664, C_1 = -0.001388888888888888, C_2 = 2.4801587301579844e-05,
-                 C_3 = -2.7557319221567154e-07, C_4 = 2.0876756602568905e-09, C_5 = -1.1470712252875163e-11,
+constexpr double C_0 = 0.041666666666666664, C_1 = -0.001388888888888888,
+                 C_2 = 2.4801587301579844e-05, C_3 = -2.7557319221567154e-07,
+                 C_4 = 2.0876756602568905e-09, C_5 = -1.1470712252875163e-11,
                  C_6 = 4.777877290768691e-14, C_7 = -1.521855926409455e-16;
 
-template <class T> struct SinCos { T sin, cos; };
+template <class T> struct SinCos {
+  T sin, cos;
+};
 
-// Sine and cosine of an angle in rad: within 3.4e-16 of the exact values up to +-pi / 2, within 1.2e-15 beyond.
+// Sine and cosine of an angle in rad: within 3.4e-16 of the exact values up to +-pi / 2,
+// within 1.2e-15 beyond.
 //
-// The angle is brought to +-pi by whole turns and halved; in sin(2 y) = 2 sin(y) cos(y) and cos(2 y) = 1 - 2 sin(y)^2
-// the remaining half turns cancel, so that no quadrant has to be determined.
+// The angle is brought to +-pi by whole turns and halved; in sin(2 y) = 2 sin(y) cos(y) and cos(2
+// y) = 1 - 2 sin(y)^2 the remaining half turns cancel, so that no quadrant has to be determined.
 template <class T> INLINE SinCos<T> sincos(T angle) {
   T turns = fma(angle, TURNS_PER_RADIAN, ROUNDING) - ROUNDING;
   T y = fma(-turns, 0.5 * TURN_REST, fma(-turns, 0.5 * TURN, 0.5 * angle));
   T z = y * y, zz = z * z;
-  // In pairs instead of Horner's scheme: a single environment waits for every operation that waits for another.
-  T s = fma(fma(fma(S_7, z, S_6), zz, fma(S_5, z, S_4)), zz * zz, fma(fma(S_3, z, S_2), zz, fma(S_1, z, S_0)));
-  T c = fma(fma(fma(C_7, z, C_6), zz, fma(C_5, z, C_4)), zz * zz, fma(fma(C_3, z, C_2), zz, fma(C_1, z, C_0)));
+  // In pairs instead of Horner's scheme: a single environment waits for every operation that waits
+  // for another.
+  T s = fma(fma(fma(S_7, z, S_6), zz, fma(S_5, z, S_4)), zz * zz,
+            fma(fma(S_3, z, S_2), zz, fma(S_1, z, S_0)));
+  T c = fma(fma(fma(C_7, z, C_6), zz, fma(C_5, z, C_4)), zz * zz,
+            fma(fma(C_3, z, C_2), zz, fma(C_1, z, C_0)));
   T twice = y + y;
   T sine = fma(y * z, s, y), doubled = fma(twice * z, s, twice);
   T cosine = fma(zz, c, fma(-0.5, z, 1.0));
@@ -43,16 +52,22 @@ template <class T> INLINE SinCos<T> sincos(T angle) {
 
 // The logarithm of 2 to twice the precision of a double.
 constexpr double LN_2 = 0.6931471805599453, LN_2_REST = 2.3190468138462996e-17, LOG2_E = 1.0 / LN_2;
-// Interpolates (exp(r) - 1 - r) / r^2 at the Chebyshev nodes of +-1.0001 ln(2) / 2, which leaves 4.1e-17 of exp(r) - 1.
+// Interpolates (exp(r) - 1 - r) / r^2 at the Chebyshev nodes of +-1.0001 ln(2) / 2, which
+// leaves 4.1e-17 of exp(r) - 1.
 constexpr double E_0 = 0.5000000000000001, E_1 = 0.16666666666666669, E_2 = 0.04166666666662413,
-                 E_3 = 0.008333333333330062, E_4 = 0.0013888888917213717, E_5 = 0.00019841269863053618,
-                 E_6 = 2.4801521295954376e-05, E_7 = 2.7557268459997064e-06, E_8 = 2.7620088445409746e-07,
+                 E_3 = 0.008333333333330062, E_4 = 0.0013888888917213717,
+                 E_5 = 0.00019841269863053618, E_6 = 2.4801521295954376e-05,
+                 E_7 = 2.7557268459997064e-06, E_8 = 2.7620088445409746e-07,
                  E_9 = 2.510038549551032e-08;
 
-template <class T> struct Exponential { T scale, rest; };
+template <class T> struct Exponential {
+  T scale, rest;
+};
 
 // 2^n for n + ROUNDING: the lowest digits of the sum become the exponent.
-template <class T> INLINE T power_of_two(T shifted) { return from_bits((bits_of(shifted) << 52) + (1023ULL << 52)); }
+template <class T> INLINE T power_of_two(T shifted) {
+  return from_bits((bits_of(shifted) << 52) + (1023ULL << 52));
+}
 
 // 2^n and exp(r) - 1 with x = n ln(2) + r and |r| <= ln(2) / 2; |n| must not exceed 1022.
 template <class T> INLINE Exponential<T> exponential(T x) {
@@ -60,7 +75,8 @@ template <class T> INLINE Exponential<T> exponential(T x) {
   T n = shifted - ROUNDING;
   T r = fma(-n, LN_2_REST, fma(-n, LN_2, x));
   T z = r * r, zz = z * z;
-  T low = fma(fma(E_3, r, E_2), z, fma(E_1, r, E_0)), middle = fma(fma(E_7, r, E_6), z, fma(E_5, r, E_4));
+  T low = fma(fma(E_3, r, E_2), z, fma(E_1, r, E_0)),
+    middle = fma(fma(E_7, r, E_6), z, fma(E_5, r, E_4));
   T p = fma(fma(fma(E_9, r, E_8), zz, middle), zz, low);
   return {power_of_two(shifted), fma(z, p, r)};
 }
@@ -84,8 +100,9 @@ template <class T> INLINE T tanh(T x) {
   return copysign(e / (e + 2.0), x);
 }
 
-// The natural logarithm of a positive, normal number, within 2.2e-16 of the exact value, beyond +-1 relative to it; for
-// any other number the result is meaningless. Halley's iteration on `exp`, each step of which triples the digits.
+// The natural logarithm of a positive, normal number, within 2.2e-16 of the exact value, beyond +-1
+// relative to it; for any other number the result is meaningless. Halley's iteration on `exp`, each
+// step of which triples the digits.
 inline double log(double x) {
   Word word = bits_of(x);
   double exponent = (double)((long long)(word >> 52 & 2047) - 1022);

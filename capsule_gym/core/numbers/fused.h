@@ -1,9 +1,10 @@
 // a * b + c, rounded once, where the processor has no instruction for it.
 //
-// Exact products and sums, the last but one rounded to odd (Boldo and Melquiond, "Emulation of a FMA and correctly
-// rounded sums", 2008). The errors of p = a b and of the sums are exact by the splits of Veltkamp and Dekker and by
-// Knuth's sums. Where a size is not between 2^-623 and 2^577, an intermediate result could over- or underflow. The sum
-// is rounded to odd without a branch, since no processor predicts it; `const`: equal calls are made once.
+// Exact products and sums, the last but one rounded to odd (Boldo and Melquiond, "Emulation of a
+// FMA and correctly rounded sums", 2008). The errors of p = a b and of the sums are exact by the
+// splits of Veltkamp and Dekker and by Knuth's sums. Where a size is not between 2^-623 and 2^577,
+// an intermediate result could over- or underflow. The sum is rounded to odd without a branch,
+// since no processor predicts it; `const`: equal calls are made once.
 static inline int NAME_moderate(double x) {
   unsigned long long word;
   __builtin_memcpy(&word, &x, 8);
@@ -22,10 +23,12 @@ static __attribute__((noinline, const, unused)) double NAME_fused(double a, doub
   double rest = ((a_h * b_h - p) + a_h * b_l + a_l * b_h) + a_l * b_l;
   double t = c + rest, t_0 = t - c, t_error = (c - (t - t_0)) + (rest - t_0);
   double v = p + t, v_0 = v - p, v_error = (p - (v - v_0)) + (t - v_0);
-  double z = t_error + v_error, z_0 = z - t_error, z_error = (t_error - (z - z_0)) + (v_error - z_0);
+  double z = t_error + v_error, z_0 = z - t_error,
+         z_error = (t_error - (z - z_0)) + (v_error - z_0);
   unsigned long long word;
   __builtin_memcpy(&word, &z, sizeof(z));
-  word += ((z_error > 0.0) == (z > 0.0) ? 1 : -1) * (unsigned long long)((z_error != 0.0) & ~word & 1);
+  word +=
+      ((z_error > 0.0) == (z > 0.0) ? 1 : -1) * (unsigned long long)((z_error != 0.0) & ~word & 1);
   __builtin_memcpy(&z, &word, sizeof(z));
   return v + z;
 }

@@ -1,6 +1,7 @@
-// Numbers of one environment (double, bool) and of several (Pack, Mask) under the same operators and functions, so that
-// the physics is written once, as templates over the number type. Conditions are masks, joined with & and |; `select`
-// chooses by them. A new number type, such as a dual number, supplies what Pack supplies here.
+// Numbers of one environment (double, bool) and of several (Pack, Mask) under the same operators
+// and functions, so that the physics is written once, as templates over the number type. Conditions
+// are masks, joined with & and |; `select` chooses by them. A new number type, such as a dual
+// number, supplies what Pack supplies here.
 #pragma once
 
 // Equal bits on every machine need every operation rounded as it is written.
@@ -15,8 +16,8 @@
 #endif
 
 #if defined(CAPSULE_INSTRUMENTED) || (defined(__x86_64__) && !defined(__FMA__))
-// Checks of addresses, or on processors before 2013 calls of the library's fma, take most of the time: inlined
-// everywhere, they would take most of the compiler's.
+// Checks of addresses, or on processors before 2013 calls of the library's fma, take most of the
+// time: inlined everywhere, they would take most of the compiler's.
 #define INLINE inline
 #else
 #define INLINE inline __attribute__((always_inline))
@@ -43,7 +44,8 @@ typedef unsigned long long Word;
 // --- one environment ---
 
 #if defined(__wasm__)
-// WebAssembly has no fused instruction. Exported policies in C contain the same file, in which NAME is their own.
+// WebAssembly has no fused instruction. Exported policies in C contain the same file, in which NAME
+// is their own.
 #include "fused.h"
 INLINE double fma(double a, double b, double c) { return NAME_fused(a, b, c); }
 #else
@@ -54,7 +56,8 @@ INLINE double sqrt(double x) { return __builtin_sqrt(x); }
 INLINE double floor(double x) { return __builtin_floor(x); }
 INLINE double copysign(double size, double sign) { return __builtin_copysign(size, sign); }
 INLINE double select(bool condition, double a, double b) { return condition ? a : b; }
-// For branches of one environment, `if (auto taken = when(condition))`, which other number types may execute otherwise.
+// For branches of one environment, `if (auto taken = when(condition))`, which other number types
+// may execute otherwise.
 INLINE bool when(bool condition) { return condition; }
 INLINE Word bits_of(double x) { return __builtin_bit_cast(Word, x); }
 INLINE double from_bits(Word word) { return __builtin_bit_cast(double, word); }
@@ -89,10 +92,14 @@ struct Pack {
   INLINE Pack(double x) : v(x - Doubles{}) {}
 #define OPERATOR(Result, symbol) \
   friend INLINE Result operator symbol(Pack a, Pack b) { return {a.v symbol b.v}; }
-  OPERATOR(Pack, +) OPERATOR(Pack, -) OPERATOR(Pack, *) OPERATOR(Pack, /) OPERATOR(Mask, ==) OPERATOR(Mask, !=)
-  OPERATOR(Mask, <) OPERATOR(Mask, >) OPERATOR(Mask, <=) OPERATOR(Mask, >=)
+  OPERATOR(Pack, +)
+  OPERATOR(Pack, -)
+  OPERATOR(Pack, *) OPERATOR(Pack, /) OPERATOR(Mask, ==) OPERATOR(Mask, !=) OPERATOR(Mask, <)
+      OPERATOR(Mask, >) OPERATOR(Mask, <=) OPERATOR(Mask, >=)
 #undef OPERATOR
-  friend INLINE Pack operator-(Pack a) { return -a.v; }
+          friend INLINE Pack operator-(Pack a) {
+    return -a.v;
+  }
 };
 
 INLINE Pack select(Mask condition, Pack a, Pack b) { return condition.m ? a.v : b.v; }
@@ -105,12 +112,18 @@ INLINE Pack copysign(Pack size, Pack sign) {
 }
 
 #if defined(__AVX512F__)
-INLINE Pack fma(Pack a, Pack b, Pack c) { return (Doubles)_mm512_fmadd_pd((__m512d)a.v, (__m512d)b.v, (__m512d)c.v); }
+INLINE Pack fma(Pack a, Pack b, Pack c) {
+  return (Doubles)_mm512_fmadd_pd((__m512d)a.v, (__m512d)b.v, (__m512d)c.v);
+}
 INLINE Pack sqrt(Pack x) { return (Doubles)_mm512_maskz_sqrt_pd(0xff, (__m512d)x.v); }
-INLINE Pack floor(Pack x) { return (Doubles)_mm512_maskz_roundscale_pd(0xff, (__m512d)x.v, _MM_FROUND_TO_NEG_INF); }
+INLINE Pack floor(Pack x) {
+  return (Doubles)_mm512_maskz_roundscale_pd(0xff, (__m512d)x.v, _MM_FROUND_TO_NEG_INF);
+}
 INLINE unsigned lanes(Mask condition) { return _mm512_movepi64_mask((__m512i)condition.m); }
 #elif defined(__FMA__)
-INLINE Pack fma(Pack a, Pack b, Pack c) { return (Doubles)_mm256_fmadd_pd((__m256d)a.v, (__m256d)b.v, (__m256d)c.v); }
+INLINE Pack fma(Pack a, Pack b, Pack c) {
+  return (Doubles)_mm256_fmadd_pd((__m256d)a.v, (__m256d)b.v, (__m256d)c.v);
+}
 INLINE Pack sqrt(Pack x) { return (Doubles)_mm256_sqrt_pd((__m256d)x.v); }
 INLINE Pack floor(Pack x) { return (Doubles)_mm256_floor_pd((__m256d)x.v); }
 INLINE unsigned lanes(Mask condition) { return (unsigned)_mm256_movemask_pd((__m256d)condition.m); }
@@ -122,7 +135,9 @@ INLINE Pack fma(Pack a, Pack b, Pack c) {
   return (Doubles)vfmaq_f64((float64x2_t)c.v, (float64x2_t)a.v, (float64x2_t)b.v);
 }
 #else
-INLINE Pack fma(Pack a, Pack b, Pack c) { return Doubles{fma(a.v[0], b.v[0], c.v[0]), fma(a.v[1], b.v[1], c.v[1])}; }
+INLINE Pack fma(Pack a, Pack b, Pack c) {
+  return Doubles{fma(a.v[0], b.v[0], c.v[0]), fma(a.v[1], b.v[1], c.v[1])};
+}
 #endif
 INLINE Pack sqrt(Pack x) { return Doubles{sqrt(x.v[0]), sqrt(x.v[1])}; }
 INLINE Pack floor(Pack x) { return Doubles{floor(x.v[0]), floor(x.v[1])}; }
@@ -150,7 +165,8 @@ template <> INLINE void store(double* at, double value) { *at = value; }
 typedef double Unaligned __attribute__((vector_size(8 * PACK), aligned(8)));
 template <> INLINE void store(double* at, Pack values) { *(Unaligned*)at = values.v; }
 // A struct of numbers from consecutive rows of N lanes, of each of which `read` gives the numbers.
-template <class Record, int N, class Read> INLINE Record read_record(const double* rows, Read read) {
+template <class Record, int N, class Read>
+INLINE Record read_record(const double* rows, Read read) {
   using T = decltype(read(rows));
   Record record;
   for (int r = 0; r < (int)(sizeof record / sizeof(T)); r++) ((T*)&record)[r] = read(rows + r * N);
@@ -160,8 +176,10 @@ template <class Record, int N, class Read> INLINE Record read_record(const doubl
 template <class Record, class T, int N> INLINE Record load_record(const double* rows, int j) {
   return read_record<Record, N>(rows, [j](const double* row) { return load<T>(row + j); });
 }
-template <class T, int N, class Record> INLINE void store_record(double* rows, int j, const Record& record) {
-  for (int r = 0; r < (int)(sizeof record / sizeof(T)); r++) store<T>(rows + r * N + j, ((const T*)&record)[r]);
+template <class T, int N, class Record>
+INLINE void store_record(double* rows, int j, const Record& record) {
+  for (int r = 0; r < (int)(sizeof record / sizeof(T)); r++)
+    store<T>(rows + r * N + j, ((const T*)&record)[r]);
 }
 // Only in the lanes where `renews`; the others keep theirs.
 template <class T, int N, class Record, class M>
@@ -185,7 +203,9 @@ template <bool fused, class T> INLINE T multiply_add(const T& a, const T& b, con
   if constexpr (fused) return fma(a, b, c);
   else return a * b + c;
 }
-template <class T> INLINE T sign_of(T x) { return select(x > 0.0, T(1.0), select(x < 0.0, T(-1.0), T(0.0))); }
+template <class T> INLINE T sign_of(T x) {
+  return select(x > 0.0, T(1.0), select(x < 0.0, T(-1.0), T(0.0)));
+}
 
 // Types, each of which has its place as its number.
 template <class... Types> struct List {};

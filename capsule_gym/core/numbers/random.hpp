@@ -6,8 +6,9 @@ namespace LEVEL {
 // The upper 64 bits of a product of two words.
 inline Word high_word(Word a, Word b) { return (Word)((unsigned __int128)a * b >> 64); }
 
-// Number `place` of those in [0, 1) that NumPy's Philox generator gives for this key and the counter [0, stream,
-// episode, 0]: Philox4x64-10 (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", 2011).
+// Number `place` of those in [0, 1) that NumPy's Philox generator gives for this key and the
+// counter [0, stream, episode, 0]: Philox4x64-10 (Salmon et al., "Parallel random numbers: as easy
+// as 1, 2, 3", 2011).
 inline double draw(const Word* key, Word stream, Word episode, int place) {
   constexpr Word FACTOR_0 = 0xD2E7470EE14C6C93, FACTOR_1 = 0xCA5A826395121157;
   constexpr double UNIT = 1.0 / 9007199254740992.0;  // of the upper 53 bits
@@ -22,21 +23,24 @@ inline double draw(const Word* key, Word stream, Word episode, int place) {
   return UNIT * (double)(words[place % 4] >> 11);
 }
 
-// A word of which every bit depends on every bit of the given one: SplitMix64's mixing function (Steele, Lea and Flood,
-// "Fast splittable pseudorandom number generators", 2014).
+// A word of which every bit depends on every bit of the given one: SplitMix64's mixing function
+// (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", 2014).
 template <class W> INLINE W scramble(W word) {
   word = (word ^ (word >> 30)) * 0xBF58476D1CE4E5B9ULL;
   word = (word ^ (word >> 27)) * 0x94D049BB133111EBULL;
   return word ^ (word >> 31);
 }
 
-template <class T> struct Two { T first, second; };
+template <class T> struct Two {
+  T first, second;
+};
 
 constexpr Word ONE_BITS = 1023ULL << 52, FRACTION = (1ULL << 52) - 1;
 
 // Two numbers in [1, 2), multiples of 2^-32, from the halves of a random word.
 template <class W> INLINE auto uniforms(W word) {
-  auto first = from_bits((word >> 32) << 20 | ONE_BITS), second = from_bits((word & 0xffffffffULL) << 20 | ONE_BITS);
+  auto first = from_bits((word >> 32) << 20 | ONE_BITS),
+       second = from_bits((word & 0xffffffffULL) << 20 | ONE_BITS);
   return Two<decltype(first)>{first, second};
 }
 
@@ -44,12 +48,14 @@ template <class W> INLINE auto uniforms(W word) {
 template <class W> INLINE auto normals(W word) {
   auto [first, second] = uniforms(word);
   using T = decltype(first);
-  // The logarithm of u in (0, 1]: exponent and, between 1 / sqrt(2) and sqrt(2), fraction, within 1e-12.
+  // The logarithm of u in (0, 1]: exponent and, between 1 / sqrt(2) and sqrt(2), fraction, within
+  // 1e-12.
   auto u = bits_of(2.0 - first);
   T exponent = from_bits((u >> 52) | (1075ULL << 52)) - (4503599627370496.0 + 1023.0);
   T fraction = from_bits((u & FRACTION) | ONE_BITS);
   auto large = fraction > 1.4142135623730951;
-  fraction = select(large, 0.5 * fraction, fraction), exponent = select(large, exponent + 1.0, exponent);
+  fraction = select(large, 0.5 * fraction, fraction),
+  exponent = select(large, exponent + 1.0, exponent);
   T s = (fraction - 1.0) / (fraction + 1.0);
   T z = s * s;
   T series = 1.0 / 13.0;

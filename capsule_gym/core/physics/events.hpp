@@ -1,7 +1,7 @@
 // Steps of the plant through changes of the contact phase, which are located inside the step.
 //
-// `event_step` takes one environment through every change. `pass_rest` computes the most common change, the end of a
-// slip, without branches, for several environments at once.
+// `event_step` takes one environment through every change. `pass_rest` computes the most common
+// change, the end of a slip, without branches, for several environments at once.
 #pragma once
 #include "integrator.hpp"
 
@@ -11,10 +11,13 @@ constexpr int EVENT_LIMIT = 1000;
 constexpr int ROOT_ITERATIONS = 60, CUBIC_ITERATIONS = 3;
 // Size of the boundary (m/s in slip, N in stick) that counts as zero: ten times its rounding error.
 constexpr double EVENT_TOLERANCE = 1e-15;
-// Share of a step that the state may be moved along its tangent: at 2 ms and 50 rad/s^2 an error of 1e-16 rad.
+// Share of a step that the state may be moved along its tangent: at 2 ms and 50 rad/s^2 an error of
+// 1e-16 rad.
 constexpr double LAST_CORRECTION = 1e-6;
-constexpr double SMALLEST_BRACKET = 1e-14;  // share of a bracket below which its halves are the same number
-constexpr double VOID_PHASE = 1e-9;  // share of a step below which a slip that starts and ends at rest counts as none
+constexpr double SMALLEST_BRACKET =
+    1e-14;  // share of a bracket below which its halves are the same number
+constexpr double VOID_PHASE =
+    1e-9;  // share of a step below which a slip that starts and ends at rest counts as none
 
 // The result of a step: the new state and the integrals over the step.
 template <class T> struct Motion {
@@ -26,8 +29,8 @@ template <class T> struct Motion {
   T events;             // number of changes of phase located inside the step
 };
 
-// A part of a step that stays in one phase: its length tau in s, the state and the accelerations at its end, and x''
-// and N at its start. The phase lasts while the boundary is positive.
+// A part of a step that stays in one phase: its length tau in s, the state and the accelerations at
+// its end, and x'' and N at its start. The phase lasts while the boundary is positive.
 template <class T> struct Piece {
   T tau;
   State<T> end;
@@ -35,7 +38,8 @@ template <class T> struct Piece {
   T theta_ddot, x_ddot, first_x_ddot, normal_force;
 };
 
-// Root in (0, width) of the cubic with those values and rates at its ends, the first positive, the last not.
+// Root in (0, width) of the cubic with those values and rates at its ends, the first positive, the
+// last not.
 template <class T> INLINE T first_guess(T g_low, T rate_low, T g_high, T rate_high, T width) {
   // In s = tau / width: g_low + c s + d s^2 + e s^3.
   T c = rate_low * width, end = rate_high * width;
@@ -61,23 +65,30 @@ template <class P> struct Phase {
   // The piece of this step of tau seconds.
   NOINLINE Piece<T> finish(T tau, const Stepped<T>& r) const {
     auto a = p.accelerations(r.end.theta, r.end.theta_dot, r.end.x_dot, slip, u);
-    return {tau, r.end, boundary(r.end, a.x_ddot, slip, u, p), a.theta_ddot, a.x_ddot, r.first.x_ddot,
+    return {tau,
+            r.end,
+            boundary(r.end, a.x_ddot, slip, u, p),
+            a.theta_ddot,
+            a.x_ddot,
+            r.first.x_ddot,
             max(T(0.0), r.first.normal)};
   }
 
-  // A step of tau seconds in one phase, even if the phase would end earlier. It is always a full Runge-Kutta step from
-  // the phase's start, so that an event is as accurate as the integrator itself. A step in which the contact is lost is
-  // taken without friction.
+  // A step of tau seconds in one phase, even if the phase would end earlier. It is always a full
+  // Runge-Kutta step from the phase's start, so that an event is as accurate as the integrator
+  // itself. A step in which the contact is lost is taken without friction.
   NOINLINE Piece<T> piece(T tau) const {
     auto r = runge_kutta(s, slip, p.kinetic_friction(slip), u, p, tau, first);
     if (!(r.smallest >= 0.0))
-      r = runge_kutta(s, slip, 0.0, u, p, tau, p.pressed_accelerations(s.theta, s.theta_dot, s.x_dot, slip, 0.0, u));
+      r = runge_kutta(s, slip, 0.0, u, p, tau,
+                      p.pressed_accelerations(s.theta, s.theta_dot, s.x_dot, slip, 0.0, u));
     return finish(tau, r);
   }
 
-  // The piece that ends on the boundary: Newton's method on re-taken steps, kept inside a bracket. The first guess is
-  // the root of the cubic through the bracket's ends. The last correction is so small that the state is extrapolated
-  // along its tangent. The bracket begins at `low`, with the boundary `before` > 0 and its rate there.
+  // The piece that ends on the boundary: Newton's method on re-taken steps, kept inside a bracket.
+  // The first guess is the root of the cubic through the bracket's ends. The last correction is so
+  // small that the state is extrapolated along its tangent. The bracket begins at `low`, with the
+  // boundary `before` > 0 and its rate there.
   NOINLINE Piece<T> root(T low, T before, T rate, const Piece<T>& beyond) const {
     T width = beyond.tau - low, end = beyond.tau;
     T tau = low + first_guess(before, rate, beyond.boundary.value, beyond.boundary.rate, width);
@@ -101,7 +112,8 @@ template <class P> struct Phase {
     return trial;
   }
 
-  // The piece up to the first event of a step that may have crossed the boundary, or `whole` without an event.
+  // The piece up to the first event of a step that may have crossed the boundary, or `whole`
+  // without an event.
   NOINLINE Piece<T> until_event(T before, T rate, const Piece<T>& whole) const {
     Piece<T> beyond = whole;
     if (whole.boundary.value >= 0.0) {
@@ -113,10 +125,12 @@ template <class P> struct Phase {
       if (beyond.boundary.value >= 0.0) return whole;
     }
     if (before > EVENT_TOLERANCE) return root(0.0, before, rate, beyond);
-    // The phase starts on its own boundary: a bracket must begin after the state has left the boundary.
+    // The phase starts on its own boundary: a bracket must begin after the state has left the
+    // boundary.
     for (int i = 0; i < ROOT_ITERATIONS; i++) {
       Piece<T> left = piece(0.5 * beyond.tau);
-      if (left.boundary.value > 0.0) return root(left.tau, left.boundary.value, left.boundary.rate, beyond);
+      if (left.boundary.value > 0.0)
+        return root(left.tau, left.boundary.value, left.boundary.rate, beyond);
       beyond = left;
     }
     return beyond;
@@ -124,8 +138,11 @@ template <class P> struct Phase {
 };
 
 // The phase that starts in this state.
-template <class P, class T = Number<P>> INLINE Phase<P> begin_phase(const State<T>& s, T slip, T u, const P& p) {
-  return {s, slip, u, p, p.pressed_accelerations(s.theta, s.theta_dot, s.x_dot, slip, p.kinetic_friction(slip), u)};
+template <class P, class T = Number<P>>
+INLINE Phase<P> begin_phase(const State<T>& s, T slip, T u, const P& p) {
+  return {
+      s, slip, u, p,
+      p.pressed_accelerations(s.theta, s.theta_dot, s.x_dot, slip, p.kinetic_friction(slip), u)};
 }
 
 // A step from a phase and from the whole step under the assumption that this phase lasts.
@@ -163,7 +180,8 @@ NOINLINE inline Motion<T> event_step(const Phase<P>& start, const Piece<T>& whol
       slip = p.stick_margin(m.end.theta, m.end.theta_dot, start.u).force > 0.0 ? 1.0 : -1.0;
     } else {
       m.end.x_dot = 0.0;
-      // If load and limit are equal up to rounding, a slip that stops where it started would start again forever.
+      // If load and limit are equal up to rounding, a slip that stops where it started would start
+      // again forever.
       bool none = before <= 0.0 && tau <= VOID_PHASE * h;
       slip = none ? T(0.0) : p.contact_phase(m.end, start.u);
     }
@@ -173,7 +191,8 @@ NOINLINE inline Motion<T> event_step(const Phase<P>& start, const Piece<T>& whol
 }
 
 // Advances the plant by h seconds at constant torque, through every change of contact phase.
-template <class P, class T = Number<P>> inline Motion<T> plant_step(const State<T>& s, T u, const P& p, T h) {
+template <class P, class T = Number<P>>
+inline Motion<T> plant_step(const State<T>& s, T u, const P& p, T h) {
   auto start = begin_phase(s, p.contact_phase(s, u), u, p);
   return event_step(start, start.piece(h));
 }
@@ -183,15 +202,16 @@ template <class T, class M> struct Passed {
   M holds;
 };
 
-// `event_step` from slip through one moment of rest, free of branches, with the same bits. Not valid where `holds` is
-// false: if another event happens, or if locating the moment takes more than one trial. `lasting` is the state after h
-// seconds if the phase lasted.
+// `event_step` from slip through one moment of rest, free of branches, with the same bits. Not
+// valid where `holds` is false: if another event happens, or if locating the moment takes more than
+// one trial. `lasting` is the state after h seconds if the phase lasted.
 template <class P, class T = Number<P>>
 INLINE auto pass_rest(const Phase<P>& start, const State<T>& lasting, T h) {
   const auto& [s, slip, u, p, first] = start;
   T mu = p.kinetic_friction(slip);
   T before = slip * s.x_dot, after = slip * lasting.x_dot;
-  auto at_end = p.pressed_accelerations(lasting.theta, lasting.theta_dot, lasting.x_dot, slip, mu, u);
+  auto at_end =
+      p.pressed_accelerations(lasting.theta, lasting.theta_dot, lasting.x_dot, slip, mu, u);
   auto holds = (slip != 0.0) & (before > EVENT_TOLERANCE) & (after < 0.0) & (at_end.normal >= 0.0);
   T tau = first_guess(before, slip * first.x_ddot, after, slip * at_end.x_ddot, h);
   auto [m, unused, smallest] = runge_kutta(s, slip, mu, u, p, tau, first);

@@ -1,22 +1,30 @@
-// Trajectories of one plant under torques that are constant over equal intervals, and their derivatives.
+// Trajectories of one plant under torques that are constant over equal intervals, and their
+// derivatives.
 #pragma once
 #include "../numbers/dual.hpp"
 #include "events.hpp"
 
 namespace LEVEL {
-// The inputs of a trajectory before its torques: constants as in `Capsule`, 1.0 for the paper's normal force, state.
-#define CAPSULE_TRAJECTORY(FIELD)                                                                                      \
-  FIELD(M) FIELD(mu) CAPSULE_CONSTANTS(FIELD) FIELD(paper) FIELD(theta) FIELD(theta_dot) FIELD(x) FIELD(x_dot)
-template <class T> struct TrajectoryInputs { CAPSULE_TRAJECTORY(CAPSULE_NUMBER) };
+// The inputs of a trajectory before its torques: constants as in `Capsule`, 1.0 for the paper's
+// normal force, state.
+#define CAPSULE_TRAJECTORY(FIELD) \
+  FIELD(M)                        \
+  FIELD(mu)                       \
+  CAPSULE_CONSTANTS(FIELD) FIELD(paper) FIELD(theta) FIELD(theta_dot) FIELD(x) FIELD(x_dot)
+template <class T> struct TrajectoryInputs {
+  CAPSULE_TRAJECTORY(CAPSULE_NUMBER)
+};
 
-// Takes n intervals of `steps` integrator steps of h seconds. `values`: the inputs, then n torques in N m; `partials`,
-// for dual numbers: their derivatives, one row each. Writes theta, theta_dot, x, x_dot and the number of events so
-// far at every end of an interval, n + 1 rows of `states`, and the derivatives of the state, `slopes`. Returns the
-// interval in which the environment's episode would have terminated, or -1.
+// Takes n intervals of `steps` integrator steps of h seconds. `values`: the inputs, then n torques
+// in N m; `partials`, for dual numbers: their derivatives, one row each. Writes theta, theta_dot,
+// x, x_dot and the number of events so far at every end of an interval, n + 1 rows of `states`, and
+// the derivatives of the state, `slopes`. Returns the interval in which the environment's episode
+// would have terminated, or -1.
 template <class T>
-long long trajectory(const double* values, const double* partials, long long n, long long steps, double h,
-                     double* states, double* slopes) {
-  constexpr int SIZE = WIDTH<TrajectoryInputs<double>>, N = sizeof(T) > sizeof(double) ? DIRECTIONS : 0;
+long long trajectory(const double* values, const double* partials, long long n, long long steps,
+                     double h, double* states, double* slopes) {
+  constexpr int SIZE = WIDTH<TrajectoryInputs<double>>,
+                N = sizeof(T) > sizeof(double) ? DIRECTIONS : 0;
   auto input = [&](long long i) {
     T number = values[i];
     if constexpr (N > 0) __builtin_memcpy(&number.d, partials + N * i, sizeof number.d);
@@ -25,7 +33,8 @@ long long trajectory(const double* values, const double* partials, long long n, 
   TrajectoryInputs<T> in;
   for (int i = 0; i < SIZE; i++) ((T*)&in)[i] = input(i);
   auto p = derive((const Constants<T>&)in.m);
-  p.M = in.M, p.mu = in.mu, p.mass_ratio = p.m / (p.M + p.m), p.pivot_torque_on_contact = value(in.paper);
+  p.M = in.M, p.mu = in.mu, p.mass_ratio = p.m / (p.M + p.m),
+  p.pivot_torque_on_contact = value(in.paper);
   auto s = (const State<T>&)in.theta;
   double events = 0.0;
   long long ended = -1;
@@ -38,7 +47,8 @@ long long trajectory(const double* values, const double* partials, long long n, 
     }
     if (i == n) return ended;
     T u = input(SIZE + i);
-    // A small velocity of a platform that would stick ends at once: the pendulum takes its momentum.
+    // A small velocity of a platform that would stick ends at once: the pendulum takes its
+    // momentum.
     if (i == 0 && p.contact_phase(s, u) == 0.0)
       s.theta_dot = s.theta_dot - sincos(s.theta).cos / p.l * s.x_dot, s.x_dot = 0.0;
     for (long long step = 0; step < steps; step++) {

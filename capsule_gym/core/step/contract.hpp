@@ -1,55 +1,72 @@
-// What follows from the options of an environment: the settings of the step, the rows of an environment, the entries of
-// its observation, and the numbers that an episode draws. Python and JavaScript ask for them, and compute none again.
+// What follows from the options of an environment: the settings of the step, the rows of an
+// environment, the entries of its observation, and the numbers that an episode draws. Python and
+// JavaScript ask for them, and compute none again.
 #pragma once
 #include "metrics.hpp"
 #include "observation.hpp"
 
 namespace LEVEL {
-// The options by the names of `EnvConfig`, `Capsule`, `Randomization` and `Disturbances`; SI units. NaN stands for one
-// that is not given, conditions are 0.0 or 1.0. A range is its ends.
-#define CAPSULE_OPTIONS(OPTION, RANGE, DISTURBANCE)                                                                    \
-  OPTION(torque_limit) OPTION(residual_limit) OPTION(total_torque) OPTION(control_dt) OPTION(physics_dt)               \
-  OPTION(energy_weight) OPTION(termination_penalty) OPTION(observe_parameters) OPTION(observe_estimates)               \
-  OPTION(stack_size) OPTION(goal_env) OPTION(initial_noise) OPTION(initial_theta) OPTION(initial_theta_dot)            \
-  /* The number of the task, and the range that its episodes draw instead of its own. */                               \
-  OPTION(task) RANGE(task)                                                                                             \
-  /* The controller: whether there is one, its period, and the sizes of its memory and of a row of its reference. */   \
-  OPTION(controller) OPTION(law_dt) OPTION(memory_size) OPTION(reference_size)                                         \
-  /* The capsule, and the ranges of the randomization. */                                                              \
-  OPTION(M) OPTION(mu) CAPSULE_CONSTANTS(OPTION) OPTION(paper_normal_force)                                            \
-  RANGE(M) RANGE(mu) OPTION(log_mu) CAPSULE_CONSTANTS(RANGE)                                                           \
-  /* The disturbances: whether there are any, what they draw, and whether law and agent observe the sensors. */        \
-  OPTION(disturbed) CAPSULE_DISTURBANCES(DISTURBANCE) OPTION(law_observes) OPTION(agent_observes)           \
-  OPTION(with_theta) OPTION(with_theta_dot) OPTION(with_x_dot) OPTION(stick_threshold) OPTION(x_noise)
+// The options by the names of `EnvConfig`, `Capsule`, `Randomization` and `Disturbances`; SI units.
+// NaN stands for one that is not given, conditions are 0.0 or 1.0. A range is its ends.
+#define CAPSULE_OPTIONS(OPTION, RANGE, DISTURBANCE)                                                \
+  OPTION(torque_limit)                                                                             \
+  OPTION(residual_limit)                                                                           \
+  OPTION(total_torque) OPTION(control_dt) OPTION(physics_dt) OPTION(energy_weight)                 \
+      OPTION(termination_penalty) OPTION(observe_parameters) OPTION(observe_estimates)             \
+          OPTION(stack_size) OPTION(goal_env) OPTION(initial_noise) OPTION(initial_theta)          \
+              OPTION(initial_theta_dot) /* The number of the task, and the range that its          \
+                                           episodes draw instead of its own. */                    \
+      OPTION(task) RANGE(task) /* The controller: whether there is one, its period, and the sizes  \
+                                  of its memory and of a row of its reference. */                  \
+      OPTION(controller) OPTION(law_dt) OPTION(memory_size)                                        \
+          OPTION(reference_size) /* The capsule, and the ranges of the randomization. */           \
+      OPTION(M) OPTION(mu) CAPSULE_CONSTANTS(OPTION) OPTION(paper_normal_force) RANGE(M) RANGE(mu) \
+          OPTION(log_mu)                                                                           \
+              CAPSULE_CONSTANTS(RANGE) /* The disturbances: whether there are any, what they draw, \
+                                          and whether law and agent observe the sensors. */        \
+      OPTION(disturbed) CAPSULE_DISTURBANCES(DISTURBANCE) OPTION(law_observes)                     \
+          OPTION(agent_observes) OPTION(with_theta) OPTION(with_theta_dot) OPTION(with_x_dot)      \
+              OPTION(stick_threshold) OPTION(x_noise)
 #define CAPSULE_RANGE(name) Range name##_range;
 #define CAPSULE_RANGE_NAMES(name) #name "_low " #name "_high "
 #define CAPSULE_DISTURBANCE(name) Range disturbances_##name;
 #define CAPSULE_DISTURBANCE_NAMES(name) "disturbances_" #name "_low disturbances_" #name "_high "
-struct Options { CAPSULE_OPTIONS(CAPSULE_DOUBLE, CAPSULE_RANGE, CAPSULE_DISTURBANCE) };
+struct Options {
+  CAPSULE_OPTIONS(CAPSULE_DOUBLE, CAPSULE_RANGE, CAPSULE_DISTURBANCE)
+};
 
-// s: the agent's step for which a task counts the steps of an episode; the integrator's step without and with a law.
+// s: the agent's step for which a task counts the steps of an episode; the integrator's step
+// without and with a law.
 constexpr double CONTROL_DT = 2e-2;
 constexpr double DIRECT_PHYSICS_DT = 2e-3, LAW_PHYSICS_DT = 1e-3;
-constexpr double MOST_SUBSTEPS = 1e6;  // integrator steps per agent step, which take a tenth of a second
+constexpr double MOST_SUBSTEPS =
+    1e6;  // integrator steps per agent step, which take a tenth of a second
 constexpr double START_THETA = -PI / 3.0;
-// Bounds of the observed M, in masses of the capsule's platform, and of mu; wider ranges extend them.
+// Bounds of the observed M, in masses of the capsule's platform, and of mu; wider ranges extend
+// them.
 constexpr double M_BOUND = 4.0, MU_BOUND = 1.0;
 // For the rounding of a draw, and of the observation to float32.
 constexpr double ROOM = 1.0 + 1e-6;
-// Upper limit of the keys of an episode's noise; doubles represent all whole numbers up to it exactly.
+// Upper limit of the keys of an episode's noise; doubles represent all whole numbers up to it
+// exactly.
 constexpr double LARGEST_KEY = 9007199254740992.0;
 
 inline bool is_given(double option) { return option == option; }
 // The range, or both ends at the value where the range is not given.
-inline Range range_of(Range range, double value) { return is_given(range.low) ? range : Range{value, value}; }
+inline Range range_of(Range range, double value) {
+  return is_given(range.low) ? range : Range{value, value};
+}
 // The number of times that a part fits into the whole, which Python and JavaScript check.
 inline double count_of(double whole, double part) {
   return (min(whole / part, 2.0 * MOST_SUBSTEPS) + ROUNDING) - ROUNDING;
 }
 
 // The values and the ranges of the plant's constants.
-inline const Constants<double>& constants_of(const Options& o) { return (const Constants<double>&)o.m; }
-constexpr int NUM_CONSTANTS = WIDTH<Constants<double>>, NUM_DISTURBANCES = WIDTH<Disturbances<double>>;
+inline const Constants<double>& constants_of(const Options& o) {
+  return (const Constants<double>&)o.m;
+}
+constexpr int NUM_CONSTANTS = WIDTH<Constants<double>>,
+              NUM_DISTURBANCES = WIDTH<Disturbances<double>>;
 
 inline Settings make_settings(const Options& o) {
   Settings q = {};
@@ -78,7 +95,8 @@ inline Settings make_settings(const Options& o) {
   q.with_theta = q.with_theta_dot = q.with_x_dot = 1.0;
   if (varied) {
     q.history_states = 1.0 - floor(-(o.disturbances_latency.high / q.law_dt));
-    // The length of the history; its product may be a rounding error below the latency that it is for.
+    // The length of the history; its product may be a rounding error below the latency that it is
+    // for.
     q.longest_latency = (q.history_states - 1.0) * q.physics_steps * q.physics_dt * (1.0 + 1e-9);
   }
   if (disturbed) {
@@ -106,7 +124,8 @@ template <class Task, class Put> void describe_entries(const Settings& q, Put pu
   typename Task::template Memory<double> memory = {};
   for (int age = 0; age < (int)q.stack_size; age++)
     put_entries<Task>(
-        q, observed, memory, [&](const char* name, double low, double high, double) { put(name, age, low, high); },
+        q, observed, memory,
+        [&](const char* name, double low, double high, double) { put(name, age, low, high); },
         [] { return Estimator<double>{}; });
 }
 
@@ -134,14 +153,18 @@ template <class Task> Layout make_layout(const Options& o, const Settings& q) {
   return l;
 }
 
-// Writes the `l.draws` lines of the draw table: the initial state, M and mu, those of the task, and those of varied
-// plants. There are always two numbers for M and mu, so that ranges do not shift the stream.
-template <class Task> void make_draws(const Options& o, const Settings& q, const Layout& l, Draw* next) {
+// Writes the `l.draws` lines of the draw table: the initial state, M and mu, those of the task, and
+// those of varied plants. There are always two numbers for M and mu, so that ranges do not shift
+// the stream.
+template <class Task>
+void make_draws(const Options& o, const Settings& q, const Layout& l, Draw* next) {
   auto put = [&](long long row, Stream stream, int place, Range range, double distribution) {
-    *next++ = {(double)row, (double)stream, (double)place, range.low, range.high - range.low, distribution};
+    *next++ = {(double)row, (double)stream,         (double)place,
+               range.low,   range.high - range.low, distribution};
   };
   auto put_state = [&](int row, double middle, double half_width) {
-    *next++ = {(double)row, (double)Stream::initial_state, (double)row, middle, half_width, CENTRED};
+    *next++ = {(double)row, (double)Stream::initial_state, (double)row, middle, half_width,
+               CENTRED};
   };
   bool wide = is_given(o.initial_theta);
   put_state(ROW_OF(theta), wide ? 0.0 : START_THETA, wide ? o.initial_theta : o.initial_noise);

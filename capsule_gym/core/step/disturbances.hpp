@@ -1,39 +1,49 @@
 // The disturbances of sensors, motor and platform, and what each does to a reading or a torque;
-// `capsule_gym.Disturbances` documents them. Random numbers are hashes of the episode's key and a counter, so that a
-// reading is the same alone and in a batch.
+// `capsule_gym.Disturbances` documents them. Random numbers are hashes of the episode's key and a
+// counter, so that a reading is the same alone and in a batch.
 #pragma once
 #include "../numbers/random.hpp"
 
 // What an episode draws; SI units.
-#define CAPSULE_DISTURBANCES(FIELD)                                                                              \
-  FIELD(theta_noise) FIELD(theta_dot_noise) FIELD(x_dot_noise) FIELD(theta_bias) FIELD(theta_dot_bias)           \
-  FIELD(x_dot_bias) FIELD(theta_drift) FIELD(theta_dot_drift) FIELD(x_dot_drift) FIELD(drift_time)               \
-  FIELD(theta_resolution) FIELD(theta_dot_resolution) FIELD(x_dot_resolution) FIELD(latency) FIELD(lag)          \
-  FIELD(motor_friction) FIELD(torque_resolution) FIELD(push)
+#define CAPSULE_DISTURBANCES(FIELD)                                                               \
+  FIELD(theta_noise)                                                                              \
+  FIELD(theta_dot_noise)                                                                          \
+  FIELD(x_dot_noise) FIELD(theta_bias) FIELD(theta_dot_bias) FIELD(x_dot_bias) FIELD(theta_drift) \
+      FIELD(theta_dot_drift) FIELD(x_dot_drift) FIELD(drift_time) FIELD(theta_resolution)         \
+          FIELD(theta_dot_resolution) FIELD(x_dot_resolution) FIELD(latency) FIELD(lag)           \
+              FIELD(motor_friction) FIELD(torque_resolution) FIELD(push)
 
 namespace LEVEL {
-template <class T> struct Disturbances { CAPSULE_DISTURBANCES(CAPSULE_NUMBER) };
+template <class T> struct Disturbances {
+  CAPSULE_DISTURBANCES(CAPSULE_NUMBER)
+};
 
 // Added to a whole number: the lowest 52 bits of the sum are those of the number.
-constexpr double WHOLE = 4503599627370496.0;
+constexpr double WHOLE
+= 4503599627370496.0;
 // Duration of the push in every second, and tolerance of the episode's time, s.
 constexpr double PUSH_TIME = 0.1, ROUNDING_OF_TIME = 1e-9;
 
 // One of the eight random words of a reading.
 template <class T> INLINE auto word_of(T key, T count, Word place) {
-  constexpr Word GOLDEN = 0x9E3779B97F4A7C15;  // the odd number nearest to 2^64 over the golden ratio
+  constexpr Word GOLDEN =
+      0x9E3779B97F4A7C15;  // the odd number nearest to 2^64 over the golden ratio
   return scramble(bits_of(key) + GOLDEN * (bits_of(count + WHOLE) * 8ULL + place));
 }
 
-// The multiple of the resolution that is nearest to the value, or the value where the resolution is 0.
+// The multiple of the resolution that is nearest to the value, or the value where the resolution is
+// 0.
 template <class T> INLINE T rounded(T value, T resolution) {
   auto rounds = resolution > 0.0;
   T unit = select(rounds, resolution, T(1.0));
   return select(rounds, ((value / unit + ROUNDING) - ROUNDING) * unit, value);
 }
 
-// The errors of one sensor: the size of its white noise, its bias, the size of its drift, and its resolution.
-template <class T> struct SensorErrors { T noise, bias, drift, resolution; };
+// The errors of one sensor: the size of its white noise, its bias, the size of its drift, and its
+// resolution.
+template <class T> struct SensorErrors {
+  T noise, bias, drift, resolution;
+};
 template <class T> INLINE SensorErrors<T> errors_of_theta(const Disturbances<T>& d) {
   return {d.theta_noise, d.theta_bias, d.theta_drift, d.theta_resolution};
 }
@@ -50,15 +60,18 @@ template <class T> INLINE T read_sensor(const SensorErrors<T>& errors, T shown, 
   return rounded(shown + error, errors.resolution);
 }
 
-// The motor's torque after one period, of which it makes up the share `share` of its distance to the command.
+// The motor's torque after one period, of which it makes up the share `share` of its distance to
+// the command.
 template <class T> INLINE T follow_command(const Disturbances<T>& d, T motor, T command, T share) {
   return motor + share * (rounded(command, d.torque_resolution) - motor);
 }
 
-// The force on the platform at this time of the episode: in every second one of random size, at a random time.
+// The force on the platform at this time of the episode: in every second one of random size, at a
+// random time.
 template <class T> INLINE T pushing_force(const Disturbances<T>& d, T key, T duration) {
   T time = duration + ROUNDING_OF_TIME, second = floor(time);
-  auto [begins, size] = uniforms(scramble(bits_of(key) + 0x5851F42D4C957F2DULL * bits_of(second + WHOLE)));
+  auto [begins, size] =
+      uniforms(scramble(bits_of(key) + 0x5851F42D4C957F2DULL * bits_of(second + WHOLE)));
   T since = time - second - (1.0 - PUSH_TIME) * (begins - 1.0);
   return select((since >= 0.0) & (since < PUSH_TIME), d.push * (2.0 * size - 3.0), T(0.0));
 }

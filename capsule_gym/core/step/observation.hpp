@@ -1,24 +1,32 @@
-// The observation: its entries in order, the estimates of M and mu in it, and the stack of observations.
+// The observation: its entries in order, the estimates of M and mu in it, and the stack of
+// observations.
 #pragma once
 #include "../tasks/tasks.hpp"
 #include "layout.hpp"
 
 namespace LEVEL {
 // What an observation shows of the environment: `phase` is the share of the reference's cycle.
-#define OBSERVED(FIELD)                                                                                    \
-  FIELD(theta) FIELD(theta_dot) FIELD(x_dot) FIELD(action) FIELD(theta_d) FIELD(theta_d_dot) FIELD(phase)  \
-  FIELD(law_torque) FIELD(M) FIELD(mu)
-template <class T> struct Observed { OBSERVED(CAPSULE_NUMBER) };
+#define OBSERVED(FIELD)                                                                       \
+  FIELD(theta)                                                                                \
+  FIELD(theta_dot)                                                                            \
+  FIELD(x_dot) FIELD(action) FIELD(theta_d) FIELD(theta_d_dot) FIELD(phase) FIELD(law_torque) \
+      FIELD(M) FIELD(mu)
+template <class T> struct Observed {
+  OBSERVED(CAPSULE_NUMBER)
+};
 
 // What the estimator of M and mu assumes.
-struct Pendulum { double m, l, g, dt; };
+struct Pendulum {
+  double m, l, g, dt;
+};
 INLINE Pendulum assumed_pendulum(const Settings& q) { return {q.m, q.l, q.g, q.control_dt()}; }
 
-// Puts the entries in their order, each as put(name, low, high, value) with the bounds to which it is clipped.
-// `estimate` returns the estimator of M and mu after this observation.
+// Puts the entries in their order, each as put(name, low, high, value) with the bounds to which it
+// is clipped. `estimate` returns the estimator of M and mu after this observation.
 template <class Task, class T, class Put, class Estimate>
-INLINE void put_entries(const Settings& q, const Observed<T>& o, const typename Task::template Memory<T>& memory,
-                        Put put, Estimate estimate) {
+INLINE void put_entries(const Settings& q, const Observed<T>& o,
+                        const typename Task::template Memory<T>& memory, Put put,
+                        Estimate estimate) {
   auto put_angle = [&](const char* name, T value) __attribute__((always_inline)) {
     put(name, -THETA_LIMIT, THETA_LIMIT, clip(value, T(THETA_LIMIT)));
   };
@@ -54,11 +62,12 @@ INLINE void put_entries(const Settings& q, const Observed<T>& o, const typename 
   if (q.with_task != 0.0) Task::observe(memory, put);
 }
 
-// Writes the observations of the first n environments of a block. `line`: that of the reference; `task`: the task's
-// memory with the values that the agent observes; `estimators`: the rows of the estimators of M and mu.
+// Writes the observations of the first n environments of a block. `line`: that of the reference;
+// `task`: the task's memory with the values that the agent observes; `estimators`: the rows of the
+// estimators of M and mu.
 template <class Task, int N>
-NOINLINE void observe(const Batch& batch, const Block<N>& b, int n, const double* line, const double* task,
-                      double* estimators, float* observations, bool begin) {
+NOINLINE void observe(const Batch& batch, const Block<N>& b, int n, const double* line,
+                      const double* task, double* estimators, float* observations, bool begin) {
   const Settings& q = *batch.settings;
   int all = (int)batch.layout->entries, entries = all / (int)q.stack_size;
   bool reads = q.agent_reads != 0.0;
@@ -67,13 +76,21 @@ NOINLINE void observe(const Batch& batch, const Block<N>& b, int n, const double
     float* out = observations + j * all;
     // Shifts the stacked observations; at the start of an episode all of them are the first.
     for (int entry = all - 1; entry >= entries; entry--) out[entry] = out[entry - entries];
-    Observed<double> seen = {reads ? b.read_theta[j] : b.theta[j], reads ? b.read_theta_dot[j] : b.theta_dot[j],
-                             reads ? b.read_x_dot[j] : b.x_dot[j], begin ? 0.0 : b.action[j], line[j], line[N + j],
-                             b.clock[j] / (double)batch.reference_rows, b.law_torque[j], b.M[j], b.mu[j]};
+    Observed<double> seen = {reads ? b.read_theta[j] : b.theta[j],
+                             reads ? b.read_theta_dot[j] : b.theta_dot[j],
+                             reads ? b.read_x_dot[j] : b.x_dot[j],
+                             begin ? 0.0 : b.action[j],
+                             line[j],
+                             line[N + j],
+                             b.clock[j] / (double)batch.reference_rows,
+                             b.law_torque[j],
+                             b.M[j],
+                             b.mu[j]};
     float* next = out;
     put_entries<Task>(
         q, seen, load_record<typename Task::template Memory<double>, double, N>(task, j),
-        [&](const char*, double, double, double entry) __attribute__((always_inline)) { *next++ = (float)entry; },
+        [&](const char*, double, double, double entry)
+            __attribute__((always_inline)) { *next++ = (float)entry; },
         [&]() __attribute__((noinline)) {
           auto e = load_record<Estimator<double>, double, N>(estimators, j);
           update_estimator<double>(e, out[0], out[1], out[2], assumed_pendulum(q));

@@ -3,18 +3,23 @@
 #include "layout.hpp"
 
 namespace LEVEL {
-// Disturbances of a block of N environments, with the number type T; `history` holds the last states.
+// Disturbances of a block of N environments, with the number type T; `history` holds the last
+// states.
 template <class T, int N> struct Disturbed {
   const Settings& q;
   Block<N>& b;
   double* history;
   const int n;
 
-  // The period of the law, s, and the time between readings: this period, or without a law the agent's step.
+  // The period of the law, s, and the time between readings: this period, or without a law the
+  // agent's step.
   double period() const { return q.physics_steps * q.physics_dt; }
-  double time_between_readings() const { return q.with_reference != 0.0 ? period() : period() * q.law_steps; }
+  double time_between_readings() const {
+    return q.with_reference != 0.0 ? period() : period() * q.law_steps;
+  }
   double* entry(int place) const { return history + HISTORY_ROWS * N * place; }
-  // Those that the episodes of the lanes from j on have drawn. Field by field, so that none is read that is not used.
+  // Those that the episodes of the lanes from j on have drawn. Field by field, so that none is read
+  // that is not used.
   INLINE Disturbances<T> disturbances(int j) const {
 #define DRAWN_VALUE(name) GET(name),
     return {CAPSULE_DISTURBANCES(DRAWN_VALUE)};
@@ -38,7 +43,8 @@ template <class T, int N> struct Disturbed {
       b.motor_share[j] = lag > 0.0 ? 1.0 - decay(period() / lag) : 1.0;
       // The drift begins in its stationary distribution.
       auto [first, second] = normals(word_of(key, 0.0, 6));
-      b.drift_of_theta[j] = b.theta_drift[j] * first, b.drift_of_theta_dot[j] = b.theta_dot_drift[j] * second;
+      b.drift_of_theta[j] = b.theta_drift[j] * first,
+      b.drift_of_theta_dot[j] = b.theta_dot_drift[j] * second;
       b.drift_of_x_dot[j] = b.x_dot_drift[j] * normals(word_of(key, 0.0, 7)).first;
       b.read_x[j] = b.x[j];
       for (int i = 0; i < (int)q.history_states; i++)
@@ -55,13 +61,15 @@ template <class T, int N> struct Disturbed {
     return motor;
   }
 
-  // Takes a reading of every sensor of the environments that take part, where law or agent need it. `begins`: whether
-  // episodes begin, whose history `begin` has filled; `last`: whether the agent's step ends.
+  // Takes a reading of every sensor of the environments that take part, where law or agent need it.
+  // `begins`: whether episodes begin, whose history `begin` has filled; `last`: whether the agent's
+  // step ends.
   NOINLINE void measure(bool begins, bool last) {
     if (!begins) {
       int next = (int)b.cursor[0] + 1;
       b.cursor[0] = next < (int)q.history_states ? next : 0;
-      EACH store_record<T, N>(entry((int)b.cursor[0]), j, load_record<State<T>, T, N>(FROM(theta), j));
+      EACH store_record<T, N>(entry((int)b.cursor[0]), j,
+                              load_record<State<T>, T, N>(FROM(theta), j));
     }
     if (!begins && !last && q.with_reference == 0.0) return;
     for (int j = 0; j < n; j++) {
@@ -79,17 +87,19 @@ template <class T, int N> struct Disturbed {
       auto [white_2, slow_2] = normals(word_of(key, count, 1));
       auto [slow_0, slow_1] = normals(word_of(key, count, 2));
       T kept = GET(drift_share), fresh = sqrt(1.0 - kept * kept);
-#define SENSOR(name, white, slow)                                                                  \
-  {                                                                                                \
-    auto errors = errors_of_##name(disturbances(j));                                               \
-    T drift = kept * GET(drift_of_##name) + fresh * slow * errors.drift;                           \
-    T reading = read_sensor(errors, GET(late_##name), drift, white);                               \
-    PUT(drift_of_##name, select(active, drift, GET(drift_of_##name)));                             \
-    PUT(read_##name, select(active, q.with_##name != 0.0 ? reading : T(0.0), GET(read_##name)));   \
+#define SENSOR(name, white, slow)                                                                \
+  {                                                                                              \
+    auto errors = errors_of_##name(disturbances(j));                                             \
+    T drift = kept * GET(drift_of_##name) + fresh * slow * errors.drift;                         \
+    T reading = read_sensor(errors, GET(late_##name), drift, white);                             \
+    PUT(drift_of_##name, select(active, drift, GET(drift_of_##name)));                           \
+    PUT(read_##name, select(active, q.with_##name != 0.0 ? reading : T(0.0), GET(read_##name))); \
   }
-      SENSOR(theta, white_0, slow_0) SENSOR(theta_dot, white_1, slow_1) SENSOR(x_dot, white_2, slow_2)
+      SENSOR(theta, white_0, slow_0)
+      SENSOR(theta_dot, white_1, slow_1)
+      SENSOR(x_dot, white_2, slow_2)
 #undef SENSOR
-      T x = GET(read_x) + min(count, T(1.0)) * pause * GET(read_x_dot);
+          T x = GET(read_x) + min(count, T(1.0)) * pause * GET(read_x_dot);
       if (q.with_x != 0.0) x = GET(late_x) + q.x_noise * normals(word_of(key, count, 3)).first;
       PUT(read_x, select(active, x, GET(read_x)));
       PUT(readings, select(active, count + 1.0, count));

@@ -1,7 +1,9 @@
-// One agent step, from the action to the observation, of any number of environments: `Step::run` is its outline.
+// One agent step, from the action to the observation, of any number of environments: `Step::run` is
+// its outline.
 //
-// The environments of a block are stepped together, as many at once as the number type holds. One in which an event
-// happens (a change of the contact phase, the end of the episode) is left out of its substep and stepped by itself.
+// The environments of a block are stepped together, as many at once as the number type holds. One
+// in which an event happens (a change of the contact phase, the end of the episode) is left out of
+// its substep and stepped by itself.
 #pragma once
 #include "../laws/laws.hpp"
 #include "../physics/events.hpp"
@@ -9,24 +11,30 @@
 #include "sensing.hpp"
 
 namespace LEVEL {
-// |theta_dot| + |x_dot| (rad/s, m/s) after a substep with an event beyond which the motion counts as lost.
+// |theta_dot| + |x_dot| (rad/s, m/s) after a substep with an event beyond which the motion counts
+// as lost.
 constexpr double RATE_LIMIT = 1e4;
-// The cost of a step is 1 where less than this share of the weight presses on the floor, or of pi/2 remains.
+// The cost of a step is 1 where less than this share of the weight presses on the floor, or of pi/2
+// remains.
 constexpr double MARGIN = 0.1;
 
-// Whether the episode goes on and both are numbers. This check finds every step that overflows: within the limits of
-// plant and torque, accelerations that overflow grow so fast from stage to stage that none cancels another in theta.
+// Whether the episode goes on and both are numbers. This check finds every step that overflows:
+// within the limits of plant and torque, accelerations that overflow grow so fast from stage to
+// stage that none cancels another in theta.
 template <class T> INLINE auto continues(T theta, T normal_force) {
   return (abs(theta) < THETA_LIMIT) & (normal_force > 0.0);
 }
 
 // Whether the rates are those of a motion that the integrator resolves; false for NaN.
-template <class T> INLINE auto bounded(T theta_dot, T x_dot) { return abs(theta_dot) + abs(x_dot) <= RATE_LIMIT; }
+template <class T> INLINE auto bounded(T theta_dot, T x_dot) {
+  return abs(theta_dot) + abs(x_dot) <= RATE_LIMIT;
+}
 
 // The torque in N m for an action in [-1, 1]: u = clip(law torque + residual).
 template <class T> INLINE T total_torque(const Settings& q, T law_torque, T action) {
-  T residual = q.total_torque != 0.0 ? clip(q.torque_limit * action - law_torque, T(q.residual_limit))
-                                     : q.residual_limit * action;
+  T residual = q.total_torque != 0.0
+                   ? clip(q.torque_limit * action - law_torque, T(q.residual_limit))
+                   : q.residual_limit * action;
   return clip(law_torque + residual, T(q.torque_limit));
 }
 
@@ -38,8 +46,9 @@ template <class T, int N> struct Step {
   const int n;
   const bool varied = q.varied != 0.0;
   float* const observations;
-  // The state that the law observes; behind the rows its memory, its line of the reference, and the task's memory. A
-  // varied plant has a second one with measured values; the first is the one that the law observes.
+  // The state that the law observes; behind the rows its memory, its line of the reference, and the
+  // task's memory. A varied plant has a second one with measured values; the first is the one that
+  // the law observes.
   const double* const seen;
   double *const memory, *const line, *const task, *const read_task;
   Disturbed<T, N> disturbed;
@@ -47,9 +56,16 @@ template <class T, int N> struct Step {
   int events[N], count = 0;
 
   Step(const Batch& batch, Block<N>& block, int n, float* observations)
-      : batch(batch), q(*batch.settings), b(block), n(n), observations(observations),
-        seen(q.law_reads != 0.0 ? FROM(read_theta) : FROM(theta)), memory(row(batch.layout->law_memory)),
-        line(row(batch.layout->reference)), task(row(batch.layout->task)), read_task(row(batch.layout->read_task)),
+      : batch(batch),
+        q(*batch.settings),
+        b(block),
+        n(n),
+        observations(observations),
+        seen(q.law_reads != 0.0 ? FROM(read_theta) : FROM(theta)),
+        memory(row(batch.layout->law_memory)),
+        line(row(batch.layout->reference)),
+        task(row(batch.layout->task)),
+        read_task(row(batch.layout->read_task)),
         disturbed{q, block, row(batch.layout->history), n} {}
 
   double* row(long long number) const { return (double*)&b + number * N; }
@@ -67,8 +83,8 @@ template <class T, int N> struct Step {
       call_law(begin ? 0.0 : 1.0);
     }
     if (!begin) finish_step<Task>();
-    observe<Task>(batch, b, n, line, q.agent_reads != 0.0 ? read_task : task, row(batch.layout->estimator),
-                  observations, begin);
+    observe<Task>(batch, b, n, line, q.agent_reads != 0.0 ? read_task : task,
+                  row(batch.layout->estimator), observations, begin);
   }
 
   // Clips the action; returns whether an environment takes part.
@@ -83,7 +99,8 @@ template <class T, int N> struct Step {
       PUT(before_x, GET(x));
       if (varied) PUT(read_before_x, GET(read_x));
       PUT(energy, select(active, T(0.0), GET(energy)));
-      // The smallest of the step; at the start of an episode the weight, which `begin_episodes` has written.
+      // The smallest of the step; at the start of an episode the weight, which `begin_episodes` has
+      // written.
       if (!begin) PUT(normal_force, select(active, T(INFINITE), GET(normal_force)));
       takes_part |= any(active);
     }
@@ -129,7 +146,7 @@ template <class T, int N> struct Step {
     P p;
     p.M = read(b.M), p.mu = read(b.mu), p.mass_ratio = read(b.mass_ratio);
     p.pivot_torque_on_contact = q.pivot_torque_on_contact;
-#define FIELD(name)                                         \
+#define FIELD(name)                                       \
   if constexpr (P::varied) p.name = read(b.plant_##name); \
   else p.name = q.name;
     CAPSULE_PLANT(FIELD)
@@ -153,26 +170,31 @@ template <class T, int N> struct Step {
       store_record<T, N>(FROM(next_theta), j, r);
     }
     T moved = select(commit, r.end.x - s.x, T(0.0));
-    T turned = select(commit, swept(s.theta_dot, r.end.theta_dot, r.end.theta - s.theta, h), T(0.0));
-    State<T> end = {select(commit, r.end.theta, s.theta), select(commit, r.end.theta_dot, s.theta_dot),
-                    select(commit, r.end.x, s.x), select(commit, r.end.x_dot, s.x_dot)};
+    T turned =
+        select(commit, swept(s.theta_dot, r.end.theta_dot, r.end.theta - s.theta, h), T(0.0));
+    State<T> end = {select(commit, r.end.theta, s.theta),
+                    select(commit, r.end.theta_dot, s.theta_dot), select(commit, r.end.x, s.x),
+                    select(commit, r.end.x_dot, s.x_dot)};
     T stuck = may_stick ? select(commit & (slip == 0.0), h, T(0.0)) : T(0.0);
     add_motion<T, may_stick>(j, {end, max(T(0.0), moved), max(T(0.0), -moved), stuck, turned,
                                  select(commit, r.first.normal, T(INFINITE)), 0.0});
   }
 
-  // Writes the state at the end of a substep, and adds its contributions to the step and to the episode.
+  // Writes the state at the end of a substep, and adds its contributions to the step and to the
+  // episode.
   template <class S, bool may_stick = true> INLINE void add_motion(int j, const Motion<S>& m) {
     store_record<S, N>(FROM(theta), j, m.end);
     auto add = [j](double* row, S amount) { store(row + j, load<S>(row + j) + amount); };
-    add(b.energy, abs(load<S>(b.torque + j)) * m.swept), add(b.forward, m.forward), add(b.backward, m.backward);
+    add(b.energy, abs(load<S>(b.torque + j)) * m.swept), add(b.forward, m.forward),
+        add(b.backward, m.backward);
     if constexpr (may_stick) add(b.stuck, m.stuck);
     store(b.normal_force + j, min(load<S>(b.normal_force + j), m.normal_force));
     store(b.largest_theta + j, max(load<S>(b.largest_theta + j), abs(m.end.theta)));
     store(b.largest_theta_dot + j, max(load<S>(b.largest_theta_dot + j), abs(m.end.theta_dot)));
   }
 
-  // Steps the environments that come to rest once in the substep, several at a time; returns how many others are left.
+  // Steps the environments that come to rest once in the substep, several at a time; returns how
+  // many others are left.
   template <Kind kind> NOINLINE int pass_events(double h) {
     int left = 0;
     for (int first = 0; first < count; first += WIDTH<T>) {
@@ -181,11 +203,13 @@ template <class T, int N> struct Step {
       for (int i = 0; i < WIDTH<T>; i++) lane[i] = events[first + (i < many ? i : many - 1)];
       auto at = [&lane](const double* row) { return gather(row, lane); };
       auto whole = read_record<Stepped<T>, N>(FROM(next_theta), at);
-      Phase<Plant<T, kind>> start = {read_record<State<T>, N>(FROM(theta), at), sign_of(at(b.x_dot)), at(b.torque),
+      Phase<Plant<T, kind>> start = {read_record<State<T>, N>(FROM(theta), at),
+                                     sign_of(at(b.x_dot)), at(b.torque),
                                      read_plant<Plant<T, kind>>(q, at), whole.first};
       auto [m, holds] = pass_rest(start, whole.end, T(h));
-      holds = holds & continues(m.end.theta, m.normal_force) & bounded(m.end.theta_dot, m.end.x_dot) &
-              (abs(m.end.x + m.swept) < INFINITE) & (whole.smallest >= 0.0);
+      holds = holds & continues(m.end.theta, m.normal_force) &
+              bounded(m.end.theta_dot, m.end.x_dot) & (abs(m.end.x + m.swept) < INFINITE) &
+              (whole.smallest >= 0.0);
       unsigned passed = lanes(holds);
       for (int i = 0; i < many; i++) {
         if (!(passed >> i & 1)) {
@@ -193,7 +217,8 @@ template <class T, int N> struct Step {
           continue;
         }
         Motion<double> own;
-        for (int k = 0; k < WIDTH<Motion<double>>; k++) ((double*)&own)[k] = ((const double*)&m)[k * WIDTH<T> + i];
+        for (int k = 0; k < WIDTH<Motion<double>>; k++)
+          ((double*)&own)[k] = ((const double*)&m)[k * WIDTH<T> + i];
         add_motion(lane[i], own);
       }
     }
@@ -205,7 +230,8 @@ template <class T, int N> struct Step {
     auto p = read_plant<Plant<double, kind>>(q, [j](const double* row) { return row[j]; });
     auto s = load_record<State<double>, double, N>(FROM(theta), j);
     auto whole = load_record<Stepped<double>, double, N>(FROM(next_theta), j);
-    Phase<Plant<double, kind>> start = {s, p.contact_phase(s, b.torque[j]), b.torque[j], p, whole.first};
+    Phase<Plant<double, kind>> start = {s, p.contact_phase(s, b.torque[j]), b.torque[j], p,
+                                        whole.first};
     auto m = event_step(start, whole.smallest >= 0.0 ? start.finish(h, whole) : start.piece(h));
     double sum = m.end.theta + m.end.x + m.swept + m.normal_force;
     if (!(bounded(m.end.theta_dot, m.end.x_dot) && abs(sum) < INFINITE)) {
@@ -247,7 +273,8 @@ template <class T, int N> struct Step {
     for (long long r = 0; r < size; r++) {
       if (same) EACH store(line + r * N + j, T(first[r]));
       else
-        for (int j = 0; j < n; j++) line[r * N + j] = batch.reference[(long long)b.clock[j] * size + r];
+        for (int j = 0; j < n; j++)
+          line[r * N + j] = batch.reference[(long long)b.clock[j] * size + r];
     }
   }
 
@@ -267,8 +294,8 @@ template <class T, int N> struct Step {
 
   NOINLINE void evaluate_user_law(double tick) {
     long long size = batch.layout->memory_size() * N;
-    // It writes the memory of every lane. Lanes that have halted get theirs back, and those whose law has failed, so
-    // that it can be called again with the same arguments.
+    // It writes the memory of every lane. Lanes that have halted get theirs back, and those whose
+    // law has failed, so that it can be called again with the same arguments.
     double torques[N], kept[MOST_CELLS * N];
     __builtin_memcpy(kept, memory, size * sizeof(double));
     EACH store(torques + j, T(__builtin_nan("")));
@@ -285,13 +312,15 @@ template <class T, int N> struct Step {
   template <class S> INLINE void keep_torque(int j, S torque, double tick) {
     S halt = load<S>(b.halt + j), acted = load<S>(b.torque + j);
     auto called = halt != HALTED;
-    // Infinity must not pass for a clipped torque: infinity minus itself is NaN. The state stays as the law saw it.
+    // Infinity must not pass for a clipped torque: infinity minus itself is NaN. The state stays as
+    // the law saw it.
     S clipped = clip(torque, S(q.torque_limit)) + (torque - torque);
     store<S>(b.law_torque + j, select(called, clipped, load<S>(b.law_torque + j)));
     S elapsed = select(called, load<S>(b.elapsed + j), S(0.0));
     store<S>(b.duration + j, load<S>(b.duration + j) + tick * elapsed);
     store<S>(b.torque_squared + j, load<S>(b.torque_squared + j) + tick * elapsed * acted * acted);
-    store<S>(b.halt + j, select((halt == UNDER_WAY) & (clipped == clipped), S(UNDER_WAY), S(HALTED)));
+    store<S>(b.halt + j,
+             select((halt == UNDER_WAY) & (clipped == clipped), S(UNDER_WAY), S(HALTED)));
   }
 
   template <class Task> NOINLINE void start_task() {
@@ -313,7 +342,8 @@ template <class T, int N> struct Step {
       auto active = GET(active) != 0.0;
       T share = select(active, T(1.0), T(0.0));
       T mass = GET(M) + (varied ? GET(plant_m) : T(q.m)), g = varied ? GET(plant_g) : T(q.g);
-      T downhill = varied ? GET(plant_downhill) : T(q.downhill), gravity = sqrt(g * g + downhill * downhill);
+      T downhill = varied ? GET(plant_downhill) : T(q.downhill),
+        gravity = sqrt(g * g + downhill * downhill);
       T moved = GET(x) - GET(before_x), energy = GET(energy);
       // Where the law has failed it can be called again with the same arguments.
       auto renews = active & (abs(GET(law_torque)) < INFINITE);
@@ -325,7 +355,8 @@ template <class T, int N> struct Step {
       };
       T gain = renew(task, GET(x), GET(x_dot), moved, 0.0);
       if (varied)
-        renew(read_task, GET(read_x), GET(read_x_dot), GET(read_x) - GET(read_before_x), q.stick_threshold);
+        renew(read_task, GET(read_x), GET(read_x_dot), GET(read_x) - GET(read_before_x),
+              q.stick_threshold);
       T energy_cost = -q.energy_weight * energy;
       T penalty = select(GET(termination) != 0.0, T(-q.termination_penalty), T(0.0));
       PUT(reward, select(active, gain + energy_cost + penalty, T(0.0)));
@@ -337,16 +368,19 @@ template <class T, int N> struct Step {
       PUT(weight_distance, GET(weight_distance) + share * (mass * gravity) * moved);
       T ratio = GET(normal_force) / (mass * g), smallest = min(GET(smallest_normal_ratio), ratio);
       PUT(smallest_normal_ratio, select(active, smallest, GET(smallest_normal_ratio)));
-      auto close = (ratio < MARGIN) | (abs(GET(theta)) > (1.0 - MARGIN) * THETA_LIMIT) | (GET(termination) != 0.0);
+      auto close = (ratio < MARGIN) | (abs(GET(theta)) > (1.0 - MARGIN) * THETA_LIMIT) |
+                   (GET(termination) != 0.0);
       PUT(cost, select(active, select(close, T(1.0), T(0.0)), GET(cost)));
     }
   }
 };
 
-// Applies the changes of M and mu that are due to the n environments from `first` on: at the first agent step that
-// starts at or after their time. `c` is the first change to look at; returns the first one of later environments.
+// Applies the changes of M and mu that are due to the n environments from `first` on: at the first
+// agent step that starts at or after their time. `c` is the first change to look at; returns the
+// first one of later environments.
 template <int N>
-const double* apply_changes(const Batch& batch, const double* c, Block<N>& b, long long first, int n) {
+const double* apply_changes(const Batch& batch, const double* c, Block<N>& b, long long first,
+                            int n) {
   const double *end = batch.changes + 4 * batch.num_changes, dt = batch.settings->control_dt();
   for (; c < end && c[0] < first + n; c += 4)
     if (long long j = (long long)c[0] - first;
@@ -355,9 +389,10 @@ const double* apply_changes(const Batch& batch, const double* c, Block<N>& b, lo
   return c;
 }
 
-// Steps the environments first..last-1, or begins their episodes; `first` is a multiple of N. Returns the index of an
-// environment whose law returned a torque that is not finite, or -1.
-template <class T, int N> long long advance_blocks(const Batch& batch, long long first, long long last, bool begin) {
+// Steps the environments first..last-1, or begins their episodes; `first` is a multiple of N.
+// Returns the index of an environment whose law returned a torque that is not finite, or -1.
+template <class T, int N>
+long long advance_blocks(const Batch& batch, long long first, long long last, bool begin) {
   long long broken = -1;
   const double* changes = batch.changes;
   for (long long at = first; at < last; at += N) {

@@ -3,18 +3,23 @@
 #include "task.hpp"
 
 namespace LEVEL {
-// Bound of the observed error, m; largest distance from the goal at which the platform must rest, m; and duration of
-// the rest, s.
+// Bound of the observed error, m; largest distance from the goal at which the platform must rest,
+// m; and duration of the rest, s.
 constexpr double ERROR_BOUND = 1.0, TOLERANCE = 0.002, HOLD = 1.0;
 
 struct Goal {
   static constexpr const char* NAME = "goal";
-  // Position of the goal, and that minus the platform's, m; times since the start, at rest within the tolerance, and at
-  // which the goal was reached (0 before), s; the drawn displacement of the goal, m.
-#define GOAL_MEMORY(FIELD) FIELD(goal) FIELD(error) FIELD(time) FIELD(held) FIELD(reached) FIELD(displacement)
-  static constexpr const char *FIELDS = GOAL_MEMORY(CAPSULE_NAME), *SHOWN = "goal error held ", *TERM = "reward_goal";
+  // Position of the goal, and that minus the platform's, m; times since the start, at rest within
+  // the tolerance, and at which the goal was reached (0 before), s; the drawn displacement of the
+  // goal, m.
+#define GOAL_MEMORY(FIELD) \
+  FIELD(goal) FIELD(error) FIELD(time) FIELD(held) FIELD(reached) FIELD(displacement)
+  static constexpr const char *FIELDS = GOAL_MEMORY(CAPSULE_NAME), *SHOWN = "goal error held ",
+                              *TERM = "reward_goal";
   static constexpr int STEPS = 750;
-  template <class T> struct Memory { GOAL_MEMORY(CAPSULE_NUMBER) };
+  template <class T> struct Memory {
+    GOAL_MEMORY(CAPSULE_NUMBER)
+  };
 
   // The displacement, m.
   template <class Put> static void draws(Range, Put put) { put("goal", 0.05, 0.5, SIGNED); }
@@ -33,7 +38,8 @@ struct Goal {
   }
 
   // The reward for the distance to the goal and for rest there.
-  template <class T> static INLINE T reward(T x, T x_dot, T moved, double dt, double rest, Memory<T>& memory) {
+  template <class T>
+  static INLINE T reward(T x, T x_dot, T moved, double dt, double rest, Memory<T>& memory) {
     auto& [goal, error, time, held, reached, displacement] = memory;
     time = time + dt;
     error = goal - x;

@@ -15,7 +15,9 @@ struct Speed {
   template <class T> static INLINE void begin(T, T, Memory<T>&) {}
 
   // Centimetres of forward progress.
-  template <class T> static INLINE T reward(T, T, T moved, double, double, Memory<T>&) { return 100.0 * moved; }
+  template <class T> static INLINE T reward(T, T, T moved, double, double, Memory<T>&) {
+    return 100.0 * moved;
+  }
 
   template <class T, class Put> static INLINE void observe(const Memory<T>&, Put) {}
 

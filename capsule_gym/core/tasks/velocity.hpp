@@ -5,25 +5,30 @@
 namespace LEVEL {
 // Largest distance of the target, m; time constant of the observed velocity, s, and its bound, m/s.
 constexpr double LEAD = 0.3, FILTER = 0.25, SPEED_BOUND = 2.0;
-// Time that the metrics leave out after a change, and the shortest measured time of a command that counts, s; distance
-// from the target within which a command is settled, m.
+// Time that the metrics leave out after a change, and the shortest measured time of a command that
+// counts, s; distance from the target within which a command is settled, m.
 constexpr double SETTLING = 1.5, MEASURED = 1.0, SETTLED = 0.02;
 constexpr int COMMANDS = 8;
 // Largest accepted and largest drawn command, m/s, and the range of its duration, s.
-constexpr double LARGEST_COMMAND = 0.2, DRAWN_COMMAND = 0.1, SHORTEST_COMMAND = 4.0, LONGEST_COMMAND = 8.0;
+constexpr double LARGEST_COMMAND = 0.2, DRAWN_COMMAND = 0.1, SHORTEST_COMMAND = 4.0,
+                 LONGEST_COMMAND = 8.0;
 
 struct Velocity {
   static constexpr const char* NAME = "velocity";
-  // The command, m/s; position of the target, and that minus the platform's, m; filtered velocity, m/s; time since the
-  // change of the command, and its duration, s. Of the present command: time and position at the start of its
-  // measurement, and 1.0 once settled. Sums over the previous commands: missed and commanded distance, m, number of
-  // measured and of unsettled commands. The present and the next commands, and their durations.
-#define VELOCITY_MEMORY(FIELD)                                                                                         \
-  FIELD(command) FIELD(target) FIELD(error) FIELD(speed) FIELD(since) FIELD(lasts)                                     \
-  FIELD(measured_from) FIELD(measured_x) FIELD(settled) FIELD(missed) FIELD(commanded) FIELD(measured)                 \
-  FIELD(unsettled)
+  // The command, m/s; position of the target, and that minus the platform's, m; filtered velocity,
+  // m/s; time since the change of the command, and its duration, s. Of the present command: time
+  // and position at the start of its measurement, and 1.0 once settled. Sums over the previous
+  // commands: missed and commanded distance, m, number of measured and of unsettled commands. The
+  // present and the next commands, and their durations.
+#define VELOCITY_MEMORY(FIELD)                                                                 \
+  FIELD(command)                                                                               \
+  FIELD(target)                                                                                \
+  FIELD(error)                                                                                 \
+  FIELD(speed) FIELD(since) FIELD(lasts) FIELD(measured_from) FIELD(measured_x) FIELD(settled) \
+      FIELD(missed) FIELD(commanded) FIELD(measured) FIELD(unsettled)
   static constexpr const char* FIELDS = VELOCITY_MEMORY(CAPSULE_NAME)
-      "v_0 v_1 v_2 v_3 v_4 v_5 v_6 v_7 lasts_0 lasts_1 lasts_2 lasts_3 lasts_4 lasts_5 lasts_6 lasts_7";
+      "v_0 v_1 v_2 v_3 v_4 v_5 v_6 v_7 "
+      "lasts_0 lasts_1 lasts_2 lasts_3 lasts_4 lasts_5 lasts_6 lasts_7";
   static constexpr const char *SHOWN = "command target error ", *TERM = "reward_tracking";
   static constexpr int STEPS = 1000;
   template <class T> struct Memory {
@@ -45,7 +50,8 @@ struct Velocity {
     m.missed = m.commanded = m.measured = m.unsettled = 0.0;
   }
 
-  // The reward for the distance to the target; moves the target, and changes the command when that is due.
+  // The reward for the distance to the target; moves the target, and changes the command when that
+  // is due.
   template <class T> static INLINE T reward(T x, T, T moved, double dt, double, Memory<T>& m) {
     m.target = x + clip(m.target + m.command * dt - x, T(LEAD));
     m.error = m.target - x;
@@ -74,7 +80,8 @@ struct Velocity {
     m.command = select(ends, m.v[0], m.command), m.lasts = select(ends, m.lasts_for[0], m.lasts);
     m.target = select(ends, x, m.target);
     m.error = select(ends, T(0.0), m.error), m.since = select(ends, T(0.0), m.since);
-    m.measured_from = select(ends, T(0.0), m.measured_from), m.measured_x = select(ends, T(0.0), m.measured_x);
+    m.measured_from = select(ends, T(0.0), m.measured_from),
+    m.measured_x = select(ends, T(0.0), m.measured_x);
     m.settled = select(ends, T(0.0), m.settled);
     return gain;
   }
@@ -86,7 +93,8 @@ struct Velocity {
     put("mean_x_dot", -SPEED_BOUND, SPEED_BOUND, clip(memory.speed, T(SPEED_BOUND)));
   }
 
-  // The sums over the previous commands, with the present one where it has been measured for long enough.
+  // The sums over the previous commands, with the present one where it has been measured for long
+  // enough.
   template <class Put> static void metrics(const Memory<double>& m, double, Put put) {
     double duration = m.measured_from > 0.0 ? m.since - m.measured_from : 0.0;
     bool counts = duration >= MEASURED - TIME_TOLERANCE;
@@ -95,9 +103,11 @@ struct Velocity {
     double commanded = m.commanded + (counts ? abs(m.command) * duration : 0.0);
     double measured = m.measured + (counts ? 1.0 : 0.0);
     double unsettled = m.unsettled + (counts ? 1.0 - m.settled : 0.0);
-    put("velocity_error", "error of the mean velocity, percent of the commands; 100 without a measured command",
+    put("velocity_error",
+        "error of the mean velocity, percent of the commands; 100 without a measured command",
         100.0 * (commanded > 0.0 ? missed / commanded : 1.0));
-    put("unsettled", "share of the measured commands that were never settled; 1 without a measured command",
+    put("unsettled",
+        "share of the measured commands that were never settled; 1 without a measured command",
         measured > 0.0 ? unsettled / measured : 1.0);
   }
 };

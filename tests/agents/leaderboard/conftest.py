@@ -6,18 +6,27 @@ from capsule_gym.evaluation import candidates
 from tests.agents.fakes import Sine, write_run
 from tests.agents.leaderboard.world import write_all
 
-README = "# Title\n\n" + "\n\nBetween.\n\n".join(page._section(name, "") for name in ("message", "leaderboard")) + "\n"
+README = (
+    "# Title\n\n"
+    + "\n\nBetween.\n\n".join(page._section(name, "") for name in ("message", "leaderboard"))
+    + "\n"
+)
 
 
 @pytest.fixture
 def world(tmp_path, monkeypatch):
-    """The rows of all tables as sines; a failing policy, one of another task; a checkpoint; a README."""
-    names = {name for names, _ in page.SECTIONS.values() for name in names}.union(*page.GROUPS.values())
+    """The rows of all tables as sines; a failing policy, one of another task; a checkpoint; a
+    README."""
+    names = {name for names, _ in page.SECTIONS.values() for name in names}.union(
+        *page.GROUPS.values()
+    )
     known = {name: Sine(0.05 + 0.02 * n, name=name) for n, name in enumerate(sorted(names))}
     known["wild"] = Sine(1.5, period=10.0, name="wild")
     known["rocking"] = Sine(0.4, name="rocking")
     of_tasks = {"stay": Sine(0.1, name="stay", env_kwargs={"task": "goal"})}
-    monkeypatch.setattr(candidates, "find_scripted", lambda name: known.get(name, of_tasks.get(name)))
+    monkeypatch.setattr(
+        candidates, "find_scripted", lambda name: known.get(name, of_tasks.get(name))
+    )
     monkeypatch.setattr(leaderboard, "SCRIPTED", known)
     monkeypatch.setattr(leaderboard, "TASK_SCRIPTED", of_tasks)
     monkeypatch.setattr(candidates, "CHECKPOINTS", tmp_path / "checkpoints")

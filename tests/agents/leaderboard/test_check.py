@@ -13,16 +13,26 @@ from capsule_gym.evaluation.sets import load_set
 from tests.agents.fakes import write_run
 from tests.agents.leaderboard.world import checked, edit_row, evaluated_again, make_set, table
 
-WRONG = {"--check --plants 0": "--plants", "--plants 5": "--plants", "lernt": "got lernt; did you mean 'learnt'?"}
+WRONG = {
+    "--check --plants 0": "--plants",
+    "--plants 5": "--plants",
+    "lernt": "got lernt; did you mean 'learnt'?",
+}
 WRONG["pd --from-results"] = "--from-results must be given without names, got 'pd'"
-WRONG["pd"] = "adaptive: no results in adaptive.npz; `python -m agents.leaderboard NAME` writes them"
+WRONG["pd"] = (
+    "adaptive: no results in adaptive.npz; `python -m agents.leaderboard NAME` writes them"
+)
 
 
 def test_written_results_pass_the_check_and_the_chart_is_stale_if_a_drawn_number_changes(written):
     assert checked(written) == [] and evaluated_again(written, *all_candidates()) == []
     assert not list(written.glob(".*")) and not list((written / RESULTS).glob(".*"))
     readme = (written / "README.md").read_text()
-    assert readme.startswith("# Title\n\n<!--") and readme.count("\n\nBetween.\n\n") == 1 and "Torque as a" in readme
+    assert (
+        readme.startswith("# Title\n\n<!--")
+        and readme.count("\n\nBetween.\n\n") == 1
+        and "Torque as a" in readme
+    )
     before = (written / CHART).read_text()
     edit_row(written, "pd", lambda row: row.scores["real"][0].fill(1.0))
     (written / CHART).write_text(before)
@@ -30,7 +40,16 @@ def test_written_results_pass_the_check_and_the_chart_is_stale_if_a_drawn_number
 
 
 def test_the_published_pages_and_the_first_episodes_of_policies_are_those_of_the_results():
-    names = ["adaptive", "lqr", "pd", "oscillator", "gait-guarded", "gait-predictive", "goal-pulses", "velocity-pulses"]
+    names = [
+        "adaptive",
+        "lqr",
+        "pd",
+        "oscillator",
+        "gait-guarded",
+        "gait-predictive",
+        "goal-pulses",
+        "velocity-pulses",
+    ]
     names += ["dp-oracle", "dp-nominal", "direct-ppo"]
     sets = [load_set(name) for name in leaderboard.SETS]
     candidates = {each.name: each for task in leaderboard.TASKS for each in all_candidates(task)}
@@ -48,10 +67,14 @@ def test_check_names_changed_rows(written):
     scripted.SCRIPTED.pop("rocking")
     gone, revision, changed, *pages = checked(written)
     assert gone == "rocking: has results and does not exist"
-    assert (revision, changed) == tuple(f"learnt: {field} differs from its results" for field in ("revision", "files"))
+    assert (revision, changed) == tuple(
+        f"learnt: {field} differs from its results" for field in ("revision", "files")
+    )
     assert all(line.endswith(" differs from the results") for line in pages)
     write_run(written / "checkpoints" / "fresh" / "seed-0", 0)
-    with pytest.raises(ValueError, match=r"fresh: no results in fresh\.npz; `python -m agents\.leaderboard NAME`"):
+    with pytest.raises(
+        ValueError, match=r"fresh: no results in fresh\.npz; `python -m agents\.leaderboard NAME`"
+    ):
         checked(written)
 
 
@@ -73,7 +96,10 @@ def test_check_compares_the_last_bit_of_every_episode(written, name):
     (stale,) = evaluated_again(written, find_candidate(name))
     assert stale.startswith(f"{name} on paper: mean_speed is ")
     seed = "training seed 1, " if name == "learnt" else ""
-    assert f" now ({seed}episode 1; 1 of " in stale and evaluated_again(written, find_candidate("pd")) == []
+    assert (
+        f" now ({seed}episode 1; 1 of " in stale
+        and evaluated_again(written, find_candidate("pd")) == []
+    )
     # The first plants of every set alone, without and with the episode that differs.
     assert [len(evaluated_again(written, find_candidate(name), plants=n)) for n in (1, 2)] == [0, 1]
 
@@ -88,7 +114,11 @@ def main(world, monkeypatch):
 
     monkeypatch.setattr(leaderboard, "load_set", load)
     evaluate = leaderboard.evaluate
-    monkeypatch.setattr(leaderboard, "evaluate", lambda *args, **kwargs: evaluate(*args, **{**kwargs, "horizon": 0.4}))
+    monkeypatch.setattr(
+        leaderboard,
+        "evaluate",
+        lambda *args, **kwargs: evaluate(*args, **{**kwargs, "horizon": 0.4}),
+    )
     monkeypatch.setattr(leaderboard, "ROOT", world)
     return lambda *words: leaderboard.main([*words, "--jobs", "1"])
 

@@ -22,11 +22,17 @@ def test_a_row_holds_every_number_of_its_episodes_and_a_malformed_file_raises_an
         for episode in expected:
             del episode["distance"], episode["energy"]
         assert found.episodes(each) == expected
-        assert found.score(each.name, "mean_speed").ravel().tolist() == [e["mean_speed"] for e in expected]
-    with pytest.raises(ValueError, match=f"learnt: the hash of the set paper is {SETS[1].hash} in its results and "):
+        assert found.score(each.name, "mean_speed").ravel().tolist() == [
+            e["mean_speed"] for e in expected
+        ]
+    with pytest.raises(
+        ValueError, match=f"learnt: the hash of the set paper is {SETS[1].hash} in its results and "
+    ):
         found.episodes(make_set("paper", (0.5, 0.02)))
     array = io.BytesIO()
-    np.lib.format.write_array_header_1_0(array, {"descr": "<f8", "fortran_order": False, "shape": (2**50,)})
+    np.lib.format.write_array_header_1_0(
+        array, {"descr": "<f8", "fortran_order": False, "shape": (2**50,)}
+    )
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("header.npy", array.getvalue())
     for content in (path.read_bytes(), b"", b"PK", whole[:-40], whole[: len(whole) // 2]):
@@ -43,7 +49,12 @@ def test_a_row_holds_every_number_of_its_episodes_and_a_malformed_file_raises_an
 
 
 def test_the_base_of_a_residual_is_the_policy_of_its_law():
-    bases = {"adaptive": None, "residual-ppo": "adaptive", "residual-real": "gait-predictive", "direct-ppo": None}
+    bases = {
+        "adaptive": None,
+        "residual-ppo": "adaptive",
+        "residual-real": "gait-predictive",
+        "direct-ppo": None,
+    }
     assert {name: static_header(find_candidate(name))["base"] for name in bases} == bases
 
 
@@ -54,4 +65,6 @@ def test_processes_give_the_same_bits():
     assert [row.name for row in alone] == ["adaptive", "direct-ppo"]
     for one, other in zip(alone, shared, strict=True):
         assert one.header == other.header
-        assert all(values.tobytes() == other.scores[name].tobytes() for name, values in one.scores.items())
+        assert all(
+            values.tobytes() == other.scores[name].tobytes() for name, values in one.scores.items()
+        )

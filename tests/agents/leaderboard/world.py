@@ -1,4 +1,5 @@
-"""Helpers of the leaderboard's tests: sets of a few short episodes, and functions that write, read and change rows."""
+"""Helpers of the leaderboard's tests: sets of a few short episodes, and functions that write, read
+and change rows."""
 
 import dataclasses
 import json
@@ -14,10 +15,17 @@ HORIZON = 0.6
 
 
 def make_set(name, *plants):
-    return parse_set({"name": name, "plants": [{"M": M, "mu": mu, "seed": i} for i, (M, mu) in enumerate(plants)]})
+    return parse_set(
+        {
+            "name": name,
+            "plants": [{"M": M, "mu": mu, "seed": i} for i, (M, mu) in enumerate(plants)],
+        }
+    )
 
 
-PLANTS = dict.fromkeys(("nominal", *MAIN_SETS), ((0.5, 0.01),)) | {"paper": ((0.5, 0.01), (0.55, 0.011), (0.45, 0.009))}
+PLANTS = dict.fromkeys(("nominal", *MAIN_SETS), ((0.5, 0.01),)) | {
+    "paper": ((0.5, 0.01), (0.55, 0.011), (0.45, 0.009))
+}
 SETS = [make_set(name, *plants) for name, plants in PLANTS.items()]
 
 
@@ -50,7 +58,9 @@ def read(root):
 def edit_row(root, name, change):
     """Changes a row's results, and writes the files that depend on them."""
     row = load_row(root / RESULTS / f"{name}.npz")
-    row = dataclasses.replace(row, scores={name: values.copy() for name, values in row.scores.items()})
+    row = dataclasses.replace(
+        row, scores={name: values.copy() for name, values in row.scores.items()}
+    )
     change(row)
     save_row(root / RESULTS, row)
     write_pages(root)

@@ -17,13 +17,23 @@ from agents.training.presets import PRESETS
 from capsule_gym import load_policy
 from capsule_gym.policies.policy import POLICY
 
-SMALL = {"num_envs": 8, "batch_size": 64, "hidden": 8, "evaluation_episodes": 2, "evaluate_every": 10_000}
+SMALL = {
+    "num_envs": 8,
+    "batch_size": 64,
+    "hidden": 8,
+    "evaluation_episodes": 2,
+    "evaluate_every": 10_000,
+}
 # Columns with times, and with counts since the last resumption.
 CLOCKS = ("core_seconds", "time/fps", "time/time_elapsed", "time/iterations")
 
 
 def small(action_mode, algo, **changes):
-    extra = {"n_steps": 32, "n_epochs": 2} if algo == "ppo" else {"learning_starts": 300, "buffer_size": 2000}
+    extra = (
+        {"n_steps": 32, "n_epochs": 2}
+        if algo == "ppo"
+        else {"learning_starts": 300, "buffer_size": 2000}
+    )
     return dataclasses.replace(PRESETS[action_mode, algo], **{**SMALL, **extra, **changes})
 
 
@@ -60,30 +70,44 @@ def train_until(run, steps, monkeypatch, *, killed):
 
 def parameters(archive):
     """Networks and optimisers of an archive as bytes, loaded without unpickling."""
-    torch.save(load_from_zip_file(archive, load_data=False, device="cpu")[1:], content := io.BytesIO())
+    torch.save(
+        load_from_zip_file(archive, load_data=False, device="cpu")[1:], content := io.BytesIO()
+    )
     return content.getvalue()
 
 
 def network(folder):
-    """The policy's parameters in a folder as bytes, without the name of the run; empty if the folder has no policy."""
+    """The policy's parameters in a folder as bytes, without the name of the run; empty if the
+    folder has no policy."""
     if not (folder / POLICY).is_file():
         return b""
     policy = load_policy(folder / POLICY)
-    return b"".join(array.tobytes() for array in (policy.mean, policy.variance, *itertools.chain(*policy.layers)))
+    return b"".join(
+        array.tobytes()
+        for array in (policy.mean, policy.variance, *itertools.chain(*policy.layers))
+    )
 
 
 def rows(path):
     """The complete lines of a CSV file, without empty fields and times."""
     with path.open(newline="") as file:
         lines = [row for row in csv.DictReader(file) if None not in row.values()]
-    return [{name: value for name, value in row.items() if value and name not in CLOCKS} for row in lines]
+    return [
+        {name: value for name, value in row.items() if value and name not in CLOCKS}
+        for row in lines
+    ]
 
 
 def log(run):
-    """The lines of a run's log by agent steps; a resumed process writes the lines after its first step again."""
+    """The lines of a run's log by agent steps; a resumed process writes the lines after its first
+    step again."""
     found = {}
     for path in sorted((run / "logs").glob("progress-*.csv")):
-        found = {steps: row for steps, row in found.items() if steps <= int(path.stem.removeprefix("progress-"))}
+        found = {
+            steps: row
+            for steps, row in found.items()
+            if steps <= int(path.stem.removeprefix("progress-"))
+        }
         found |= {int(row["time/total_timesteps"]): row for row in rows(path)}
     return found
 

@@ -16,12 +16,24 @@ from capsule_gym import load_policy
 from capsule_gym.evaluation.episodes import evaluate, scores
 from capsule_gym.evaluation.statistics import interquartile_mean
 from capsule_gym.parameters import RANDOMIZATIONS
-from tests.agents.training.small import SMALL, differences, finished, log, parameters, rows, small, train_until
+from tests.agents.training.small import (
+    SMALL,
+    differences,
+    finished,
+    log,
+    parameters,
+    rows,
+    small,
+    train_until,
+)
 
 
 def test_bootstrap_happens_at_time_limits_only():
-    # SB3 adds gamma V(last observation) to the reward if TimeLimit.truncated is set; a large constant V shows where.
-    config = small("direct", "ppo", total_steps=256, episode_seconds=0.4, initial_range=(1.047, 8.0))
+    # SB3 adds gamma V(last observation) to the reward if TimeLimit.truncated is set; a large
+    # constant V shows where.
+    config = small(
+        "direct", "ppo", total_steps=256, episode_seconds=0.4, initial_range=(1.047, 8.0)
+    )
     env = make_env(config, 0)
     env.norm_reward = False
     model = make_model(config, env)
@@ -33,7 +45,11 @@ def test_bootstrap_happens_at_time_limits_only():
     # Each environment takes 32 steps, in episodes of 20.
     ended, rewards = buffer.episode_starts[1:] == 1.0, buffer.rewards[:-1]
     failed = rewards < -0.9 * config.termination_penalty
-    assert (ended & ~failed).any() and failed.any() and np.array_equal(rewards > 500.0, ended & ~failed)
+    assert (
+        (ended & ~failed).any()
+        and failed.any()
+        and np.array_equal(rewards > 500.0, ended & ~failed)
+    )
 
 
 def test_a_run_folder_holds_what_a_policy_needs(tmp_path, capsys, monkeypatch):
@@ -51,26 +67,42 @@ def test_a_run_folder_holds_what_a_policy_needs(tmp_path, capsys, monkeypatch):
     assert named == ("ppo", 0, "baselines:adaptive") and content["revision"]
     assert {"torch", "stable-baselines3", "numpy", "gymnasium"} <= set(content["versions"])
     steps = [int(row["steps"]) for row in rows(run / "evaluations.csv")]
-    assert steps == [256, 512, 768] and parameters(run / "best/model.zip") != parameters(run / "model.zip")
+    assert steps == [256, 512, 768] and parameters(run / "best/model.zip") != parameters(
+        run / "model.zip"
+    )
     assert log(run)[768]["evaluation/score"] and list((run / "logs").glob("events*"))
     policy = load_policy(run)
     assert json.loads(json.dumps(policy.env_kwargs)) == content["env"]
     assert (policy.training_seed, policy.revision) == (0, content["revision"])
     assert train(run, 1024) and "falls until 1,024 steps" in capsys.readouterr().out
     assert read_config(run) == dataclasses.replace(config, total_steps=1024)
-    with pytest.raises(ValueError, match=r"^total_steps must be an integer >= 1024, the steps of the run, got 0$"):
+    with pytest.raises(
+        ValueError, match=r"^total_steps must be an integer >= 1024, the steps of the run, got 0$"
+    ):
         train(run, 0)
 
 
 RANGES = {"mass_range": (0.42, 0.44), "friction_range": (0.06, 0.07)}
 WRAPPED = {"wrapper": ("tests.agents.training.wrappers:Swing",), "randomization": "real", **RANGES}
-JUDGED = [("CapsuleGoal-v0", "goal_time_s", changes) for changes in ({"static_ratio": 1.5, **RANGES}, WRAPPED)]
+JUDGED = [
+    ("CapsuleGoal-v0", "goal_time_s", changes)
+    for changes in ({"static_ratio": 1.5, **RANGES}, WRAPPED)
+]
 JUDGED += [("CapsuleVelocity-v0", "velocity_error_percent", {"command_range": (0.05, 0.06)})]
 
 
 @pytest.mark.parametrize(("env", "column", "changes"), JUDGED)
-def test_a_run_in_another_environment_is_judged_by_its_task(tmp_path, monkeypatch, env, column, changes):
-    settings = {**SMALL, "n_steps": 32, "n_epochs": 1, "total_steps": 768, "evaluate_every": 256, **changes}
+def test_a_run_in_another_environment_is_judged_by_its_task(
+    tmp_path, monkeypatch, env, column, changes
+):
+    settings = {
+        **SMALL,
+        "n_steps": 32,
+        "n_epochs": 1,
+        "total_steps": 768,
+        "evaluate_every": 256,
+        **changes,
+    }
     config = dataclasses.replace(preset(env, "direct", "ppo"), episode_seconds=0.4, **settings)
     run, whole, task = tmp_path / "run", finished(tmp_path / "whole", config), config.task
     begin(run, config)
@@ -90,12 +122,19 @@ def test_a_run_in_another_environment_is_judged_by_its_task(tmp_path, monkeypatc
     policy = load_policy(run)
     assert policy.env_kwargs["task"] == task
     if (M := config.mass_range) and (mu := config.friction_range):
-        assert all(M[0] <= plant.M <= M[1] and mu[0] <= plant.mu <= mu[1] for plant in plants.plants)
-        assert (policy.env_kwargs["randomization"].M, policy.env_kwargs["randomization"].mu) == (M, mu)
+        assert all(
+            M[0] <= plant.M <= M[1] and mu[0] <= plant.mu <= mu[1] for plant in plants.plants
+        )
+        assert (policy.env_kwargs["randomization"].M, policy.env_kwargs["randomization"].mu) == (
+            M,
+            mu,
+        )
     expected = (1.5, plants.capsule) if config.static_ratio else (1.3, None)
     assert (plants.capsule.static_ratio, policy.env_kwargs.get("capsule")) == expected
     values = scores(evaluate(policy, plants), column.rpartition("_")[0])
-    assert f"{interquartile_mean(values)[0]:.4f}" in {f"{float(line[column]):.4f}" for line in lines}
+    assert f"{interquartile_mean(values)[0]:.4f}" in {
+        f"{float(line[column]):.4f}" for line in lines
+    }
 
 
 def test_model_selection_uses_draws_of_its_own():
@@ -103,4 +142,6 @@ def test_model_selection_uses_draws_of_its_own():
     masses, (low, high) = {plant.M for plant in draws}, RANDOMIZATIONS["paper"].M
     assert min(plant.seed for plant in draws) >= 1_000_000 and len(masses) == len(draws)
     assert all(low <= M <= high for M in masses)
-    assert validation_plants(small("residual", "ppo", seed=1)).plants[0].seed not in {p.seed for p in draws}
+    assert validation_plants(small("residual", "ppo", seed=1)).plants[0].seed not in {
+        p.seed for p in draws
+    }

@@ -1,4 +1,5 @@
-"""Resuming: a killed and resumed run ends like an undisturbed run; errors name damaged and broken files."""
+"""Resuming: a killed and resumed run ends like an undisturbed run; errors name damaged and broken
+files."""
 
 import json
 import multiprocessing
@@ -32,14 +33,24 @@ from tests.agents.training.small import small as make_config
 
 OFF_POLICY = {"learning_starts": 150, "buffer_size": 600, "gradient_steps": 1, "total_steps": 800}
 OWN = {
-    "ppo": {"n_steps": 16, "n_epochs": 1, "total_steps": 800, "episode_seconds": 0.2, "randomization": "wide"},
+    "ppo": {
+        "n_steps": 16,
+        "n_epochs": 1,
+        "total_steps": 800,
+        "episode_seconds": 0.2,
+        "randomization": "wide",
+    },
     "sac": {**OFF_POLICY, "n_steps": 3, "action_noise": 0.2, "noise_time": 0.25},
     "td3": {**OFF_POLICY, "noise_time": 0.25},
 }
 
 
 def small(algo, **changes):
-    return make_config("residual", algo, **{"evaluation_episodes": 1, "evaluate_every": 200, **OWN[algo], **changes})
+    return make_config(
+        "residual",
+        algo,
+        **{"evaluation_episodes": 1, "evaluate_every": 200, **OWN[algo], **changes},
+    )
 
 
 def steps_of(run):
@@ -65,7 +76,9 @@ def whole(tmp_path_factory):
 
 
 @pytest.mark.parametrize("algo", OWN)
-def test_a_run_that_was_killed_and_stopped_ends_with_the_same_policy(tmp_path, monkeypatch, whole, algo):
+def test_a_run_that_was_killed_and_stopped_ends_with_the_same_policy(
+    tmp_path, monkeypatch, whole, algo
+):
     run = tmp_path / "run"
     begin(run, small(algo))
     # The run is killed before the first checkpoint, and after it.
@@ -78,8 +91,12 @@ def test_a_run_that_was_killed_and_stopped_ends_with_the_same_policy(tmp_path, m
     # Random numbers drawn in between do not affect the run.
     for draw in (random.random, np.random.random, lambda: torch.rand(1)):
         draw()
-    assert train(run) and differences(run, whole[algo]) == [] and scalars(run) == scalars(whole[algo])
-    assert len(list(run.glob("checkpoint-*"))) == 2 and all(map(checkpoint.is_whole, run.glob("checkpoint-*")))
+    assert (
+        train(run) and differences(run, whole[algo]) == [] and scalars(run) == scalars(whole[algo])
+    )
+    assert len(list(run.glob("checkpoint-*"))) == 2 and all(
+        map(checkpoint.is_whole, run.glob("checkpoint-*"))
+    )
 
 
 def test_all_random_streams_go_on(whole):
@@ -88,7 +105,14 @@ def test_all_random_streams_go_on(whole):
     model.set_logger(Logger(None, []))
     for _ in range(2):
         restore_streams()
-        drawn.append((random.random(), np.random.random(), torch.rand(1).item(), model.action_space.sample()[0]))
+        drawn.append(
+            (
+                random.random(),
+                np.random.random(),
+                torch.rand(1).item(),
+                model.action_space.sample()[0],
+            )
+        )
     assert drawn[0] == drawn[1]
 
 
@@ -111,15 +135,24 @@ def test_a_run_goes_on_from_the_checkpoint_before_a_damaged_one(tmp_path, capsys
     (run / "model.zip").unlink()
     left = [run / ".model.77.tmp.zip", run / "best" / ".policy.77.tmp.safetensors"]
     left += [run / f".{older.name[:20]}.77.tmp"]
-    other, backup = run / ".report.78.tmp.html", run / f"{older.name}.bak"  # of a process that needs no lock
+    other, backup = (
+        run / ".report.78.tmp.html",
+        run / f"{older.name}.bak",
+    )  # of a process that needs no lock
     for path in (*left, other, backup):
         path.write_bytes(b"half")
-    assert train(run) and f"{newer} is damaged" in capsys.readouterr().err and differences(run, whole["ppo"]) == []
+    assert (
+        train(run)
+        and f"{newer} is damaged" in capsys.readouterr().err
+        and differences(run, whole["ppo"]) == []
+    )
     assert sorted(run.glob("checkpoint-*")) == [older, backup, newer] and checkpoint.is_whole(newer)
     assert not any(path.exists() for path in left) and other.exists()
 
 
-@pytest.mark.parametrize("damage", [flip, lambda path: os.truncate(path, 20), lambda path: os.truncate(path, 0)])
+@pytest.mark.parametrize(
+    "damage", [flip, lambda path: os.truncate(path, 20), lambda path: os.truncate(path, 0)]
+)
 def test_without_a_whole_checkpoint_every_damaged_one_is_named(tmp_path, whole, damage):
     run = shutil.copytree(whole["ppo"], tmp_path / "run")
     paths = sorted(run.glob("checkpoint-*"))
@@ -132,7 +165,9 @@ def test_without_a_whole_checkpoint_every_damaged_one_is_named(tmp_path, whole, 
 
 def test_a_diverged_training_names_the_causes(tmp_path):
     begin(tmp_path / "run", small("ppo", learning_rate=1e30))
-    with pytest.raises(RunError, match="diverged, its weights are not finite: learning_rate is too large, or"):
+    with pytest.raises(
+        RunError, match="diverged, its weights are not finite: learning_rate is too large, or"
+    ):
         train(tmp_path / "run")
 
 
@@ -145,7 +180,9 @@ def change(run, name, value):
 UNFIT = {
     "hidden must stay 8 as in checkpoint-": lambda run: change(run, "hidden", 10**3),
     "is invalid: ValueError: .*'nope'": lambda run: change(run, "controller", "baselines:nope"),
-    "no checkpoint to resume from": lambda run: [path.unlink() for path in run.glob("checkpoint-*")],
+    "no checkpoint to resume from": lambda run: [
+        path.unlink() for path in run.glob("checkpoint-*")
+    ],
 }
 
 
@@ -163,8 +200,13 @@ def test_a_folder_that_has_been_changed_is_not_trained_further(tmp_path, capsys,
 def test_a_run_is_trained_by_one_process_at_a_time(tmp_path, capsys, whole):
     run = shutil.copytree(whole["ppo"], tmp_path / "run")
     code = f"from agents.training.checkpoint import *\nwith locked(Path({str(run)!r})): print(flush=True); input()"
-    with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
-        assert holder.stdout.read(1) and command_line.main(["--resume", str(run), "--no-comparison"]) == 2
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as holder:
+        assert (
+            holder.stdout.read(1)
+            and command_line.main(["--resume", str(run), "--no-comparison"]) == 2
+        )
         holder.kill()
     out, error = capsys.readouterr()
     assert f"{run} is being trained by another process" in error and error.count("\n") == 1
@@ -192,7 +234,12 @@ def test_a_broken_configuration_is_named(tmp_path, capsys, content):
 
 
 # The last one takes 9 PiB.
-REFUSED = ["--controller baselines:adaptve", "--gamma 2", "--learning-rate nan", "--seed 5000000000"]
+REFUSED = [
+    "--controller baselines:adaptve",
+    "--gamma 2",
+    "--learning-rate nan",
+    "--seed 5000000000",
+]
 REFUSED += ["--n-steps 1 --num-envs 1", "--algo sac --tau 0", "--algo tqc --dropped-quantiles 25"]
 REFUSED += ["--algo sac --buffer-size 100_000_000_000_000"]
 
@@ -200,7 +247,10 @@ REFUSED += ["--algo sac --buffer-size 100_000_000_000_000"]
 @pytest.mark.parametrize("arguments", [each.split() for each in REFUSED], ids=REFUSED)
 def test_what_cannot_be_trained_makes_no_folder(tmp_path, capsys, arguments):
     run = tmp_path / "runs" / "run"
-    assert command_line.main(["--total-steps", "64", "--no-comparison", *arguments, "--run", str(run)]) == 2
+    assert (
+        command_line.main(["--total-steps", "64", "--no-comparison", *arguments, "--run", str(run)])
+        == 2
+    )
     error = capsys.readouterr().err
     assert error.startswith("train.py: error: ") and error.count("\n") == 1
     named = arguments[2] if arguments[0] == "--algo" else arguments[0]
@@ -210,7 +260,9 @@ def test_what_cannot_be_trained_makes_no_folder(tmp_path, capsys, arguments):
 
 def test_a_folder_that_got_no_configuration_can_be_started_again(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(loop, "write_atomically", Mock(side_effect=OSError(28, "No space left on device")))
+        patch.setattr(
+            loop, "write_atomically", Mock(side_effect=OSError(28, "No space left on device"))
+        )
         with pytest.raises(OSError, match="No space left"):
             begin(tmp_path / "run", small("ppo"))
     begin(tmp_path / "run", small("ppo"))
@@ -218,7 +270,10 @@ def test_a_folder_that_got_no_configuration_can_be_started_again(tmp_path, monke
 
 
 def test_of_two_runs_that_begin_in_one_folder_the_second_is_refused(tmp_path, monkeypatch):
-    run, (first, second) = tmp_path / "run", (small("ppo", learning_rate=rate) for rate in (1e-3, 1e-5))
+    run, (first, second) = (
+        tmp_path / "run",
+        (small("ppo", learning_rate=rate) for rate in (1e-3, 1e-5)),
+    )
 
     def begun_meanwhile(*arguments):
         monkeypatch.undo()
@@ -274,11 +329,19 @@ def resumed(run, largest=resource.RLIM_INFINITY):
     return process
 
 
-MOMENTS = [(signal.SIGKILL, ".checkpoint-*"), (signal.SIGTERM, "checkpoint-*"), (signal.SIGINT, "error")]
+MOMENTS = [
+    (signal.SIGKILL, ".checkpoint-*"),
+    (signal.SIGTERM, "checkpoint-*"),
+    (signal.SIGINT, "error"),
+]
 
 
-@pytest.mark.parametrize(("number", "pattern"), MOMENTS, ids=["while writing", "while training", "at the start"])
-def test_a_process_that_gets_a_signal_loses_nothing_before_its_last_checkpoint(tmp_path, whole, number, pattern):
+@pytest.mark.parametrize(
+    ("number", "pattern"), MOMENTS, ids=["while writing", "while training", "at the start"]
+)
+def test_a_process_that_gets_a_signal_loses_nothing_before_its_last_checkpoint(
+    tmp_path, whole, number, pattern
+):
     begin(tmp_path / "run", small("ppo"))
     run, process = tmp_path / "run", resumed(tmp_path / "run")
     while process.is_alive() and not any(tmp_path.rglob(pattern)):
@@ -291,7 +354,9 @@ def test_a_process_that_gets_a_signal_loses_nothing_before_its_last_checkpoint(t
     assert train(run) and differences(run, whole["ppo"]) == []
 
 
-def test_a_full_disk_ends_a_training_with_one_line_and_damages_nothing(tmp_path, monkeypatch, whole):
+def test_a_full_disk_ends_a_training_with_one_line_and_damages_nothing(
+    tmp_path, monkeypatch, whole
+):
     begin(tmp_path / "run", small("ppo"))
     train_until(run := tmp_path / "run", 300, monkeypatch, killed=True)
     process = resumed(run, largest=10_000)

@@ -3,7 +3,8 @@ import numpy as np
 
 
 class Swing(gym.ObservationWrapper):
-    """Rewards the speed of the pendulum, observes only its angle and speed, and ends episodes at 4 rad/s."""
+    """Rewards the speed of the pendulum, observes only its angle and speed, and ends episodes at 4
+    rad/s."""
 
     def __init__(self, env):
         super().__init__(env)

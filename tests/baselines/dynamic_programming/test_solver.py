@@ -1,4 +1,5 @@
-"""Grid, transitions and solver, compared with the environment, closed forms and value iteration in numpy."""
+"""Grid, transitions and solver, compared with the environment, closed forms and value iteration in
+numpy."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -10,7 +11,13 @@ from scipy.ndimage import map_coordinates
 from baselines.dynamic_programming import solver
 from baselines.dynamic_programming.grid import FAILED, Grid
 from baselines.dynamic_programming.problem import Problem, Transitions
-from baselines.dynamic_programming.solver import Solution, final_solutions, run_policy, solve, transitions
+from baselines.dynamic_programming.solver import (
+    Solution,
+    final_solutions,
+    run_policy,
+    solve,
+    transitions,
+)
 from capsule_gym import CapsuleEnv
 from capsule_gym.tasks.task import START_THETA
 
@@ -43,7 +50,10 @@ def test_a_transition_is_a_step_of_the_environment_bit_for_bit():
     for i, (start, action) in enumerate(zip(starts, actions, strict=True)):
         env.reset(seed=0, options={"M": M[i], "mu": 0.2, "state": start})
         _, reward, terminated, _, info = env.step(action[None])
-        assert (ends[:, i] == info["state"][[0, 1, 3]]).all() and (rewards[i], failed[i]) == (reward, terminated)
+        assert (ends[:, i] == info["state"][[0, 1, 3]]).all() and (rewards[i], failed[i]) == (
+            reward,
+            terminated,
+        )
 
 
 def test_lost_contact_the_end_of_the_swing_and_the_edge_of_the_grid_fail():
@@ -64,7 +74,8 @@ def test_lost_contact_the_end_of_the_swing_and_the_edge_of_the_grid_fail():
 
 
 def test_the_solution_is_that_of_value_iteration(coarse):
-    """Compares with relative value iteration in numpy on the same transitions, with scipy's interpolation."""
+    """Compares with relative value iteration in numpy on the same transitions, with scipy's
+    interpolation."""
     solution = solve(Problem(), make_grid())
     grid, torques = solution.grid, np.tile(np.linspace(-1.0, 1.0, 5), (np.prod(SHAPE), 1))
     positions, rewards = transitions(Problem(), grid, torques)
@@ -77,15 +88,19 @@ def test_the_solution_is_that_of_value_iteration(coarse):
 
     values = solution.values.astype(np.float64)
     alive = values > 0.5 * solver.FAILURE_VALUE
-    # scipy's interpolation omits the parabola along w. `at` interpolates this parabola and linear functions exactly.
+    # scipy's interpolation omits the parabola along w. `at` interpolates this parabola and linear
+    # functions exactly.
     a, b, c = np.meshgrid(*(np.arange(n) for n in SHAPE), indexing="ij")
-    states = np.random.default_rng(0).uniform([[-1.0], [-3.0], [-0.1]], [[1.0], [3.0], [0.1]], (3, 50))
+    states = np.random.default_rng(0).uniform(
+        [[-1.0], [-3.0], [-0.1]], [[1.0], [3.0], [0.1]], (3, 50)
+    )
     states = states[:, grid.positions(states)[:, 0] != FAILED]
     x, y, z = grid.positions(states).T.astype(np.float64)
     bent = (2.0 * a - 3.0 * b + 0.5 * c * c).astype(np.float32)
     found = replace(solution, values=bent, curvature=0.5 / grid.axes[2, 1] ** 2).at(states)
     np.testing.assert_allclose(found, 2.0 * x - 3.0 * y + 0.5 * z * z, rtol=1e-5, atol=1e-4)
-    # The operator shifts the solution's values by the gain alone, and other initial values converge to them.
+    # The operator shifts the solution's values by the gain alone, and other initial values converge
+    # to them.
     assert np.ptp((operator(values) - values)[alive]) < 0.05 * Problem().control_dt + 1e-4
     origin = grid.positions(np.array([[-np.pi / 3.0], [0.0], [0.0]])).T
     other = np.zeros(SHAPE)
@@ -116,15 +131,21 @@ def test_nothing_counts_after_the_end_of_an_episode(coarse):
 def test_the_curvature_of_a_parabola_of_values_is_its_coefficient():
     problem, grid = Problem(), make_grid()
     parabola = 1.5 * (grid.axes[2, 0] + grid.axes[2, 1] * np.arange(SHAPE[2]) - 1.0) ** 2
-    solution = Solution(problem, grid, np.broadcast_to(parabola, SHAPE).astype(np.float32), 0.0, 0.0)
+    solution = Solution(
+        problem, grid, np.broadcast_to(parabola, SHAPE).astype(np.float32), 0.0, 0.0
+    )
     states = np.zeros((round(2.0 * solver.SETTLED / problem.control_dt), 4, 3))
-    assert solver.curvature_of(solution, SimpleNamespace(states=states)) == pytest.approx(1.5, abs=1e-3)
+    assert solver.curvature_of(solution, SimpleNamespace(states=states)) == pytest.approx(
+        1.5, abs=1e-3
+    )
 
 
 def test_torques_are_refined_around_the_best(monkeypatch):
     widths = []
     monkeypatch.setattr(solver, "TORQUES", 5)
-    monkeypatch.setattr(solver, "transitions", lambda *a: widths.append(np.ptp(a[2], 1).max()) or transitions(*a))
+    monkeypatch.setattr(
+        solver, "transitions", lambda *a: widths.append(np.ptp(a[2], 1).max()) or transitions(*a)
+    )
     solve(Problem(), make_grid())
     assert widths == [2.0, 1.0, 0.25]
 
@@ -133,6 +154,7 @@ def test_a_grid_extends_beyond_the_trajectories():
     # At theta = 0 y is x_dot / q, and w is that minus theta_dot: from 1 to 9, and from 2 to 3.
     states = np.array([[[0.0, -1.0, 0.0, 0.1]], [[0.0, 6.0, 0.0, 0.9]]]).transpose(0, 2, 1)
     assert solver.ranges(SimpleNamespace(states=states), 0.1) == ((-1.4, 11.4), (1.0, 4.0))
-    # The 400 nodes along s and w are divided by 0.7 times the ratio of these ranges, between 1 / 4 and 3.2.
+    # The 400 nodes along s and w are divided by 0.7 times the ratio of these ranges, between 1 / 4
+    # and 3.2.
     for y, shape in ((100.0, (10, 36, 11)), (1.0, (10, 17, 24)), (0.1, (10, 10, 40))):
         assert solver.divide_nodes((10, 20, 20), (0.0, y), (0.0, 1.0)) == shape

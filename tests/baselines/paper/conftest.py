@@ -8,7 +8,12 @@ from capsule_gym.tasks.task import TORQUE_LIMIT
 
 @pytest.fixture(scope="session")
 def laws():
-    """The adaptive law on 3 x 3 plants: regularised; corrected, unregularised; the latter with a torque limit."""
+    """The adaptive law on 3 x 3 plants: regularised; corrected, unregularised; the latter with a
+    torque limit."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(adaptive, "GRID", 3)
-        return [adaptive.study_law(True), adaptive.study_law(False), adaptive.study_law(False, TORQUE_LIMIT)]
+        return [
+            adaptive.study_law(True),
+            adaptive.study_law(False),
+            adaptive.study_law(False, TORQUE_LIMIT),
+        ]

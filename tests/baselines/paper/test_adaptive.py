@@ -1,4 +1,5 @@
-"""The adaptive law over ranges, open choices, rates and long runs, and the rise of its Lyapunov function."""
+"""The adaptive law over ranges, open choices, rates and long runs, and the rise of its Lyapunov
+function."""
 
 from dataclasses import replace
 
@@ -25,13 +26,18 @@ def test_lyapunov_function_by_hand():
     # Without errors, only the term of eta = 1 is left.
     np.testing.assert_allclose(lyapunov(exact, controller.memory, PLANT), 1.5, rtol=1e-12)
     off = Capsule(mu=mu + 0.1).plant()
-    np.testing.assert_allclose(lyapunov(exact, controller.memory, off), 1.5 + 0.5 * 0.1**2 / 0.1, rtol=1e-12)
+    np.testing.assert_allclose(
+        lyapunov(exact, controller.memory, off), 1.5 + 0.5 * 0.1**2 / 0.1, rtol=1e-12
+    )
     # delta_theta = 0.2 rad/s at delta_x = 0.
     late = lyapunov(replace(exact, theta_dot=theta_dot + 0.2), controller.memory, PLANT)
     np.testing.assert_allclose(late, 1.5 + 0.5 * 0.138 * 0.09 * 0.2**2, rtol=1e-9)
     # Eq. (2): the kinetic part is positive definite.
     rng = np.random.default_rng(0)
-    noisy = {name: getattr(exact, name) + rng.normal(size=len(run.t)) for name in ("theta_dot", "x", "x_dot")}
+    noisy = {
+        name: getattr(exact, name) + rng.normal(size=len(run.t))
+        for name in ("theta_dot", "x", "x_dot")
+    }
     assert (lyapunov(replace(exact, **noisy), controller.memory, PLANT) > 1.5).all()
 
 
@@ -45,7 +51,9 @@ def test_errors_by_cycle_are_those_of_the_run(regularised):
             continue
         cycle = len(run.t) // 2
         for k, values in enumerate((run.error, run.rate_error, sliding(run)[0])):
-            first, second = (np.abs(part).max() for part in (values[: cycle + 1], values[cycle + 1 :]))
+            first, second = (
+                np.abs(part).max() for part in (values[: cycle + 1], values[cycle + 1 :])
+            )
             assert errors[:, k, i] == pytest.approx([first, second], rel=1e-9)
     assert failed.any() == (not regularised)
 
@@ -53,12 +61,21 @@ def test_errors_by_cycle_are_those_of_the_run(regularised):
 def test_regularised_law_over_the_ranges(laws):
     law = laws[0]
     assert len(law.runs) == 9 and law.failures == 0
-    assert law.worst("error_rms")["error_rms"] < 1e-4 and law.worst("peak_torque")["peak_torque"] < 1.31
-    speeds = [law.worst("mean_speed", smallest=smallest)["mean_speed"] for smallest in (True, False)]
+    assert (
+        law.worst("error_rms")["error_rms"] < 1e-4
+        and law.worst("peak_torque")["peak_torque"] < 1.31
+    )
+    speeds = [
+        law.worst("mean_speed", smallest=smallest)["mean_speed"] for smallest in (True, False)
+    ]
     assert speeds == pytest.approx([1.26, 1.53], abs=0.01)
     # V rises on plants other than the nominal one, where the proof fails.
     light = law.worst("rise")
-    assert (light["M"], light["mu"]) == pytest.approx(LIGHT) and light["rise"] > 0.1 and 0.05 < light["rising"] < 0.5
+    assert (
+        (light["M"], light["mu"]) == pytest.approx(LIGHT)
+        and light["rise"] > 0.1
+        and 0.05 < light["rising"] < 0.5
+    )
 
 
 def test_unregularised_law_fails_on_most_of_the_ranges_whatever_the_choices(laws):
@@ -86,14 +103,22 @@ def test_variants_change_one_choice_at_a_time_or_are_corners(monkeypatch):
     own = next(iter(found))
     assert own == (UNREGULARISED.beta, UNREGULARISED.eta_0, UNREGULARISED.n, 1000)
     for n, values in enumerate((study.BETAS, study.ETAS, study.EXPONENTS, study.RATES)):
-        assert {each[n] for each in found if each[:n] + each[n + 1 :] == own[:n] + own[n + 1 :]} == set(values)
+        assert {
+            each[n] for each in found if each[:n] + each[n + 1 :] == own[:n] + own[n + 1 :]
+        } == set(values)
     assert (study.BETAS[0], study.ETAS[-1], study.EXPONENTS[-1], 1000) in found
     assert {n for *_, n, rate in found if rate == 10_000} == {own[2]}
-    assert {each for each, failed in found.items() if failed} == {own, *(each for each in found if each[3] == 10_000)}
+    assert {each for each, failed in found.items() if failed} == {
+        own,
+        *(each for each in found if each[3] == 10_000),
+    }
 
 
 def test_errors_are_those_of_the_zero_order_hold_and_fall_off_the_nominal_plant():
-    slow, fast = (run_cycles(adaptive(dt=dt), [(0.5, 0.01), LIGHT], cycles=1, shown=(1,))[1][0] for dt in (1e-3, 2e-4))
+    slow, fast = (
+        run_cycles(adaptive(dt=dt), [(0.5, 0.01), LIGHT], cycles=1, shown=(1,))[1][0]
+        for dt in (1e-3, 2e-4)
+    )
     # The rows are the errors of angle and rate, and delta_theta; the columns are the plants.
     assert slow / fast == pytest.approx(np.array([[5.0, 1.0]] * 3), rel=0.1)
     errors = run_cycles(adaptive(), [LIGHT, HEAVY], cycles=60, shown=(1, 60))[1]

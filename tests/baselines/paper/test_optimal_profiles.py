@@ -1,4 +1,5 @@
-"""The optimised profiles: the assessment compared with independent code, the committed optima, the search itself."""
+"""The optimised profiles: the assessment compared with independent code, the committed optima, the
+search itself."""
 
 import numpy as np
 import pytest
@@ -29,14 +30,19 @@ def test_assessment_agrees_with_the_reference_table():
     assert found.excess == 0.0 < assess(ProfileProblem(1.0), TABLE_1, V1, P2).excess
     assert (
         0.97
-        < found.shares["torque"] / assess(ProfileProblem(1.5), TABLE_1, V1, P2, reserve=True).shares["torque"]
+        < found.shares["torque"]
+        / assess(ProfileProblem(1.5), TABLE_1, V1, P2, reserve=True).shares["torque"]
         < 1.0
     )
 
 
 def test_worst_plant_lies_at_a_corner_of_the_ranges(monkeypatch):
     worst = SOLUTIONS[ProfileProblem(1.0, "ranges")]
-    inside = [NOMINAL.plant(M, mu) for M in np.linspace(0.45, 0.55, 3) for mu in np.linspace(0.009, 0.011, 3)]
+    inside = [
+        NOMINAL.plant(M, mu)
+        for M in np.linspace(0.45, 0.55, 3)
+        for mu in np.linspace(0.009, 0.011, 3)
+    ]
     monkeypatch.setattr(ProfileProblem, "plant_list", lambda self: inside)
     everywhere = assess(worst.problem, worst.times, worst.V1, worst.P2)
     assert everywhere.mean_speed == pytest.approx(worst.mean_speed, rel=1e-9)
@@ -47,7 +53,11 @@ def test_committed_solutions_are_what_they_claim():
     assert list(SOLUTIONS) == problems()
     for problem, each in SOLUTIONS.items():
         again = assess(problem, each.times, each.V1, each.P2)
-        assert again.feasible and each.feasible and again.shares == pytest.approx(each.shares, rel=1e-9)
+        assert (
+            again.feasible
+            and each.feasible
+            and again.shares == pytest.approx(each.shares, rel=1e-9)
+        )
         for name in ("mean_speed", "cost_of_transport", "peak_torque", "backward_ratio"):
             assert getattr(again, name) == pytest.approx(getattr(each, name), rel=1e-9)
         # The law's table needs whole milliseconds.
@@ -56,7 +66,9 @@ def test_committed_solutions_are_what_they_claim():
 
 def test_short_search_is_seeded_and_says_when_it_fails():
     pytest.importorskip("scipy")
-    first, second = (search(ProfileProblem(1.5), seed=3, generations=1, members=1) for _ in range(2))
+    first, second = (
+        search(ProfileProblem(1.5), seed=3, generations=1, members=1) for _ in range(2)
+    )
     assert first == second
     # The published profile is in the first generation.
     assert first.feasible and first.found_by == "1.5 N m, nominal, seed 3"
@@ -75,5 +87,7 @@ def test_the_command_writes_the_best_profile_of_any_search(tmp_path, monkeypatch
     path = tmp_path / "optima.json"
     optimal_profiles.main(["--json", str(path), "--seed", "1", "--generations", "2"])
     first, *others = load(path)
-    assert [each.times for each in others] == [each.times for each in SOLUTIONS.values()][1:] and first.feasible
+    assert [each.times for each in others] == [each.times for each in SOLUTIONS.values()][
+        1:
+    ] and first.feasible
     assert first.times in [each.times for each in others]

@@ -1,4 +1,5 @@
-"""Principles 1 to 4, both Lemmas and the proof about the torques: by hand, by brute force, and what implies what."""
+"""Principles 1 to 4, both Lemmas and the proof about the torques: by hand, by brute force, and what
+implies what."""
 
 import math
 
@@ -6,7 +7,15 @@ import numpy as np
 import pytest
 
 from baselines.paper import principles, published
-from baselines.paper.principles import NEWTON, PAPER, Cycle, lemma_1, lemma_2, principle_3, principle_4
+from baselines.paper.principles import (
+    NEWTON,
+    PAPER,
+    Cycle,
+    lemma_1,
+    lemma_2,
+    principle_3,
+    principle_4,
+)
 from baselines.tables import printed_below
 from capsule_gym import Capsule, dynamics
 from tests import ROOT
@@ -19,7 +28,11 @@ SWINGS = {name: math.radians(numbers["swing"].value) for name, numbers in publis
 
 def state(theta, theta_dot, theta_ddot=0.0):
     """A single state of the pendulum."""
-    return Cycle(np.zeros(1), np.zeros(1, np.int64), *(np.array([value]) for value in (theta, theta_dot, theta_ddot)))
+    return Cycle(
+        np.zeros(1),
+        np.zeros(1, np.int64),
+        *(np.array([value]) for value in (theta, theta_dot, theta_ddot)),
+    )
 
 
 @pytest.mark.parametrize("form", ["newton", "paper"])
@@ -61,14 +74,24 @@ def test_lemmas_as_printed_imply_nothing_and_corrected_imply_their_principles():
     assert len(rows) == 6
     for row in rows:
         assert row["states"] > 500
-        assert (row["violations"] > 0) == (row["worst"] > 1.0) == ("as printed" in row["lemma"]), row
+        assert (row["violations"] > 0) == (row["worst"] > 1.0) == ("as printed" in row["lemma"]), (
+            row
+        )
     # The corrected bounds are close: a state in 20,000 comes within a few percent of the limit.
     assert all(row["worst"] > 0.9 for row in rows)
 
 
 def test_demands_on_the_profiles_are_those_of_the_page():
-    rows, page = principles.evaluate_demands(), (ROOT / "docs" / "paper.md").read_text(encoding="utf-8")
-    for demand in ("Principle 4, Newton", "Principle 4, (8)", "Lemma 2, (15)", "Lemma 2, corrected"):
+    rows, page = (
+        principles.evaluate_demands(),
+        (ROOT / "docs" / "paper.md").read_text(encoding="utf-8"),
+    )
+    for demand in (
+        "Principle 4, Newton",
+        "Principle 4, (8)",
+        "Lemma 2, (15)",
+        "Lemma 2, corrected",
+    ):
         found = [row["restoring"] for row in rows if row["demand"].startswith(demand)]
         assert "|".join(f"{max(0.0, factor):.2f}" for phases in found for factor in phases) in page
     # Both profiles meet Principle 3 in both forms.
@@ -77,9 +100,13 @@ def test_demands_on_the_profiles_are_those_of_the_page():
 
 
 def test_the_published_torques_are_below_the_bounds_which_pages_print_rounded_outwards():
-    page, readme = ((ROOT / name).read_text(encoding="utf-8") for name in ("docs/paper.md", "README.md"))
+    page, readme = (
+        (ROOT / name).read_text(encoding="utf-8") for name in ("docs/paper.md", "README.md")
+    )
     proposed, epc = principles.check_torques()
-    assert (proposed["bound"], proposed["sticking"], epc["bound"]) == pytest.approx((0.622, 0.695, 0.8477), abs=5e-4)
+    assert (proposed["bound"], proposed["sticking"], epc["bound"]) == pytest.approx(
+        (0.622, 0.695, 0.8477), abs=5e-4
+    )
     for row in (proposed, epc):
         assert row["published"] < row["bound"] <= row["sticking"]
         bound, sticking = (printed_below(row[name], 3) for name in ("bound", "sticking"))
@@ -92,12 +119,18 @@ def test_torque_of_the_proof_does_not_accelerate_the_pendulum(option, slip):
     p = Capsule(normal_force=option).plant()
     for theta in np.linspace(-1.0, 1.2, 7):
         torque = principles.torque_without_acceleration(np.array([theta]), 7.8, slip, p)[0]
-        assert dynamics.accelerations(theta, 7.8, 0.0, slip, torque, p)[0] == pytest.approx(0.0, abs=1e-9)
+        assert dynamics.accelerations(theta, 7.8, 0.0, slip, torque, p)[0] == pytest.approx(
+            0.0, abs=1e-9
+        )
 
 
 def test_bound_of_the_proof_lies_below_every_sample_and_close():
     theta = np.random.default_rng(0).uniform(START, SWINGS["proposed"], 20_000)
     bound = principles.torque_at_peak(7.8, START, SWINGS["proposed"])
     plants = [Capsule(normal_force=option).plant() for option in ("newton", "paper")]
-    found = [principles.torque_without_acceleration(theta, 7.8, slip, p) for slip in (0.0, 1.0, -1.0) for p in plants]
+    found = [
+        principles.torque_without_acceleration(theta, 7.8, slip, p)
+        for slip in (0.0, 1.0, -1.0)
+        for p in plants
+    ]
     assert bound <= np.min(found) < bound + 1e-4

@@ -1,4 +1,5 @@
-"""Laws that users write in Python: compiled by numba or called by Python, the same torques, and their exceptions."""
+"""Laws that users write in Python: compiled by numba or called by Python, the same torques, and
+their exceptions."""
 
 import math
 import os
@@ -26,7 +27,9 @@ def whole(theta, theta_dot, x, x_dot, memory, reference):
     """A law that reads its whole input, with functions of numba's."""
     count, mean = memory
     mean = 0.9 * mean + 0.1 * (math.gamma(2.0 + 0.1 * theta) + math.sin(theta))
-    torque = 0.05 * mean - 0.02 * theta_dot + 0.01 * x + 0.1 * x_dot + reference[0] + 0.1 * reference[2]
+    torque = (
+        0.05 * mean - 0.02 * theta_dot + 0.01 * x + 0.1 * x_dot + reference[0] + 0.1 * reference[2]
+    )
     return torque + 0.01 * math.cos(count), (count + 1.0, mean)
 
 
@@ -124,10 +127,16 @@ NOT_FINITE = r"^the control law 'picky' returned a torque that is not finite in 
 
 @pytest.mark.parametrize(("law", "error"), [(picky, ValueError), (failing, OwnError)])
 @pytest.mark.parametrize(("n", "threads"), [(1, 1), (70, 1), (130, 2)])
-def test_an_exception_and_a_torque_that_is_not_finite_reach_the_caller(law, error, n, threads, either_way):
+def test_an_exception_and_a_torque_that_is_not_finite_reach_the_caller(
+    law, error, n, threads, either_way
+):
     made = Controller(law.__name__, law, np.zeros((1, 2)))
     env, sound = (CapsuleVectorEnv(n, controller=made, threads=threads) for _ in range(2))
-    lost, zeros, states = n // 2, np.zeros((n, 1), np.float32), np.tile([-1.0, 0.0, 0.0, 0.0], (n, 1))
+    lost, zeros, states = (
+        n // 2,
+        np.zeros((n, 1), np.float32),
+        np.tile([-1.0, 0.0, 0.0, 0.0], (n, 1)),
+    )
     others = np.arange(n) != lost
     sound.reset(seed=0, options={"state": states})
     states[lost, 2] = 5.5
@@ -135,13 +144,21 @@ def test_an_exception_and_a_torque_that_is_not_finite_reach_the_caller(law, erro
     env.step(zeros)
     sound.step(zeros)
     for step in ("2", r"\d"):
-        said = rf"{NOT_FINITE} {lost} \(step {step}, state .*'x': 5\.\d+" if error is ValueError else "^too far$"
+        said = (
+            rf"{NOT_FINITE} {lost} \(step {step}, state .*'x': 5\.\d+"
+            if error is ValueError
+            else "^too far$"
+        )
         with pytest.raises(error, match=said) as caught:
             env.step(zeros)
         sound.step(zeros)
         assert "nan" not in str(caught.value)
-    assert env.simulation.rows(0, 4)[:, others].tobytes() == sound.simulation.rows(0, 4)[:, others].tobytes()
-    # The failed environment continues after a reset, which leaves the memory of the others as it is.
+    assert (
+        env.simulation.rows(0, 4)[:, others].tobytes()
+        == sound.simulation.rows(0, 4)[:, others].tobytes()
+    )
+    # The failed environment continues after a reset, which leaves the memory of the others as it
+    # is.
     memory = env.simulation.row(NUM_ROWS)[others]
     observations, _ = env.reset(options={"reset_mask": ~others})
     assert np.array_equal(env.simulation.row(NUM_ROWS)[others], memory)
@@ -150,16 +167,24 @@ def test_an_exception_and_a_torque_that_is_not_finite_reach_the_caller(law, erro
     assert all(np.isfinite(value).all() for name, value in info.items() if name[0] != "_")
     assert np.array_equal(info["state"][others], sound.step(zeros)[4]["state"][others])
     states[lost, 2] = -5.5
-    said = rf"{NOT_FINITE} {lost} \(step 0, state .*'x': -5\.5" if error is ValueError else "^too far$"
+    said = (
+        rf"{NOT_FINITE} {lost} \(step 0, state .*'x': -5\.5" if error is ValueError else "^too far$"
+    )
     with pytest.raises(error, match=said):
         env.reset(options={"state": states})
-    assert np.isfinite(env.simulation.row(Row.law_torque)).all() and env.simulation.row(Row.law_torque)[lost] == 0.0
+    assert (
+        np.isfinite(env.simulation.row(Row.law_torque)).all()
+        and env.simulation.row(Row.law_torque)[lost] == 0.0
+    )
     assert (env.reset()[1]["law_torque"] == 0.1).all()
 
 
 @pytest.mark.parametrize(("law", "error"), [(picky, ValueError), (failing, OwnError)])
 def test_a_single_environment_reports_them_and_goes_on_after_a_reset(law, error, either_way):
-    env, action = CapsuleEnv(controller=Controller(law.__name__, law, np.zeros((1, 2)))), np.zeros(1, np.float32)
+    env, action = (
+        CapsuleEnv(controller=Controller(law.__name__, law, np.zeros((1, 2)))),
+        np.zeros(1, np.float32),
+    )
     env.reset(seed=0, options={"state": [-1.0, 0.0, 5.5, 0.0]})
     env.step(action)
     for _ in range(2):
@@ -170,7 +195,9 @@ def test_a_single_environment_reports_them_and_goes_on_after_a_reset(law, error,
 
 
 def test_an_exception_ends_a_rollout(either_way):
-    env = CapsuleVectorEnv(3, controller=Controller("failing", failing, np.zeros((1, 2))), autoreset_mode="DISABLED")
+    env = CapsuleVectorEnv(
+        3, controller=Controller("failing", failing, np.zeros((1, 2))), autoreset_mode="DISABLED"
+    )
     env.reset(seed=0, options={"state": [[-1.0, 0.0, x, 0.0] for x in (5.5, 0.0, 0.0)]})
     policy = load_policy("residual-ppo")
     with pytest.raises(OwnError, match=r"^too far$"):
@@ -179,7 +206,8 @@ def test_an_exception_ends_a_rollout(either_way):
 
 @pytest.mark.parametrize("controls", ["both", "agent"])
 def test_a_failed_law_is_called_again_with_the_same_arguments(controls, monkeypatch):
-    """Compiled code swallows exceptions: the one that reaches the caller is that of a second call."""
+    """Compiled code swallows exceptions: the one that reaches the caller is that of a second
+    call."""
     seen = []
 
     def law(theta, theta_dot, x, x_dot, memory, reference):
@@ -197,7 +225,9 @@ def test_a_failed_law_is_called_again_with_the_same_arguments(controls, monkeypa
         if function is recorded:
             monkeypatch.setitem(sys.modules, "numba", None)
         made = Controller("own", function, table, (0.0,) * 5, task="goal")
-        env = CapsuleVectorEnv(3, task="goal", controller=made, disturbances=replace(REAL, controls=controls))
+        env = CapsuleVectorEnv(
+            3, task="goal", controller=made, disturbances=replace(REAL, controls=controls)
+        )
         object.__setattr__(made, "law", recorded)
         env.reset(seed=1)
         env.step(np.zeros((3, 1), np.float32))
@@ -215,7 +245,11 @@ def scaled(gain, theta, theta_dot, x, x_dot, memory, reference, offset=0.0):
 
 
 def test_a_partial_is_a_law_that_numba_compiles():
-    env = CapsuleEnv(controller=Controller("scaled", partial(partial(scaled, 0.5), offset=0.25), np.zeros((1, 2))))
+    env = CapsuleEnv(
+        controller=Controller(
+            "scaled", partial(partial(scaled, 0.5), offset=0.25), np.zeros((1, 2))
+        )
+    )
     _, info = env.reset(seed=0)
     assert info["law_torque"] == 0.5 * info["state"][0] + 0.25
     assert None not in user_law._compiled[env.simulation.controller].values()

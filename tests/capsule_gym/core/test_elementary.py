@@ -1,4 +1,5 @@
-"""The elementary functions: errors compared with 40 digits, and the same bits at every level of instructions."""
+"""The elementary functions: errors compared with 40 digits, and the same bits at every level of
+instructions."""
 
 import math
 
@@ -18,16 +19,23 @@ def numbers(seed, low, high, count):
 
 
 def quarters(turns):
-    """Multiples of pi / 2, where either function vanishes or the reduction changes the turn, and their neighbours."""
+    """Multiples of pi / 2, where either function vanishes or the reduction changes the turn, and
+    their neighbours."""
     exact = 0.5 * math.pi * np.arange(-4 * turns, 4 * turns + 1)
-    return [*exact.tolist(), *np.nextafter(exact, math.inf).tolist(), *np.nextafter(exact, -math.inf).tolist()]
+    return [
+        *exact.tolist(),
+        *np.nextafter(exact, math.inf).tolist(),
+        *np.nextafter(exact, -math.inf).tolist(),
+    ]
 
 
 @pytest.mark.parametrize("level", _core.LEVELS)
 def test_every_level_gives_the_same_bits_in_every_form_of_array(level, select_level):
     angles = [*numbers(7, -HALF_TURN, HALF_TURN, 2000), *numbers(8, -1e4, 1e4, 2000)]
     values = np.array([*angles, *quarters(20), 0.0, -0.0, 5e-324, 1e15])
-    small = np.array([*numbers(7, -30.0, 30.0, 2000), *numbers(8, -1.0, 1.0, 2000), 0.0, -0.0, 1e-310])
+    small = np.array(
+        [*numbers(7, -30.0, 30.0, 2000), *numbers(8, -1.0, 1.0, 2000), 0.0, -0.0, 1e-310]
+    )
     given = {"sincos": values, "exp": small, "tanh": small, "log": 1e-300 + np.abs(small)}
     expected = {name: native.evaluate(name, array) for name, array in given.items()}
     select_level(level)
@@ -43,11 +51,21 @@ def test_every_level_gives_the_same_bits_in_every_form_of_array(level, select_le
 
 
 TINY = (10.0 ** np.arange(-300, 0, 3.7)).tolist()
-NEAR_ONE = [sign * (1.0 - 10.0**power) for sign in (-1.0, 1.0) for power in numbers(11, -17.0, 0.0, 250)]
+NEAR_ONE = [
+    sign * (1.0 - 10.0**power) for sign in (-1.0, 1.0) for power in numbers(11, -17.0, 0.0, 250)
+]
 # The last angles have the largest errors of ten million, of sin near 0 and of cos far away.
 NEAR = [*numbers(0, -HALF_TURN, HALF_TURN, 1500), HALF_TURN, -HALF_TURN, 1.5515752168417596]
-FAR = [*numbers(1, -10.0, 10.0, 2000), *numbers(2, -1e4, 1e4, 1500), *quarters(20), -1e4, 1e4, 3.111995651295123]
-# Function, exact function, what errors are relative to, the largest of ten million numbers, and numbers with such.
+FAR = [
+    *numbers(1, -10.0, 10.0, 2000),
+    *numbers(2, -1e4, 1e4, 1500),
+    *quarters(20),
+    -1e4,
+    1e4,
+    3.111995651295123,
+]
+# Function, exact function, what errors are relative to, the largest of ten million numbers, and
+# numbers with such.
 ERRORS = {
     "sin": (lambda x: sincos(x)[0], mpmath.sin, lambda exact: 1.0, 3.4e-16, NEAR),
     "cos": (lambda x: sincos(x)[1], mpmath.cos, lambda exact: 1.0, 2.2e-16, NEAR),
@@ -63,9 +81,15 @@ ERRORS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("function", "exact", "size", "error", "points"), ERRORS.values(), ids=ERRORS)
+@pytest.mark.parametrize(
+    ("function", "exact", "size", "error", "points"), ERRORS.values(), ids=ERRORS
+)
 def test_errors_stay_below_those_of_ten_million_numbers(function, exact, size, error, points):
     with mpmath.workdps(40):
         pairs = ((function(x), exact(mpmath.mpf(x))) for x in points)
-        assert 0.6 * error < max(abs(found - wanted) / size(wanted) for found, wanted in pairs) <= error
+        assert (
+            0.6 * error
+            < max(abs(found - wanted) / size(wanted) for found, wanted in pairs)
+            <= error
+        )
     assert (exp(0.0), exp(-0.0), arccos(1.0), exp(log(1.0))) == (1.0, 1.0, 0.0, 1.0)

@@ -1,4 +1,5 @@
-"""One core: the same bits at every level of instructions, in batches of every size, and on any number of threads."""
+"""One core: the same bits at every level of instructions, in batches of every size, and on any
+number of threads."""
 
 import os
 import subprocess
@@ -30,16 +31,22 @@ CASES = {
 
 def episode(n, threads, **kwargs):
     """Everything that the environments of a batch have shown, one entry per environment."""
-    env = CapsuleVectorEnv(n, threads=threads, max_episode_steps=12, autoreset_mode="SAME_STEP", **kwargs)
+    env = CapsuleVectorEnv(
+        n, threads=threads, max_episode_steps=12, autoreset_mode="SAME_STEP", **kwargs
+    )
     env.reset(seed=7)
-    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (max(SIZES), STEPS)).astype(np.float32)[:n]
+    actions = (
+        np.random.default_rng(0).uniform(-1.0, 1.0, (max(SIZES), STEPS)).astype(np.float32)[:n]
+    )
     shown = []
     for t in range(STEPS):
         observations, rewards, terminated, _, _ = env.step(actions[:, t : t + 1])
         world = env.simulation.columns(np.arange(n))[
             [*EPISODE_ROWS, *range(NUM_ROWS, env.simulation.layout.task_end)]
         ].T
-        shown.append(np.concatenate([observations, rewards[:, None], terminated[:, None], world], axis=1))
+        shown.append(
+            np.concatenate([observations, rewards[:, None], terminated[:, None], world], axis=1)
+        )
     return [np.array(shown)[:, i].tobytes() for i in range(n)]
 
 

@@ -15,7 +15,8 @@ ARRAYS = {name: np.zeros((3, 3)) for name in ("angle", "velocity", "acceleration
 
 
 def motion_arguments(**others):
-    """The arguments of `platform_motion`, which takes addresses, a whole and a real number; `others` replace some."""
+    """The arguments of `platform_motion`, which takes addresses, a whole and a real number;
+    `others` replace some."""
     addresses = {name: native.address(array) for name, array in ARRAYS.items()}
     motion = addresses.pop("motion")
     arguments = {**addresses, "n": 3, "h": 1e-3, "plant": native.address(PLANT), "motion": motion}
@@ -55,11 +56,16 @@ WRONG_TYPES = [
 
 
 @pytest.mark.parametrize(("wrong", "place", "due"), WRONG_TYPES)
-def test_an_argument_of_another_type_names_the_function_the_place_and_what_is_due(call, wrong, place, due):
+def test_an_argument_of_another_type_names_the_function_the_place_and_what_is_due(
+    call, wrong, place, due
+):
     (given,) = wrong.values()
     with pytest.raises(TypeError) as raised:
         call("platform_motion", *motion_arguments(**wrong))
-    assert str(raised.value) == f"argument {place} of platform_motion must be {due}, got {repr(given)[:100]}"
+    assert (
+        str(raised.value)
+        == f"argument {place} of platform_motion must be {due}, got {repr(given)[:100]}"
+    )
 
 
 @pytest.mark.parametrize("count", [0, 1, 6, 8, 20])
@@ -70,7 +76,9 @@ def test_another_number_of_arguments_names_the_function_and_both_numbers(call, c
 
 @pytest.mark.parametrize("arguments", [(), (1,), (None, 2), ("\ud800",)])
 def test_a_call_needs_the_name_of_a_function(call, arguments):
-    with pytest.raises(TypeError, match=r"^call takes the name of a function \(str\) and its arguments$"):
+    with pytest.raises(
+        TypeError, match=r"^call takes the name of a function \(str\) and its arguments$"
+    ):
         call(*arguments)
 
 
@@ -80,7 +88,9 @@ def test_an_unknown_function_is_named(call, name):
         call(name, 1, 2.0)
 
 
-@pytest.mark.parametrize(("given", "exact"), [(1, 1.0), (0, 0.0), (-3, -3.0), (True, 1.0), (np.float64(0.3), 0.3)])
+@pytest.mark.parametrize(
+    ("given", "exact"), [(1, 1.0), (0, 0.0), (-3, -3.0), (True, 1.0), (np.float64(0.3), 0.3)]
+)
 def test_a_real_number_can_be_an_int(given, exact):
     n = 4
     pendulum = [np.linspace(0.0, 1.0, n), np.ones(n), np.full(n, 40.0)]
@@ -92,7 +102,12 @@ def test_a_real_number_can_be_an_int(given, exact):
 
 
 def test_a_whole_number_can_be_a_bool():
-    assert _core.call("sincos", native.address(np.zeros(1)), True, native.address(np.zeros(2)), True, False) == 2
+    assert (
+        _core.call(
+            "sincos", native.address(np.zeros(1)), True, native.address(np.zeros(2)), True, False
+        )
+        == 2
+    )
 
 
 @pytest.mark.parametrize("numbers", [(), (0.1, 0.2)])
@@ -134,10 +149,14 @@ def test_a_recording_checks_its_arguments(arguments, message):
         _core.trace(*arguments)
 
 
-@pytest.mark.parametrize(("function", "number"), [("log", 0), ("law", len(_core.LAWS)), ("begin", len(_core.TASKS))])
+@pytest.mark.parametrize(
+    ("function", "number"), [("log", 0), ("law", len(_core.LAWS)), ("begin", len(_core.TASKS))]
+)
 def test_an_unknown_recording_is_named(function, number):
     constants = np.zeros(1000)
-    with pytest.raises(ValueError, match=f"^the core records no function '{function}' with the number {number}$"):
+    with pytest.raises(
+        ValueError, match=f"^the core records no function '{function}' with the number {number}$"
+    ):
         _core.trace(function, number, native.address(constants))
 
 

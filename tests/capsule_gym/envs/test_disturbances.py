@@ -1,4 +1,5 @@
-"""Disturbances and varied plants: the sensors err as documented, nothing else changes, and every contract holds."""
+"""Disturbances and varied plants: the sensors err as documented, nothing else changes, and every
+contract holds."""
 
 import math
 from dataclasses import replace
@@ -13,7 +14,12 @@ from capsule_gym.parameters import NOMINAL, REAL, Disturbances
 
 CLEAN = Disturbances(stick_threshold=0.0)
 EXACT = replace(CLEAN, x_noise=0.0)
-CASES = [("speed", None, CLEAN), ("speed", "baselines:gait", CLEAN), ("goal", None, EXACT), ("velocity", None, EXACT)]
+CASES = [
+    ("speed", None, CLEAN),
+    ("speed", "baselines:gait", CLEAN),
+    ("goal", None, EXACT),
+    ("velocity", None, EXACT),
+]
 NEAR = {name: (0.9 * getattr(NOMINAL, name), 1.1 * getattr(NOMINAL, name)) for name in "mlkc"}
 VARIED = Randomization(M=(0.45, 0.55), mu=(0.009, 0.3), log_mu=True, **NEAR)
 
@@ -21,7 +27,9 @@ VARIED = Randomization(M=(0.45, 0.55), mu=(0.009, 0.3), log_mu=True, **NEAR)
 def swing(steps, count=1, seed=0):
     """Torques that swing the pendulum, and throw it over in some environments."""
     rng = np.random.default_rng(seed)
-    return np.repeat(rng.uniform(-0.6, 0.6, (steps // 10 + 1, count, 1)), 10, axis=0)[:steps].astype(np.float32)
+    return np.repeat(rng.uniform(-0.6, 0.6, (steps // 10 + 1, count, 1)), 10, axis=0)[
+        :steps
+    ].astype(np.float32)
 
 
 def run(env, actions, **reset):
@@ -38,9 +46,13 @@ def run(env, actions, **reset):
 
 @pytest.mark.parametrize(("task", "controller", "clean"), CASES)
 def test_disturbances_of_size_zero_change_no_bit(task, controller, clean):
-    plain, disturbed = (CapsuleEnv(task=task, controller=controller, disturbances=each) for each in ("none", clean))
+    plain, disturbed = (
+        CapsuleEnv(task=task, controller=controller, disturbances=each) for each in ("none", clean)
+    )
     actions = swing(300)
-    for one, other in zip(run(plain, actions, seed=3), run(disturbed, actions, seed=3), strict=True):
+    for one, other in zip(
+        run(plain, actions, seed=3), run(disturbed, actions, seed=3), strict=True
+    ):
         np.testing.assert_array_equal(one["state"], other["state"])
         np.testing.assert_array_equal(one["observation"], other["observation"])
         assert one["torque"] == other["torque"] and one["law_torque"] == other["law_torque"]
@@ -48,10 +60,20 @@ def test_disturbances_of_size_zero_change_no_bit(task, controller, clean):
 
 
 def test_drawn_constants_make_the_plant_of_a_capsule_with_these():
-    given = {"m": 0.15, "l": 0.28, "g": 9.7, "k": 0.3, "c": 0.1, "static_ratio": 1.4, "backward_ratio": 1.2}
+    given = {
+        "m": 0.15,
+        "l": 0.28,
+        "g": 9.7,
+        "k": 0.3,
+        "c": 0.1,
+        "static_ratio": 1.4,
+        "backward_ratio": 1.2,
+    }
     given |= {"viscous": 0.3, "stribeck_speed": 0.1, "slope": -0.02, "motor_friction": 0.03}
     capsule = Capsule(**given)
-    ranges = Randomization(M=(0.4, 0.6), mu=(0.1, 0.3), **{name: (value, value) for name, value in given.items()})
+    ranges = Randomization(
+        M=(0.4, 0.6), mu=(0.1, 0.3), **{name: (value, value) for name, value in given.items()}
+    )
     actions, own = swing(200), Randomization(M=ranges.M, mu=ranges.mu)
     drawn = run(CapsuleEnv(randomization=ranges), actions, seed=1)
     begun = {key: drawn[0][key] for key in ("M", "mu", "state")}
@@ -81,8 +103,12 @@ def test_the_errors_of_readings_have_the_sizes_and_the_memory_that_are_asked_for
     count, steps = 400, 50
 
     def errors(kind, **given):
-        """The errors of the sensors relative to the size that is asked for, of readings by step and environment."""
-        given |= {f"{name}_{kind}": (-value, value) if kind == "bias" else value for name, value in size.items()}
+        """The errors of the sensors relative to the size that is asked for, of readings by step and
+        environment."""
+        given |= {
+            f"{name}_{kind}": (-value, value) if kind == "bias" else value
+            for name, value in size.items()
+        }
         batch = CapsuleVectorEnv(count, disturbances=Disturbances(**given), randomization="paper")
         _, info = batch.reset(seed=0)
         rows = []
@@ -97,12 +123,15 @@ def test_the_errors_of_readings_have_the_sizes_and_the_memory_that_are_asked_for
         assert stats.kstest(white[:, :, n].ravel(), "norm").pvalue > 1e-3
         assert abs((white[1:, :, n] * white[:-1, :, n]).mean()) < independent
         assert abs((white[:, :, n] * white[:, :, n - 1]).mean()) < independent
-        # The drift is stationary from the start; between readings 20 ms apart, its correlation is exp(-t / drift_time).
+        # The drift is stationary from the start; between readings 20 ms apart, its correlation is
+        # exp(-t / drift_time).
         assert stats.kstest(drift[0, :, n], "norm").pvalue > 1e-3
         assert stats.kstest(drift[-1, :, n], "norm").pvalue > 1e-3
         memory = (drift[1:, :, n] * drift[:-1, :, n]).mean() / (drift[:, :, n] ** 2).mean()
         assert memory == pytest.approx(math.exp(-0.02 / 0.05), abs=0.02)
-        np.testing.assert_allclose(bias[:, :, n], np.broadcast_to(bias[0, :, n], (steps, count)), atol=1e-12)
+        np.testing.assert_allclose(
+            bias[:, :, n], np.broadcast_to(bias[0, :, n], (steps, count)), atol=1e-12
+        )
         assert stats.kstest(bias[0, :, n], stats.uniform(-1.0, 2.0).cdf).pvalue > 1e-3
 
 
@@ -111,7 +140,9 @@ def proportional(theta, theta_dot, x, x_dot, memory, reference):
     return 0.1 * theta + 0.01 * theta_dot + 0.1 * x + x_dot, memory
 
 
-@pytest.mark.parametrize(("controls", "law", "agent"), [("both", 1, 1), ("law", 1, 0), ("agent", 0, 1)])
+@pytest.mark.parametrize(
+    ("controls", "law", "agent"), [("both", 1, 1), ("law", 1, 0), ("agent", 0, 1)]
+)
 def test_controls_says_who_sees_the_sensors(controls, law, agent):
     controller = Controller("proportional", proportional, np.zeros((1, 2)))
     env = CapsuleEnv(controller=controller, disturbances=replace(REAL, controls=controls))
@@ -119,7 +150,9 @@ def test_controls_says_who_sees_the_sensors(controls, law, agent):
         states = info["state"], info["reading"]
         torque = np.clip(states[law] @ [0.1, 0.01, 0.1, 1.0], -1.5, 1.5)
         assert info["law_torque"] == pytest.approx(torque, abs=1e-12)
-        seen = states[agent][[0, 1, 3]].clip(-np.array([math.pi / 2, 20.0, 2.0]), [math.pi / 2, 20.0, 2.0])
+        seen = states[agent][[0, 1, 3]].clip(
+            -np.array([math.pi / 2, 20.0, 2.0]), [math.pi / 2, 20.0, 2.0]
+        )
         np.testing.assert_allclose(info["observation"][:3], seen, rtol=1e-6)
         if agent:
             assert info["observation"][3] == (abs(info["reading"][3]) <= 0.01)
@@ -134,37 +167,62 @@ def test_the_law_integrates_the_velocity_that_it_reads():
 
 
 def test_a_sensor_of_x_shows_a_late_x_with_its_noise():
-    batch = CapsuleVectorEnv(400, disturbances=Disturbances(x_noise=0.003, x_dot_bias=0.5, latency=0.04))
+    batch = CapsuleVectorEnv(
+        400, disturbances=Disturbances(x_noise=0.003, x_dot_bias=0.5, latency=0.04)
+    )
     _, info = batch.reset(seed=0)
     past, errors = [info["state"][:, 2]], [info["reading"][:, 2] - info["state"][:, 2]]
     for actions in swing(30, 400):
         _, _, _, _, info = batch.step(actions)
         # At the end of an episode the next one begins.
-        errors.append((info["reading"][:, 2] - past[-2 if len(past) > 1 else -1])[info["reward_termination"] == 0.0])
+        errors.append(
+            (info["reading"][:, 2] - past[-2 if len(past) > 1 else -1])[
+                info["reward_termination"] == 0.0
+            ]
+        )
         past.append(info["state"][:, 2])
     for one, other in pairwise(errors):
         if len(one) == len(other) == 400:
-            assert stats.kstest(one / 0.003, "norm").pvalue > 1e-4 and abs(np.corrcoef(one, other)[0, 1]) < 0.25
+            assert (
+                stats.kstest(one / 0.003, "norm").pvalue > 1e-4
+                and abs(np.corrcoef(one, other)[0, 1]) < 0.25
+            )
 
 
 def reads_error(theta, theta_dot, x, x_dot, memory, reference):
-    """A torque that shows the error and the held time in the task's memory, and the difference of the positions."""
+    """A torque that shows the error and the held time in the task's memory, and the difference of
+    the positions."""
     return 0.1 * reference[3] + 0.01 * reference[5] + 0.001 * (reference[2] - x), memory
 
 
 @pytest.mark.parametrize("x_noise", [None, 0.001])
-@pytest.mark.parametrize(("controls", "law", "agent"), [("both", 1, 1), ("law", 1, 0), ("agent", 0, 1)])
+@pytest.mark.parametrize(
+    ("controls", "law", "agent"), [("both", 1, 1), ("law", 1, 0), ("agent", 0, 1)]
+)
 def test_goals_are_seen_through_the_sensors(controls, law, agent, x_noise):
     disturbances = replace(REAL, controls=controls, x_noise=x_noise, stick_threshold=0.05)
     controller = Controller("reads_error", reads_error, np.zeros((1, 2)), task="goal")
     env = CapsuleEnv(task="goal", controller=controller, disturbances=disturbances)
-    # The start is close to the goal and at rest, so that the truth and the readings both hold it for some time.
-    options = {"state": [0.0, 0.0, 2.0, 0.0], "goal": 0.001, "mu": 0.4, "disturbances": {"latency": 0.007}}
-    infos = run(env, np.concatenate([np.zeros((20, 1, 1)), swing(100)]).astype(np.float32), seed=4, options=options)
+    # The start is close to the goal and at rest, so that the truth and the readings both hold it
+    # for some time.
+    options = {
+        "state": [0.0, 0.0, 2.0, 0.0],
+        "goal": 0.001,
+        "mu": 0.4,
+        "disturbances": {"latency": 0.007},
+    }
+    infos = run(
+        env,
+        np.concatenate([np.zeros((20, 1, 1)), swing(100)]).astype(np.float32),
+        seed=4,
+        options=options,
+    )
     assert infos[0]["disturbances"]["latency"] == 0.007
     held = np.zeros(2)
     for n, info in enumerate(infos):
-        seen = np.array([[info["state"][2], info["state"][3]], [info["reading"][2], info["reading"][3]]])
+        seen = np.array(
+            [[info["state"][2], info["state"][3]], [info["reading"][2], info["reading"][3]]]
+        )
         if n == 0:
             last = 2.001 - seen[:, 0]
         expected = 0.1 * last + 0.01 * held + 0.001 * (2.001 - seen[:, 0])
@@ -197,9 +255,15 @@ def test_velocities_are_seen_through_the_sensors(x_noise):
             target = x if n == 20 else x + np.clip(target + 0.02 * v - x, -0.3, 0.3)
             speed += ((x - before) / 0.02 - speed) * 0.02 / 0.27
             true_x = info["state"][2]
-            true_target = true_x if n == 20 else true_x + np.clip(true_target + 0.02 * v - true_x, -0.3, 0.3)
+            true_target = (
+                true_x if n == 20 else true_x + np.clip(true_target + 0.02 * v - true_x, -0.3, 0.3)
+            )
             assert info["error"] == pytest.approx(true_target - true_x, abs=1e-12)
-        expected = [np.tanh((target - x) / 0.05), np.tanh((target - x) / 0.2), np.clip(speed, -2.0, 2.0)]
+        expected = [
+            np.tanh((target - x) / 0.05),
+            np.tanh((target - x) / 0.2),
+            np.clip(speed, -2.0, 2.0),
+        ]
         np.testing.assert_allclose(entries, expected, rtol=1e-5, atol=1e-7)
         before = x
         differences.append(abs(target - x - true_target + info["state"][2]))
@@ -207,19 +271,31 @@ def test_velocities_are_seen_through_the_sensors(x_noise):
 
 
 def test_what_is_not_measured_reads_zero_and_rounded_readings_are_multiples():
-    env = CapsuleEnv(disturbances=Disturbances(unmeasured=("x_dot",), theta_resolution=0.01, theta_dot_resolution=0.25))
+    env = CapsuleEnv(
+        disturbances=Disturbances(
+            unmeasured=("x_dot",), theta_resolution=0.01, theta_dot_resolution=0.25
+        )
+    )
     infos = run(env, swing(100), seed=4)
-    assert all(info["reading"][3] == info["reading"][2] == info["observation"][2] == 0.0 for info in infos)
+    assert all(
+        info["reading"][3] == info["reading"][2] == info["observation"][2] == 0.0 for info in infos
+    )
     for n, unit in ((0, 0.01), (1, 0.25)):
-        readings, states = (np.array([info[name][n] for info in infos]) for name in ("reading", "state"))
+        readings, states = (
+            np.array([info[name][n] for info in infos]) for name in ("reading", "state")
+        )
         np.testing.assert_allclose(readings / unit, np.round(readings / unit), atol=1e-9)
         assert np.abs(readings - states).max() <= 0.5 * unit + 1e-12
 
 
 def test_the_motor_follows_the_command_with_its_lag_in_steps_of_its_resolution():
     env = CapsuleEnv(disturbances=Disturbances(lag=0.03))
-    torques = np.array([info["torque"] for info in run(env, np.full((10, 1, 1), 0.2, np.float32), seed=0)[1:]])
-    np.testing.assert_allclose(torques, 0.3 * (1.0 - np.exp(-0.02 / 0.03 * np.arange(1, 11))), rtol=1e-6)
+    torques = np.array(
+        [info["torque"] for info in run(env, np.full((10, 1, 1), 0.2, np.float32), seed=0)[1:]]
+    )
+    np.testing.assert_allclose(
+        torques, 0.3 * (1.0 - np.exp(-0.02 / 0.03 * np.arange(1, 11))), rtol=1e-6
+    )
     env = CapsuleEnv(disturbances=Disturbances(torque_resolution=0.07))
     torques = np.array([info["torque"] for info in run(env, swing(100), seed=0)[1:]])
     np.testing.assert_allclose(torques / 0.07, np.round(torques / 0.07), atol=1e-9)
@@ -231,7 +307,9 @@ def test_a_push_changes_the_momentum_by_its_impulse():
     momenta = []
     for info in run(env, np.zeros((501, 1, 1), np.float32), seed=0):
         theta, theta_dot, _, x_dot = info["state"]
-        momenta.append((0.5 + NOMINAL.m) * x_dot - NOMINAL.m * NOMINAL.l * math.cos(theta) * theta_dot)
+        momenta.append(
+            (0.5 + NOMINAL.m) * x_dot - NOMINAL.m * NOMINAL.l * math.cos(theta) * theta_dot
+        )
     per_second = np.diff(momenta[::50])
     assert len(per_second) == 10 and np.abs(per_second).max() <= 0.4 * 0.1 + 1e-9
     steps = np.diff(momenta)
@@ -243,7 +321,11 @@ def test_a_push_changes_the_momentum_by_its_impulse():
 
 @pytest.mark.parametrize(("push", "moves"), [(0.5, False), (2.0, True)])
 def test_static_friction_balances_a_push_below_the_threshold_only(push, moves):
-    env = CapsuleEnv(disturbances=Disturbances(push=push), randomization=Randomization(M=(0.5, 0.5), mu=(0.1, 0.1)))
-    # Without a torque, the upright pendulum does not fall: the platform stands still until it is pushed.
+    env = CapsuleEnv(
+        disturbances=Disturbances(push=push),
+        randomization=Randomization(M=(0.5, 0.5), mu=(0.1, 0.1)),
+    )
+    # Without a torque, the upright pendulum does not fall: the platform stands still until it is
+    # pushed.
     infos = run(env, np.zeros((150, 1, 1), np.float32), options={"state": [0.0] * 4}, seed=3)
     assert any(info["state"][3] != 0.0 for info in infos) == moves

@@ -23,7 +23,11 @@ VARIANTS = [
     {"controller": "baselines:adaptive", "residual_limit": 3.0, "observe_parameters": True},
     {"observe_parameters": True, "randomization": "wide", "initial_noise": 0.05},
     {"controller": "baselines:adaptive", "residual_limit": 1.0, "total_torque": True},
-    {"controller": "baselines:gait_predictive", "disturbances": "real", "randomization": "real-wide"},
+    {
+        "controller": "baselines:gait_predictive",
+        "disturbances": "real",
+        "randomization": "real-wide",
+    },
     *({"task": name} for name in TASKS if name != "speed"),
 ]
 
@@ -38,11 +42,19 @@ def test_the_checkers_are_silent_and_every_info_has_the_form_of_the_first(kwargs
         env = gym.make(env_id, **kwargs).unwrapped
         check_env(env)
         check_sb3(gym.make(env_id, **kwargs))
-    assert steps * env.simulation.options.control_dt == {"speed": 33.0, "goal": 15.0, "velocity": 20.0}[task.name]
+    assert (
+        steps * env.simulation.options.control_dt
+        == {"speed": 33.0, "goal": 15.0, "velocity": 20.0}[task.name]
+    )
     space, seen, ended, costs = env.observation_space, [], 0, set()
     expected = layout(env.reset(seed=0)[1])
-    assert all(np.issubdtype(dtype, np.number) or dtype == np.bool_ for _, dtype, _ in flatten(expected))
-    assert (expected["state"][1:], expected["termination"][1:]) == ((np.float64, (4,)), (np.int64, ()))
+    assert all(
+        np.issubdtype(dtype, np.number) or dtype == np.bool_ for _, dtype, _ in flatten(expected)
+    )
+    assert (expected["state"][1:], expected["termination"][1:]) == (
+        (np.float64, (4,)),
+        (np.int64, ()),
+    )
     assert {*task.reward_terms, *dict(task.places)} <= set(expected)
     # Full torque in long stretches reaches the extremes of the state space.
     signs = np.sign(np.random.default_rng(0).uniform(-1.0, 1.0, 200))
@@ -50,7 +62,9 @@ def test_the_checkers_are_silent_and_every_info_has_the_form_of_the_first(kwargs
         observation, reward, terminated, _, info = env.step(action[None])
         assert space.contains(observation) and layout(info) == expected
         assert reward == reduce(float.__add__, (info[term] for term in task.reward_terms))
-        assert info["reward_termination"] == (-env.simulation.options.termination_penalty if terminated else 0.0)
+        assert info["reward_termination"] == (
+            -env.simulation.options.termination_penalty if terminated else 0.0
+        )
         options = {**dataclasses.asdict(env.simulation.capsule), **info.get("capsule", {})}
         light = info["normal_force"] < 0.1 * (info["M"] + options["m"]) * options["g"]
         assert info["cost"] == float(terminated or light or abs(info["state"][0]) > 0.45 * math.pi)
@@ -68,7 +82,11 @@ def test_the_checkers_are_silent_and_every_info_has_the_form_of_the_first(kwargs
 
 
 @pytest.mark.parametrize(
-    "kwargs", [{"randomization": Randomization(M=(0.3, 9.0), mu=(0.001, 3.0))}, {"capsule": Capsule(M=0.1, mu=0.7)}]
+    "kwargs",
+    [
+        {"randomization": Randomization(M=(0.3, 9.0), mu=(0.001, 3.0))},
+        {"capsule": Capsule(M=0.1, mu=0.7)},
+    ],
 )
 def test_every_plant_that_can_occur_lies_in_the_observation_space(kwargs):
     env = CapsuleEnv(observe_parameters=True, **kwargs)
@@ -84,7 +102,10 @@ def test_every_plant_that_can_occur_lies_in_the_observation_space(kwargs):
     M, mu = space.high[-2:].tolist()
     observation, _ = env.reset(options={"M": M * (1.0 - 1e-6), "mu": min(mu * (1.0 - 1e-6), 1.0)})
     assert space.contains(observation) and space.contains(env.step(none)[0])
-    for beyond, message in (({"M": 1.01 * M}, "M must be at most"), ({"M": M, "mu": 1.01 * mu}, "mu must be at most")):
+    for beyond, message in (
+        ({"M": 1.01 * M}, "M must be at most"),
+        ({"M": M, "mu": 1.01 * mu}, "mu must be at most"),
+    ):
         for options in (beyond, {"changes": [{"t": 1.0, "M": 0.5, "mu": 0.0, **beyond}]}):
             with pytest.raises(ValueError, match=message):
                 env.reset(options=options)
@@ -99,7 +120,9 @@ def test_rewards_are_progress_and_the_integral_of_power_not_its_sample():
     for n in range(40):
         action = np.array([0.6 * np.sin(0.3 * n)], np.float32)
         now = coarse.step(action)[4]
-        assert now["reward_progress"] == pytest.approx(100.0 * (now["state"][2] - before["state"][2]), abs=1e-12)
+        assert now["reward_progress"] == pytest.approx(
+            100.0 * (now["state"][2] - before["state"][2]), abs=1e-12
+        )
         assert now["reward_energy"] == -0.5 * now["energy"]
         total, before = total + now["energy"], now
         for _ in range(20):
@@ -116,7 +139,11 @@ UPRIGHT = math.nextafter(math.pi / 2, 0.0)
 # At this rate, the centripetal force of the upright ball carries the whole weight.
 LIFTING = math.sqrt((NOMINAL.M + NOMINAL.m) * NOMINAL.g / (NOMINAL.m * NOMINAL.l))
 # Within 1 ns the angle reaches the limit itself.
-ENDS = [(sign * UPRIGHT, sign * rate, end) for sign in (1, -1) for rate, end in ((0.0, "none"), (2e-7, "pendulum"))]
+ENDS = [
+    (sign * UPRIGHT, sign * rate, end)
+    for sign in (1, -1)
+    for rate, end in ((0.0, "none"), (2e-7, "pendulum"))
+]
 ENDS += [(0.0, 0.9999 * LIFTING, "none"), (0.0, 1.0001 * LIFTING, "contact")]
 
 
@@ -155,17 +182,27 @@ def test_a_plant_that_the_step_does_not_resolve_ends_as_diverged():
 def test_a_spec_comes_back_from_json(make):
     ranges = Randomization(mu=(0.1, 0.2), l=(0.2, 0.3), log_mu=True)
     noisy = Disturbances(latency=(0.005, 0.015), unmeasured=("x_dot",))
-    env = make(ENV_ID, capsule=Capsule(M=0.7), randomization=ranges, disturbances=noisy, initial_range=(0.1, 0.2))
+    env = make(
+        ENV_ID,
+        capsule=Capsule(M=0.7),
+        randomization=ranges,
+        disturbances=noisy,
+        initial_range=(0.1, 0.2),
+    )
     again = make(EnvSpec.from_json(env.spec.to_json()))
     assert again.unwrapped.simulation.options == env.unwrapped.simulation.options
     assert again.reset(seed=3)[0].tobytes() == env.reset(seed=3)[0].tobytes()
 
 
-@pytest.mark.parametrize(("control_dt", "fps"), [(0.02, 50), (0.03, 1 / 0.03), (2.5, 0.4), (1e3, 0.01), (1e-6, 1e3)])
+@pytest.mark.parametrize(
+    ("control_dt", "fps"), [(0.02, 50), (0.03, 1 / 0.03), (2.5, 0.4), (1e3, 0.01), (1e-6, 1e3)]
+)
 def test_the_frame_rate_is_real_time_where_a_video_can_have_it(control_dt, fps):
     for kind in (CapsuleEnv, CapsuleVectorEnv):
         env = kind(control_dt=control_dt, physics_dt=control_dt / (1e6 if control_dt > 1.0 else 20))
-        assert env.metadata["render_fps"] == pytest.approx(fps) and kind.metadata["render_fps"] == 50
+        assert (
+            env.metadata["render_fps"] == pytest.approx(fps) and kind.metadata["render_fps"] == 50
+        )
     assert env.num_envs == 1
 
 
@@ -201,7 +238,9 @@ def test_the_torque_is_the_law_plus_the_action_or_the_action_within_the_residual
     for action in np.random.default_rng(0).uniform(-0.3, 0.3, (200, 1)).astype(np.float32):
         law_torque, (_, _, _, _, info) = near.simulation.row(Row.law_torque)[0], near.step(action)
         wanted = 1.5 * float(action[0])
-        assert info["torque"] == pytest.approx(np.clip(wanted, law_torque - 1.0, law_torque + 1.0), abs=1e-15)
+        assert info["torque"] == pytest.approx(
+            np.clip(wanted, law_torque - 1.0, law_torque + 1.0), abs=1e-15
+        )
         bounded += info["torque"] != pytest.approx(wanted)
         wide, law_torque = 5.0 * action, residual.simulation.row(Row.law_torque)[0]
         info = residual.step(wide)[4]
@@ -213,7 +252,9 @@ def test_the_torque_is_the_law_plus_the_action_or_the_action_within_the_residual
 
 
 def test_observation_entries():
-    env = gym.make(ENV_ID, controller="baselines:adaptive", observe_parameters=True, residual_limit=1.0)
+    env = gym.make(
+        ENV_ID, controller="baselines:adaptive", observe_parameters=True, residual_limit=1.0
+    )
     env.reset(seed=0)
     bounds = [np.pi / 2, 20.0, 2.0, 1.0, 1.0, np.pi / 2, 20.0, 1.0, 1.0, 1.5, 2.0, 1.0]
     assert env.observation_space.high.tolist() == np.float32(bounds).tolist()
@@ -223,7 +264,16 @@ def test_observation_entries():
         theta, theta_dot, _, x_dot = info["state"]
         row = (20 * n) % len(table)
         phase = 2.0 * np.pi * row / len(table)
-        expected = [theta, theta_dot, x_dot, float(x_dot == 0.0), 0.125, *table[row, :2], np.sin(phase), np.cos(phase)]
+        expected = [
+            theta,
+            theta_dot,
+            x_dot,
+            float(x_dot == 0.0),
+            0.125,
+            *table[row, :2],
+            np.sin(phase),
+            np.cos(phase),
+        ]
         expected += [info["law_torque"], info["M"], info["mu"]]
         np.testing.assert_allclose(observation, expected, rtol=1e-6, atol=1e-6)
         assert info["stick"] == observation[3]

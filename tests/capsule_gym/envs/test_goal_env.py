@@ -15,7 +15,9 @@ GOAL = {"task": "goal", "goal_env": True, "energy_weight": 0.5}
 LAW = {"controller": "baselines:goal_pulses", "residual_limit": 0.2}
 
 
-@pytest.mark.parametrize("kwargs", [{}, LAW, {"stack_size": 2, "observe_parameters": True}], ids=str)
+@pytest.mark.parametrize(
+    "kwargs", [{}, LAW, {"stack_size": 2, "observe_parameters": True}], ids=str
+)
 def test_the_checkers_accept_it(kwargs):
     env = gym.make("capsule_gym:CapsuleGoal-v0", goal_env=True, **kwargs).unwrapped
     check_env(env, skip_render_check=True)
@@ -42,14 +44,22 @@ def test_it_is_the_same_environment_with_other_observations(kwargs):
             env, batch = pickle.loads(pickle.dumps(env)), copy.deepcopy(batch)
         seen, reward, terminated, _, info = env.step(action)
         plain, expected, *_ = other.step(action)
-        batched, rewards, terminations, truncations, infos = batch.step(np.array([[1.0], action, [-1.0]], np.float32))
+        batched, rewards, terminations, truncations, infos = batch.step(
+            np.array([[1.0], action, [-1.0]], np.float32)
+        )
         assert reward == expected == rewards[1]
         assert env.compute_reward(seen["achieved_goal"], seen["desired_goal"], info) == reward
         for i in np.flatnonzero(terminations | truncations):
             ends.add(bool(terminations[i]))
             final = infos["final_obs"][i]
-            own = {name: infos["final_info"][name][i] for name in ("reward_energy", "reward_termination")}
-            assert batch.compute_reward(final["achieved_goal"], final["desired_goal"], own) == rewards[i]
+            own = {
+                name: infos["final_info"][name][i]
+                for name in ("reward_energy", "reward_termination")
+            }
+            assert (
+                batch.compute_reward(final["achieved_goal"], final["desired_goal"], own)
+                == rewards[i]
+            )
             if i == 1:
                 np.testing.assert_array_equal(final["achieved_goal"], seen["achieved_goal"])
         if terminated or terminations[1]:
@@ -59,17 +69,26 @@ def test_it_is_the_same_environment_with_other_observations(kwargs):
             np.testing.assert_array_equal(found, rewards)
     assert True in ends or (kwargs and ends)
     # At the goal, in motion and at rest.
-    assert env.compute_reward([[0.1, 0.05], [0.1, 0.0]], [[0.1, 0.0]] * 2, [{}, {}]) == pytest.approx([0.04, 0.1])
-    assert not hasattr(CapsuleEnv(task="goal"), "compute_reward") and not hasattr(CapsuleVectorEnv(2), "compute_reward")
+    assert env.compute_reward(
+        [[0.1, 0.05], [0.1, 0.0]], [[0.1, 0.0]] * 2, [{}, {}]
+    ) == pytest.approx([0.04, 0.1])
+    assert not hasattr(CapsuleEnv(task="goal"), "compute_reward") and not hasattr(
+        CapsuleVectorEnv(2), "compute_reward"
+    )
 
 
 def test_disturbed_goals_are_measured():
-    env = CapsuleEnv(task="goal", goal_env=True, disturbances=Disturbances(x_dot_bias=0.05, stick_threshold=0.06))
+    env = CapsuleEnv(
+        task="goal", goal_env=True, disturbances=Disturbances(x_dot_bias=0.05, stick_threshold=0.06)
+    )
     seen, info = env.reset(seed=0, options={"state": [0.0] * 4, "mu": 0.4})
     for _ in range(20):
         np.testing.assert_array_equal(seen["achieved_goal"], info["reading"][2:])
         seen, _, _, _, info = env.step(np.zeros(1, np.float32))
-    assert seen["achieved_goal"] == pytest.approx([0.02, 0.05]) and seen["desired_goal"][0] == info["goal"]
+    assert (
+        seen["achieved_goal"] == pytest.approx([0.02, 0.05])
+        and seen["desired_goal"][0] == info["goal"]
+    )
     # A measured rest counts as one.
     at_rest = env.compute_reward(seen["achieved_goal"], seen["achieved_goal"] - [0.0, 0.05], {})
     assert at_rest == pytest.approx(0.02 * 5.0)
@@ -91,7 +110,12 @@ def test_hindsight_replay_takes_the_native_batch():
         np.testing.assert_allclose(found, rewards, rtol=1e-6)
         np.testing.assert_array_equal(last["desired_goal"], before["desired_goal"])
     assert dones.all() and [info["episode"]["l"] for info in infos] == [40] * 4
-    buffer = {"replay_buffer_class": HerReplayBuffer, "replay_buffer_kwargs": {"copy_info_dict": True}}
-    model = SAC("MultiInputPolicy", env, learning_starts=160, batch_size=16, device="cpu", seed=0, **buffer)
+    buffer = {
+        "replay_buffer_class": HerReplayBuffer,
+        "replay_buffer_kwargs": {"copy_info_dict": True},
+    }
+    model = SAC(
+        "MultiInputPolicy", env, learning_starts=160, batch_size=16, device="cpu", seed=0, **buffer
+    )
     model.learn(176)
     assert model.replay_buffer.sample(64).rewards.shape == (64, 1)

@@ -1,4 +1,5 @@
-"""Estimates of M and mu from slip: accurate for exact physics, uncertain after jumps, constant in stick."""
+"""Estimates of M and mu from slip: accurate for exact physics, uncertain after jumps, constant in
+stick."""
 
 import math
 
@@ -25,7 +26,8 @@ SHOWN += [{"randomization": "real-wide", "stack_size": 2, "observe_parameters": 
 
 
 def states(M, mu, seconds=4.0, changes=(), capsule=CAPSULE):
-    """The states of a capsule under a torque that swings its pendulum, in float64: theta, theta', x'."""
+    """The states of a capsule under a torque that swings its pendulum, in float64: theta, theta',
+    x'."""
     env = CapsuleEnv(capsule=capsule)
     _, info = env.reset(seed=0, options={"M": M, "mu": mu, "changes": list(changes)})
     rows = [info["state"]]
@@ -40,8 +42,11 @@ def states(M, mu, seconds=4.0, changes=(), capsule=CAPSULE):
 
 
 def update(observations, memories, dt=CONTROL_DT):
-    """The estimates after theta, theta', x', .., shape (n, 4), and the filters of the law `gait`, (n, 9)."""
-    law = CoreLaw("gait", **gait_constants(), m=CAPSULE.m, l=CAPSULE.l, g=CAPSULE.g, lightest=0.3, dt=dt)
+    """The estimates after theta, theta', x', .., shape (n, 4), and the filters of the law `gait`,
+    (n, 9)."""
+    law = CoreLaw(
+        "gait", **gait_constants(), m=CAPSULE.m, l=CAPSULE.l, g=CAPSULE.g, lightest=0.3, dt=dt
+    )
     states, n = np.insert(observations[:, :3].astype(np.float64), 2, 0.0, axis=1), len(observations)
     _, memories = law.evaluate(states, memories, np.zeros((n, 2)))
     estimates = np.hstack([memories[:, 1:3], np.sqrt(np.maximum(0.0, memories[:, [3, 5]]))])
@@ -49,7 +54,8 @@ def update(observations, memories, dt=CONTROL_DT):
 
 
 def filtered(rows, memory=None):
-    """The estimates after each observation of theta, theta', x', shape (rows, 4), and the memories, (rows, 9)."""
+    """The estimates after each observation of theta, theta', x', shape (rows, 4), and the memories,
+    (rows, 9)."""
     found, memories = [], [np.zeros(9) if memory is None else memory]
     for row in np.float32(rows):
         estimates, (renewed,) = update(row[None], memories[-1][None])
@@ -91,7 +97,9 @@ def test_nothing_is_learnt_in_stick_and_where_it_turns(x_dot, next_x_dot):
     # The first pair may belong to a slip that began earlier.
     _, (one, next_one) = filtered(np.array([[0.1, 2.0, x_dot], [0.4, -3.0, next_x_dot]]), known)
     np.testing.assert_array_equal(next_one[1:6], one[1:6])
-    np.testing.assert_allclose(next_one[6:], (-3.0 * math.cos(0.4), -3.0 * math.sin(0.4), next_x_dot), rtol=1e-6)
+    np.testing.assert_allclose(
+        next_one[6:], (-3.0 * math.cos(0.4), -3.0 * math.sin(0.4), next_x_dot), rtol=1e-6
+    )
 
 
 @pytest.mark.parametrize("scale", [1.0, 30.0, 1e4])
@@ -110,25 +118,37 @@ def test_whatever_is_observed_the_estimates_stay_within_their_range(scale):
 @pytest.mark.parametrize("options", SHOWN)
 @pytest.mark.parametrize("count", [1, 70])
 def test_an_environment_shows_the_estimates_of_a_filter_of_its_observations(count, options):
-    env = CapsuleVectorEnv(count, max_episode_steps=40, autoreset_mode="SAME_STEP", observe_estimates=True, **options)
+    env = CapsuleVectorEnv(
+        count, max_episode_steps=40, autoreset_mode="SAME_STEP", observe_estimates=True, **options
+    )
     names = list(env.simulation.entries)
     first = names.index("M_estimate")
-    dt, rng, memory = env.simulation.options.control_dt, np.random.default_rng(count), np.zeros((count, 9))
+    dt, rng, memory = (
+        env.simulation.options.control_dt,
+        np.random.default_rng(count),
+        np.zeros((count, 9)),
+    )
     (observations, _), ends = env.reset(seed=2), 0
     for _ in range(150):
         estimates, memory = update(observations, memory, dt)
         np.testing.assert_array_equal(observations[:, first : first + 4], estimates)
         assert env.observation_space.contains(observations)
-        observations, _, terminated, truncated, _ = env.step(rng.uniform(-1.0, 1.0, (count, 1)).astype(np.float32))
+        observations, _, terminated, truncated, _ = env.step(
+            rng.uniform(-1.0, 1.0, (count, 1)).astype(np.float32)
+        )
         memory[terminated | truncated] = 0.0
         ends += (terminated | truncated).sum()
     assert ends >= 3 * count and (count == 1 or np.ptp(estimates[:, 0]) > 0.0)
 
 
-@pytest.mark.parametrize("options", [{"controller": "baselines:gait"}, {"task": "goal", "observe_parameters": True}])
+@pytest.mark.parametrize(
+    "options", [{"controller": "baselines:gait"}, {"task": "goal", "observe_parameters": True}]
+)
 def test_a_stack_holds_the_observations_of_the_steps_before(options):
     count, size = 3, 4
-    plain, stacked = (CapsuleVectorEnv(count, max_episode_steps=30, **options, stack_size=n) for n in (1, size))
+    plain, stacked = (
+        CapsuleVectorEnv(count, max_episode_steps=30, **options, stack_size=n) for n in (1, size)
+    )
     low, high = plain.single_observation_space.low, plain.single_observation_space.high
     np.testing.assert_array_equal(stacked.single_observation_space.low, np.tile(low, size))
     np.testing.assert_array_equal(stacked.single_observation_space.high, np.tile(high, size))

@@ -1,4 +1,5 @@
-"""The native batch: the same episodes as single environments bit for bit, autoreset, infos, threads."""
+"""The native batch: the same episodes as single environments bit for bit, autoreset, infos,
+threads."""
 
 import copy
 import gc
@@ -32,7 +33,12 @@ VARIANTS = [
     {"controller": "baselines:gait", "total_torque": True, "residual_limit": 0.5},
     {"disturbances": "real", "randomization": "real-wide"},
     {"task": "goal", "observe_estimates": True},
-    {"task": "velocity", "controller": "baselines:gait", "disturbances": "real", "observe_parameters": True},
+    {
+        "task": "velocity",
+        "controller": "baselines:gait",
+        "disturbances": "real",
+        "observe_parameters": True,
+    },
 ]
 
 
@@ -65,9 +71,13 @@ def assert_same_infos(ours, theirs, rows=slice(None)):
 @pytest.mark.parametrize(("n", "threads"), [(1, 1), (LANES + 2, 2)])
 def test_batch_equals_single_environments_across_resets(mode, kwargs, n, threads):
     horizon = 40
-    batch = CapsuleVectorEnv(n, max_episode_steps=horizon, autoreset_mode=mode.value, threads=threads, **kwargs)
+    batch = CapsuleVectorEnv(
+        n, max_episode_steps=horizon, autoreset_mode=mode.value, threads=threads, **kwargs
+    )
     # Gymnasium's own vectorisation of single environments is the reference for every convention.
-    single = partial(gym.make, ENV_ID, max_episode_steps=horizon, disable_env_checker=True, **kwargs)
+    single = partial(
+        gym.make, ENV_ID, max_episode_steps=horizon, disable_env_checker=True, **kwargs
+    )
     reference = SyncVectorEnv([lambda: WithMetrics(single())] * n, autoreset_mode=mode)
     rng = np.random.default_rng(1)
     a, b = batch.reset(seed=11), reference.reset(seed=11)
@@ -85,8 +95,15 @@ def test_batch_equals_single_environments_across_resets(mode, kwargs, n, threads
         rows = np.flatnonzero(ended).tolist()
         if rows and mode is AutoresetMode.SAME_STEP:
             assert np.array_equal(a[4]["_final_obs"], b[4]["_final_obs"])
-            assert np.stack(a[4]["final_obs"][rows]).tobytes() == np.stack(b[4]["final_obs"][rows]).tobytes()
-            assert {"state", "termination", "metrics", *terms} <= set(a[4]["final_info"]) <= set(b[4]["final_info"])
+            assert (
+                np.stack(a[4]["final_obs"][rows]).tobytes()
+                == np.stack(b[4]["final_obs"][rows]).tobytes()
+            )
+            assert (
+                {"state", "termination", "metrics", *terms}
+                <= set(a[4]["final_info"])
+                <= set(b[4]["final_info"])
+            )
             assert_same_infos(a[4]["final_info"], b[4]["final_info"], rows)
         elif rows:
             metrics = batch.episode_metrics()
@@ -107,7 +124,11 @@ def test_make_vec_gives_the_native_batch_whose_spec_says_its_time_limit(kwargs, 
     steps = kwargs.get("max_episode_steps", gym.spec(env_id).max_episode_steps)
     assert env.spec.max_episode_steps == env.unwrapped.max_episode_steps == steps
     again = gym.make_vec(type(env.spec).from_json(env.spec.to_json()))
-    assert (again.num_envs, again.unwrapped.max_episode_steps, again.spec.max_episode_steps) == (4, steps, steps)
+    assert (again.num_envs, again.unwrapped.max_episode_steps, again.spec.max_episode_steps) == (
+        4,
+        steps,
+        steps,
+    )
     assert CapsuleVectorEnv(2, **kwargs).spec is None
 
 
@@ -115,7 +136,12 @@ def test_make_vec_gives_the_native_batch_whose_spec_says_its_time_limit(kwargs, 
 def test_metrics_are_over_the_limit_that_acts(steps, limit):
     single = gym.make(GOAL, max_episode_steps=steps)
     batch = gym.make_vec(GOAL, num_envs=1, max_episode_steps=steps, autoreset_mode="DISABLED")
-    assert single.spec.max_episode_steps == batch.spec.max_episode_steps == batch.unwrapped.max_episode_steps == limit
+    assert (
+        single.spec.max_episode_steps
+        == batch.spec.max_episode_steps
+        == batch.unwrapped.max_episode_steps
+        == limit
+    )
     for env, action in ((single, np.ones(1)), (batch, np.ones((1, 1)))):
         env.reset(seed=0, options={"state": [1.5, 0.0, 0.0, 0.1]})
         while not env.step(action)[2]:
@@ -138,7 +164,9 @@ def test_a_mask_holds_for_the_seeds():
     expected = CapsuleVectorEnv(1, randomization="wide")
     expected.reset(seed=9)
     found = env.reset()[1]["M"]
-    assert found[0] == expected.reset()[1]["M"] and np.array_equal(found[1:], other.reset()[1]["M"][1:])
+    assert found[0] == expected.reset()[1]["M"] and np.array_equal(
+        found[1:], other.reset()[1]["M"][1:]
+    )
 
 
 @pytest.mark.parametrize("make", [gym.make, gym.make_vec])
@@ -150,17 +178,27 @@ def test_reading_the_generator_before_the_first_reset_leaves_the_draws_different
 def test_disabled_autoreset_stands_still_until_the_mask_names_it():
     env = CapsuleVectorEnv(3, max_episode_steps=50, autoreset_mode=AutoresetMode.DISABLED)
     states = np.array([[0.0, 0, 0, 0], [1.5, 5.0, 0, 0], [0.5, 0, 0, 0]])
-    env.reset(seed=0, options={"state": states, "changes": [[{"t": 0.02, "M": 0.6, "mu": 0.01}]] * 3})
+    env.reset(
+        seed=0, options={"state": states, "changes": [[{"t": 0.02, "M": 0.6, "mu": 0.01}]] * 3}
+    )
     _, _, terminated, _, info = env.step(np.zeros((3, 1), np.float32))
     assert terminated.tolist() == [False, True, False]
-    assert info["termination"].tolist() == [Termination.none, Termination.pendulum, Termination.none]
+    assert info["termination"].tolist() == [
+        Termination.none,
+        Termination.pendulum,
+        Termination.none,
+    ]
     assert info["_reward_progress"].all()
     metrics = env.episode_metrics()
     frozen = info["state"][1].copy()
     _, rewards, terminated, _, info = env.step(np.ones((3, 1), np.float32))
     assert terminated.tolist() == [False, True, False] and rewards[1] == 0.0
     assert info["_reward_progress"].tolist() == [True, False, True]
-    assert np.array_equal(info["state"][1], frozen) and (info["M"] == 0.6).tolist() == [True, False, True]
+    assert np.array_equal(info["state"][1], frozen) and (info["M"] == 0.6).tolist() == [
+        True,
+        False,
+        True,
+    ]
     assert all(values[1] == metrics[name][1] for name, values in env.episode_metrics().items())
     before = info["state"][[0, 2]].copy()
     mask = np.array([False, True, False])
@@ -174,13 +212,16 @@ def flat(value):
     """All values of nested infos, in bytes."""
     if isinstance(value, dict):
         return [entry for key in value for entry in (key, *flat(value[key]))]
-    if isinstance(value, (tuple, list)) or (isinstance(value, np.ndarray) and value.dtype == object):
+    if isinstance(value, (tuple, list)) or (
+        isinstance(value, np.ndarray) and value.dtype == object
+    ):
         return [entry for each in value if each is not None for entry in flat(each)]
     return [np.asarray(value).tobytes()]
 
 
 def play(env, seed, steps):
-    """The results of steps, and of the resets of a single environment between them, and the metrics, in bytes."""
+    """The results of steps, and of the resets of a single environment between them, and the
+    metrics, in bytes."""
     rng, seen = np.random.default_rng(seed), []
     for _ in range(steps):
         result = env.step(rng.uniform(-1.0, 1.0, env.action_space.shape).astype(np.float32))
@@ -208,12 +249,20 @@ def test_a_copy_goes_on_with_the_episodes_bit_for_bit_and_on_its_own(make_copy, 
         with pytest.raises(gym.error.ResetNeeded):
             each.unwrapped.step(np.zeros(env.action_space.shape, np.float32))
     changes = [{"t": 0.05, "M": 0.5, "mu": 0.01}, {"t": 0.9, "M": 0.6, "mu": 0.02}]
-    env.reset(seed=4, options={"changes": changes if isinstance(env, gym.Env) else [changes] * (LANES + 2)})
-    # A batch is copied just after its first episodes have ended, an environment in the middle of one, and the reverse.
+    env.reset(
+        seed=4,
+        options={"changes": changes if isinstance(env, gym.Env) else [changes] * (LANES + 2)},
+    )
+    # A batch is copied just after its first episodes have ended, an environment in the middle of
+    # one, and the reverse.
     for steps in (30, 60, 10):
         play(env, 0, steps)
         twin = make_copy(env)
-        assert (twin.spec, twin.metadata, twin.observation_space) == (env.spec, env.metadata, env.observation_space)
+        assert (twin.spec, twin.metadata, twin.observation_space) == (
+            env.spec,
+            env.metadata,
+            env.observation_space,
+        )
         twins, expected = (make_copy(twin), twin), play(env, 1, 70)
         for each in twins:
             assert play(each, 1, 70) == expected
@@ -224,7 +273,12 @@ def test_a_copy_goes_on_with_the_episodes_bit_for_bit_and_on_its_own(make_copy, 
 def test_options_per_environment_also_of_a_later_reset_apply_in_every_block():
     env = CapsuleVectorEnv(3)
     changes = [[], [{"t": 0.02, "M": 0.8, "mu": 0.3}], []]
-    options = {"M": np.array([0.5, 0.6, 0.7]), "mu": 0.05, "changes": changes, "state": [0.1, -0.2, 3.0, 0.0]}
+    options = {
+        "M": np.array([0.5, 0.6, 0.7]),
+        "mu": 0.05,
+        "changes": changes,
+        "state": [0.1, -0.2, 3.0, 0.0],
+    }
     _, info = env.reset(seed=0, options=options)
     assert info["state"].tolist() == [[0.1, -0.2, 3.0, 0.0]] * 3
     assert info["M"].tolist() == [0.5, 0.6, 0.7] and info["mu"].tolist() == [0.05] * 3
@@ -272,7 +326,9 @@ def test_one_environment_that_diverges_ends_alone(mode):
             info = found[4].get("final_info", found[4])
             assert found[2][lost].all() and not found[3].any() and (found[1][lost] == -10.0).all()
             assert (info["termination"][lost] == Termination.diverged).all()
-            assert (info["state"][lost] == states[lost]).all() and np.isfinite(info["normal_force"]).all()
+            assert (info["state"][lost] == states[lost]).all() and np.isfinite(
+                info["normal_force"]
+            ).all()
 
 
 def test_an_interrupted_step_waits_for_its_other_threads():
@@ -288,7 +344,8 @@ def digest(env):
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
-# From Python 3.12 on, fork warns that other threads may hold locks. The threads of this package are idle.
+# From Python 3.12 on, fork warns that other threads may hold locks. The threads of this package are
+# idle.
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_a_forked_process_steps_on():
     before = set(threading.enumerate())

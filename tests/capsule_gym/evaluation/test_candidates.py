@@ -30,13 +30,19 @@ def seeds(name_or_path):
 
 def test_policies_are_found_by_name_and_path(world):
     assert [c.name for c in all_candidates()] == ["adaptive", "bold", "learnt"]
-    assert find_candidate("learnt").description == "PPO, the whole torque, trained with randomization wide"
+    assert (
+        find_candidate("learnt").description
+        == "PPO, the whole torque, trained with randomization wide"
+    )
     folder = world / "checkpoints" / "learnt"
     for name in ("learnt", folder):
         assert seeds(name) == [2, 10]
     for name in ("learnt/seed-2", folder / "seed-2", folder / "seed-2" / "policy.safetensors"):
         assert seeds(name) == [2]
-    assert find_candidate("learnt/seed-2").name == "learnt/seed-2" and find_candidate("bold").trained == []
+    assert (
+        find_candidate("learnt/seed-2").name == "learnt/seed-2"
+        and find_candidate("bold").trained == []
+    )
 
 
 def test_unknown_policies_raise_an_error_that_lists_the_known_ones(world):
@@ -64,7 +70,9 @@ def test_malformed_checkpoints_raise_an_error(world):
         all_candidates()
     for seed in (2, 10):
         write_run(run.with_name(f"seed-{seed}"), seed, env_kwargs={"torque_limit": 1.0})
-    with pytest.raises(ValueError, match=r"must act under a torque_limit of 1\.5 N m as all others, got 1\.0"):
+    with pytest.raises(
+        ValueError, match=r"must act under a torque_limit of 1\.5 N m as all others, got 1\.0"
+    ):
         all_candidates()
 
 
@@ -88,7 +96,9 @@ def test_a_module_is_imported_only_if_trusted(tmp_path, monkeypatch):
                 find_candidate(name, trust=True)
         (tmp_path / "my_rules.py").write_text("import no_such_package")
         sys.modules.pop("my_rules")
-        with pytest.raises(ValueError, match="cannot be imported: No module named 'no_such_package'"):
+        with pytest.raises(
+            ValueError, match="cannot be imported: No module named 'no_such_package'"
+        ):
             find_candidate("my_rules:zero", trust=True)
     finally:
         sys.modules.pop("my_rules", None)
@@ -98,7 +108,9 @@ def test_a_module_is_imported_only_if_trusted(tmp_path, monkeypatch):
 def test_policies_of_this_project_stay_as_they_are():
     for policy in (make_policy(), Sine(0.3)):
         assert wrap_policy(policy) is policy
-        with pytest.raises(TypeError, match="env_kwargs must not be given with a policy that has its own"):
+        with pytest.raises(
+            TypeError, match="env_kwargs must not be given with a policy that has its own"
+        ):
             wrap_policy(policy, env_kwargs={})
 
 
@@ -117,10 +129,14 @@ def test_an_object_with_start_alone_is_a_policy():
 
 
 def test_a_model_of_stable_baselines3():
-    model = PPO("MlpPolicy", CapsuleSB3VecEnv(2, seed=0), n_steps=8, batch_size=16, seed=0, device="cpu")
+    model = PPO(
+        "MlpPolicy", CapsuleSB3VecEnv(2, seed=0), n_steps=8, batch_size=16, seed=0, device="cpu"
+    )
     assert wrap_policy(model).name == "PPO"
     episodes = evaluate(model, TINY, horizon=0.5)
-    by_hand = evaluate(lambda observations: model.predict(observations, deterministic=True)[0], TINY, horizon=0.5)
+    by_hand = evaluate(
+        lambda observations: model.predict(observations, deterministic=True)[0], TINY, horizon=0.5
+    )
     assert episodes == by_hand == evaluate(model.policy, TINY, horizon=0.5)
     assert episodes[0]["peak_torque"] > 0.0
 
@@ -159,4 +175,7 @@ def test_arguments_of_the_environment_come_from_the_caller_or_the_policy():
 
     assert wrap_policy(zero).name == "zero"
     evaluate(zero, TINY, env_kwargs={"observe_parameters": True, "control_dt": 0.1}, horizon=0.2)
-    assert shapes == [(3, 7)] * 2 and validation_set("none", "x", 0, 1, capsule_gym.Capsule(M=0.8)).plants[0].M == 0.8
+    assert (
+        shapes == [(3, 7)] * 2
+        and validation_set("none", "x", 0, 1, capsule_gym.Capsule(M=0.8)).plants[0].M == 0.8
+    )

@@ -3,7 +3,13 @@ import math
 import pytest
 
 from capsule_gym import Capsule, CapsuleVectorEnv
-from capsule_gym.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, TableMetric, evaluate, failures
+from capsule_gym.evaluation.episodes import (
+    SHARE_OF_OPTIMUM,
+    TABLE_METRICS,
+    TableMetric,
+    evaluate,
+    failures,
+)
 from capsule_gym.evaluation.optimum import optimal_speed
 from capsule_gym.evaluation.sets import parse_set
 from capsule_gym.tasks.task import METRICS
@@ -42,7 +48,9 @@ def test_episodes_start_at_the_angle_of_the_set_and_end_early_where_they_fail():
     episodes = evaluate(Sine(1.5, period=10.0), TINY, horizon=4.0)
     assert failures(episodes) == 3
     for episode in episodes:
-        assert episode["duration"] < 1.0 and episode["mean_speed"] == pytest.approx(100.0 * episode["distance"] / 4.0)
+        assert episode["duration"] < 1.0 and episode["mean_speed"] == pytest.approx(
+            100.0 * episode["distance"] / 4.0
+        )
 
 
 def test_training_settings_do_not_change_the_episodes():
@@ -52,10 +60,16 @@ def test_training_settings_do_not_change_the_episodes():
     assert evaluate(Sine(0.3, env_kwargs=kwargs), TINY, horizon=1.0) == plain
     # Nor does an observation of M and mu that the environment shows of no plant by default.
     change, shows = {"t": 0.1, "M": 4.0, "mu": 2.0}, {"observe_parameters": True}
-    heavy = parse_set({"name": "x", "plants": [{"M": 3.0, "mu": 1.5, "seed": 0, "changes": [change]}]})
-    assert evaluate(Sine(0.3, env_kwargs=shows), heavy, horizon=0.2) == evaluate(Sine(0.3), heavy, horizon=0.2)
+    heavy = parse_set(
+        {"name": "x", "plants": [{"M": 3.0, "mu": 1.5, "seed": 0, "changes": [change]}]}
+    )
+    assert evaluate(Sine(0.3, env_kwargs=shows), heavy, horizon=0.2) == evaluate(
+        Sine(0.3), heavy, horizon=0.2
+    )
     # The policy determines the control interval; the duration of the episode stays the same.
-    assert evaluate(Sine(0.3, env_kwargs={"control_dt": 0.01}), TINY, horizon=1.0)[0]["duration"] == pytest.approx(1.0)
+    assert evaluate(Sine(0.3, env_kwargs={"control_dt": 0.01}), TINY, horizon=1.0)[0][
+        "duration"
+    ] == pytest.approx(1.0)
 
 
 def test_shares_of_the_optimum_stand_where_it_is_known():
@@ -63,11 +77,15 @@ def test_shares_of_the_optimum_stand_where_it_is_known():
     content = {"name": "x", "plants": [known]}
     (episode,) = evaluate(Sine(0.3), parse_set(content), horizon=0.2)
     assert episode["share_of_optimum"] == episode["mean_speed"] / optimal_speed(0.5, 0.01)
-    (episode,) = evaluate(Sine(0.3, env_kwargs={"torque_limit": 1.0}), parse_set(content), horizon=0.2)
+    (episode,) = evaluate(
+        Sine(0.3, env_kwargs={"torque_limit": 1.0}), parse_set(content), horizon=0.2
+    )
     assert "share_of_optimum" not in episode
     for change in ({"mu": 0.6}, {"theta": 0.0}, {"changes": [{"t": 0.3, "M": 0.5, "mu": 0.02}]}):
         unknown = parse_set({"name": "x", "plants": [known, known | change]})
-        assert not any("share_of_optimum" in each for each in evaluate(Sine(0.3), unknown, horizon=0.02))
+        assert not any(
+            "share_of_optimum" in each for each in evaluate(Sine(0.3), unknown, horizon=0.02)
+        )
 
 
 def test_numbers_in_tables():
@@ -80,12 +98,26 @@ def test_numbers_in_tables():
 
 
 def test_a_set_says_which_capsule_its_episodes_have():
-    content = {"name": "x", "task": "goal", "plants": [{"M": 0.5, "mu": 0.2, "seed": 0, "goal": 0.3}]}
+    content = {
+        "name": "x",
+        "task": "goal",
+        "plants": [{"M": 0.5, "mu": 0.2, "seed": 0, "goal": 0.3}],
+    }
     capsules = {"task": None, "nominal": Capsule(), "sticky": Capsule(static_ratio=1.3)}
-    kwargs = {name: {"task": "goal"} | ({"capsule": capsule} if capsule else {}) for name, capsule in capsules.items()}
+    kwargs = {
+        name: {"task": "goal"} | ({"capsule": capsule} if capsule else {})
+        for name, capsule in capsules.items()
+    }
     found = [
-        [evaluate(Sine(0.6, env_kwargs=own), parse_set(chosen), horizon=2.0) for own in kwargs.values()]
-        for chosen in (content, {**content, "capsule": {"static_ratio": 1.3}}, {**content, "capsule": {}})
+        [
+            evaluate(Sine(0.6, env_kwargs=own), parse_set(chosen), horizon=2.0)
+            for own in kwargs.values()
+        ]
+        for chosen in (
+            content,
+            {**content, "capsule": {"static_ratio": 1.3}},
+            {**content, "capsule": {}},
+        )
     ]
     of_task, sticky, nominal = (each[0] for each in found)
     assert all(each == first for first, *others in found for each in others)

@@ -8,13 +8,24 @@ from capsule_gym.evaluation.sets import FOLDER, TASK_SET_NAMES, load_set, parse_
 
 def test_hash_ignores_layout_and_integers_for_floats(tmp_path):
     content = load_set("drift").to_dict()
-    reordered = {"plants": [dict(reversed(plant.items())) for plant in content["plants"]], "name": content["name"]}
+    reordered = {
+        "plants": [dict(reversed(plant.items())) for plant in content["plants"]],
+        "name": content["name"],
+    }
     path = tmp_path / "same.json"
     path.write_text(json.dumps(reordered))
     assert load_set(path).hash == load_set("drift").hash
     one = parse_set({"name": "x", "plants": [{"M": 1, "mu": 0.1, "seed": 0}]})
-    assert one.hash == parse_set({"name": "x", "plants": [{"M": 1.0, "mu": 0.1, "seed": 0, "changes": []}]}).hash
-    assert one.hash != parse_set({"name": "x", "plants": [{"M": 1.0, "mu": 0.1, "seed": 2**128 - 1}]}).hash
+    assert (
+        one.hash
+        == parse_set(
+            {"name": "x", "plants": [{"M": 1.0, "mu": 0.1, "seed": 0, "changes": []}]}
+        ).hash
+    )
+    assert (
+        one.hash
+        != parse_set({"name": "x", "plants": [{"M": 1.0, "mu": 0.1, "seed": 2**128 - 1}]}).hash
+    )
 
 
 def test_an_empty_capsule_is_none():
@@ -34,16 +45,37 @@ def plant(**fields):
 ONE_GOAL = {"name": "x", "task": "goal", "plants": [*plant()["plants"], *plant(goal=0.1)["plants"]]}
 EARLY, LATE = (plant(changes=[{"t": t, "M": 0.5, "mu": 0.01}]) for t in (0.0, 33.0))
 MALFORMED = [
-    ([], r"set must be an object with the fields name, plants and optionally .*disturbances, got \[\]"),
-    (plant(M="heavy"), r"set.plants\[0\]: M must be a finite number from 1e-12 to 1e\+12, got 'heavy'"),
+    (
+        [],
+        r"set must be an object with the fields name, plants and optionally .*disturbances, got \[\]",
+    ),
+    (
+        plant(M="heavy"),
+        r"set.plants\[0\]: M must be a finite number from 1e-12 to 1e\+12, got 'heavy'",
+    ),
     (plant(theta=1.58), r"theta must be an angle in rad within 1\.571 of 0, got 1\.58"),
-    (plant(capsule={"weight": 1.0}), r"\[0\].capsule must be an object with the fields m, l, .*, got .*weight"),
-    (plant(colour="red"), "fields M, mu, seed and optionally theta, changes, capsule, got .*colour"),
-    ({**plant(goal=2e6), "task": "goal"}, r"\[0\].goal must be a number of m within 1e\+06 of 0, got 2000000.0"),
+    (
+        plant(capsule={"weight": 1.0}),
+        r"\[0\].capsule must be an object with the fields m, l, .*, got .*weight",
+    ),
+    (
+        plant(colour="red"),
+        "fields M, mu, seed and optionally theta, changes, capsule, got .*colour",
+    ),
+    (
+        {**plant(goal=2e6), "task": "goal"},
+        r"\[0\].goal must be a number of m within 1e\+06 of 0, got 2000000.0",
+    ),
     (ONE_GOAL, "set.plants must have a goal each, or none must have one"),
-    ({**plant(), "capsule": {"weight": 1.0}}, "set.capsule must have fields out of .*mu.*, got .*weight"),
+    (
+        {**plant(), "capsule": {"weight": 1.0}},
+        "set.capsule must have fields out of .*mu.*, got .*weight",
+    ),
     ("[" * 100_000, r"bad\.json is not an evaluation set: "),
-    ({**ONE_GOAL, "plants": [*plant()["plants"], *plant(capsule={"l": 0.3})["plants"]]}, "must each have a capsule"),
+    (
+        {**ONE_GOAL, "plants": [*plant()["plants"], *plant(capsule={"l": 0.3})["plants"]]},
+        "must each have a capsule",
+    ),
     (plant(seed=2**128), r"\[0\].seed must be an integer in \[0, 2\*\*128\), got 3402823669"),
     (EARLY, r"changes\[0\]\['t'\] must be a number of seconds within \(0, 33\).*got 0.0"),
     (LATE, r"changes\[0\]\['t'\] must be a number of seconds within \(0, 33\).*got 33.0"),
@@ -59,7 +91,8 @@ def test_malformed_sets_name_the_field_and_what_is_accepted(tmp_path, content, m
     assert str(path) in str(caught.value)
 
 
-# The sets are frozen: a changed hash makes every published result incomparable. Add a set under a new name instead.
+# The sets are frozen: a changed hash makes every published result incomparable. Add a set under a
+# new name instead.
 HASHES = {
     "nominal": "175e0d05f0d7", "paper": "0c2b967613ff", "wide": "320467521a65", "extrapolation": "d16be15d7b3e",
     "drift": "f5da17a7f7a4", "sticky": "424bf16c03a5", "sticky-2": "b790fab4e287", "sticky-3": "d1c2c4de4dcc",

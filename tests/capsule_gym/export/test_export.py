@@ -1,4 +1,5 @@
-"""Exported policies and laws: the bits of the package in double, small errors in float, on a Cortex-M4, and in ONNX."""
+"""Exported policies and laws: the bits of the package in double, small errors in float, on a
+Cortex-M4, and in ONNX."""
 
 import ctypes
 import os
@@ -22,13 +23,28 @@ from capsule_gym.export.exported import Exported
 from capsule_gym.tasks.registry import find_task
 from tests import ROOT
 
-POLICIES = ("direct-ppo", "direct-sac", "goal", "residual-real", "direct-real", "velocity", "dp-distilled-wide")
-ARGUMENTS = ("residual-ppo", "dp-distilled-wide", "goal --float", "residual-real --law --float", "baselines:gait")
+POLICIES = (
+    "direct-ppo",
+    "direct-sac",
+    "goal",
+    "residual-real",
+    "direct-real",
+    "velocity",
+    "dp-distilled-wide",
+)
+ARGUMENTS = (
+    "residual-ppo",
+    "dp-distilled-wide",
+    "goal --float",
+    "residual-real --law --float",
+    "baselines:gait",
+)
 C99 = ("-std=c99", "-Wall", "-Wextra", "-Werror")
 M4 = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "--specs=rdimon.specs")
 START, VECTORS = Path(__file__).with_name("mps2.c"), "-Wl,--section-start=.vectors=0"
 QEMU = ("qemu-system-arm", "-M", "mps2-an386", "-nographic", "-semihosting")
-# Many calls at a time, those of a law one after another; a state is theta, theta_dot, x, x_dot and the goal or command.
+# Many calls at a time, those of a law one after another; a state is theta, theta_dot, x, x_dot and
+# the goal or command.
 HARNESS = """
 #include "NAME.h"
 #ifdef POLICY
@@ -48,7 +64,8 @@ void law(int n, const double *s, double *torques) {
 }
 #endif
 """
-# An action and a call of the law on a Cortex-M4 with a clock of 25 MHz, at one instruction per nanosecond.
+# An action and a call of the law on a Cortex-M4 with a clock of 25 MHz, at one instruction per
+# nanosecond.
 COUNT = """
 #include "policy.h"
 #include <stdio.h>
@@ -75,12 +92,16 @@ int main(void) {
 }
 #endif
 """
-pytestmark = pytest.mark.skipif(shutil.which("gcc") is None and "CI" not in os.environ, reason="needs gcc")
+pytestmark = pytest.mark.skipif(
+    shutil.which("gcc") is None and "CI" not in os.environ, reason="needs gcc"
+)
 
 
 def run(*command):
     """The output of a program that must end without an error."""
-    result = subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=300, check=False)
+    result = subprocess.run(
+        [str(word) for word in command], capture_output=True, text=True, timeout=300, check=False
+    )
     assert result.returncode == 0, result.stdout + result.stderr
     return result.stdout
 
@@ -92,11 +113,22 @@ def library(tmp_path_factory):
     def compile_library(name, single):
         exported, folder = Exported(name), tmp_path_factory.mktemp("library")
         (folder / f"{exported.name}.h").write_text(exported.c(single=single))
-        task = {"goal": "r.goal = s[4];", "velocity": "r.command = s[4];"}.get(exported.task.name, "")
+        task = {"goal": "r.goal = s[4];", "velocity": "r.command = s[4];"}.get(
+            exported.task.name, ""
+        )
         source = HARNESS.replace("NAME", exported.name).replace("TASK", task)
         (folder / "harness.c").write_text(("#define POLICY\n" if exported.policy else "") + source)
         # With the processor's fused instruction; `test_program` has none.
-        words = ("-O2", "-march=native", "-fPIC", "-shared", folder / "harness.c", "-o", folder / "library.so", "-lm")
+        words = (
+            "-O2",
+            "-march=native",
+            "-fPIC",
+            "-shared",
+            folder / "harness.c",
+            "-o",
+            folder / "library.so",
+            "-lm",
+        )
         run("gcc", *C99, *words)
         return ctypes.CDLL(str(folder / "library.so"))
 
@@ -112,7 +144,8 @@ def call(function, given, dtype):
 
 @pytest.fixture(scope="module", params=POLICIES)
 def observed(request):
-    """A policy's actions on 10,000 observations of 100 plants, on the way of actions of which a tenth are random."""
+    """A policy's actions on 10,000 observations of 100 plants, on the way of actions of which a
+    tenth are random."""
     policy, rng = load_policy(request.param), np.random.default_rng(20)
     env = CapsuleVectorEnv(100, **policy.env_kwargs)
     observation, _ = env.reset(seed=7_000)
@@ -128,7 +161,9 @@ def observed(request):
 @pytest.mark.parametrize("single", [False, True])
 def test_c_network(observed, library, single):
     act = library(observed.policy.name, single).act
-    errors = np.abs(np.array([call(act, each, np.float32) for each in observed.observations]) - observed.actions)
+    errors = np.abs(
+        np.array([call(act, each, np.float32) for each in observed.observations]) - observed.actions
+    )
     print(f"{observed.policy.name}, C99 in {'float' if single else 'double'}: {errors.max():.2g}")
     assert errors.max() <= (1e-5 if single else 0.0)
 
@@ -137,8 +172,13 @@ def test_c_network(observed, library, single):
 def test_float_does_not_change_the_speed(library, name):
     policy, plants, act = load_policy(name), load_set("paper"), library(name, True).act
     single = wrap_policy(lambda seen: call(act, seen, np.float32), env_kwargs=policy.env_kwargs)
-    speeds = [[each["mean_speed"] for each in evaluate(act, plants, horizon=8.0)] for act in (policy, single)]
-    assert np.mean(speeds[0]) > 10.0 and np.mean(speeds[1]) == pytest.approx(np.mean(speeds[0]), abs=1e-3)
+    speeds = [
+        [each["mean_speed"] for each in evaluate(act, plants, horizon=8.0)]
+        for act in (policy, single)
+    ]
+    assert np.mean(speeds[0]) > 10.0 and np.mean(speeds[1]) == pytest.approx(
+        np.mean(speeds[0]), abs=1e-3
+    )
 
 
 @pytest.mark.parametrize("single", [False, True])
@@ -162,9 +202,16 @@ def test_c_law(library, name):
     states[:4] += rng.normal(size=(4, n)) * [[0.05], [0.5], [0.01], [0.05]]
     states[3, rng.random(n) < 0.3] = 0.0
     states[2, 1000:2000] = 0.3 + 0.02 * rng.normal(size=1000)
-    found, controller = call(library(f"baselines:{name}", False).law, states.T, float)[:, 0], exported.law
+    found, controller = (
+        call(library(f"baselines:{name}", False).law, states.T, float)[:, 0],
+        exported.law,
+    )
     start = {"goal": 0.3, "command": 0.3, "target": states[2, 0]}
-    own = tuple(start.get(field, 0.0) for field in find_task(controller.task).fields) if controller.task else ()
+    own = (
+        tuple(start.get(field, 0.0) for field in find_task(controller.task).fields)
+        if controller.task
+        else ()
+    )
     memory = controller.memory
     for i, given in enumerate(states.T):
         row = (*controller.reference[i % len(controller.reference)], *own)
@@ -192,8 +239,14 @@ def test_program(tmp_path, target, arguments):
 
 def test_program_of_a_law_that_observes_a_moving_target(tmp_path):
     options = {"task": "velocity", "controller": "baselines:velocity_pulses", "control_dt": 0.1}
-    parts = {"layers": ((np.full((1, 14), 0.01, np.float32), np.zeros(1, np.float32)),), "mean": np.zeros(14)}
-    parts |= {"variance": np.ones(14), "env_kwargs": {**options, "disturbances": Disturbances(controls="law")}}
+    parts = {
+        "layers": ((np.full((1, 14), 0.01, np.float32), np.zeros(1, np.float32)),),
+        "mean": np.zeros(14),
+    }
+    parts |= {
+        "variance": np.ones(14),
+        "env_kwargs": {**options, "disturbances": Disturbances(controls="law")},
+    }
     replace(load_policy("velocity"), **parts).save(tmp_path / "policy.safetensors")
     assert main([str(tmp_path), "--law", "--c", str(tmp_path / "policy.h")]) == 0
     run("gcc", *C99, tmp_path / "policy_test.c", "-o", tmp_path / "program", "-lm")
@@ -204,14 +257,19 @@ def test_loop_of_the_page(tmp_path):
     """The C of docs/export.md moves the motor."""
     page = (ROOT / "docs" / "export.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"```c\n(.*?)```", page, re.DOTALL)
-    main = "int main(void) { float s[4] = {-1}; return !(rig_step(s) > 1 && rig_step(s) <= 1.5f); }\n"
+    main = (
+        "int main(void) { float s[4] = {-1}; return !(rig_step(s) > 1 && rig_step(s) <= 1.5f); }\n"
+    )
     (tmp_path / "policy.h").write_text(Exported("residual-real", True).c(single=True))
     (tmp_path / "rig.c").write_text(code + main)
     run("gcc", *C99, tmp_path / "rig.c", "-o", tmp_path / "rig", "-lm")
     run(tmp_path / "rig")
 
 
-@pytest.mark.skipif(shutil.which("qemu-system-arm") is None and "CI" not in os.environ, reason="needs qemu-system-arm")
+@pytest.mark.skipif(
+    shutil.which("qemu-system-arm") is None and "CI" not in os.environ,
+    reason="needs qemu-system-arm",
+)
 def test_size_and_time_on_a_cortex_m4(tmp_path):
     """A policy of 64 x 64 units with its law, in float."""
     (tmp_path / "policy.h").write_text(Exported("residual-real", True).c(single=True))

@@ -13,7 +13,10 @@ BATCH = 64
 def make_layers(widths, seed=0):
     rng = np.random.default_rng(seed)
     return [
-        tuple(rng.normal(0.0, *size).astype(np.float32) for size in ((1.0 / np.sqrt(i), (o, i)), (0.3, o)))
+        tuple(
+            rng.normal(0.0, *size).astype(np.float32)
+            for size in ((1.0 / np.sqrt(i), (o, i)), (0.3, o))
+        )
         for i, o in pairwise(widths)
     ]
 
@@ -36,10 +39,16 @@ def expected(layers, observations, mean, scale, clip, relu, tanh_squashing):
 
 @pytest.mark.parametrize("relu", [False, True], ids=["tanh", "relu"])
 @pytest.mark.parametrize("tanh_squashing", [False, True], ids=["clipped", "squashed"])
-@pytest.mark.parametrize("widths", [(10, 64, 64, 1), (12, 1), (3, 7, 1), (5, 1, 130, 3, 1)], ids=str)
+@pytest.mark.parametrize(
+    "widths", [(10, 64, 64, 1), (12, 1), (3, 7, 1), (5, 1, 130, 3, 1)], ids=str
+)
 def test_it_computes_what_numpy_does(widths, relu, tanh_squashing):
     rng = np.random.default_rng(1)
-    layers, mean, scale = make_layers(widths), rng.normal(size=widths[0]), rng.uniform(0.2, 3.0, widths[0])
+    layers, mean, scale = (
+        make_layers(widths),
+        rng.normal(size=widths[0]),
+        rng.uniform(0.2, 3.0, widths[0]),
+    )
     packed = pack(layers, mean, scale, clip=2.5, relu=relu, tanh_squashing=tanh_squashing)
     observations = rng.normal(0.0, 2.0, (2 * BATCH + 5, widths[0])).astype(np.float32)
     actions = act(packed, observations)
@@ -48,10 +57,14 @@ def test_it_computes_what_numpy_does(widths, relu, tanh_squashing):
     np.testing.assert_allclose(actions, exact, rtol=6.1e-8, atol=1e-13)
     assert np.unique(actions).size > 20
     assert (np.abs(actions) <= 1.0).all()
-    # The action of a row is the same alone and in any batch, also next to a row that is not a number.
+    # The action of a row is the same alone and in any batch, also next to a row that is not a
+    # number.
     for n in (1, 2, 3, 4, 5, 8, 33, BATCH - 1, BATCH, BATCH + 1):
         for first in (0, 1, 37):
-            assert act(packed, observations[first : first + n]).tobytes() == actions[first : first + n].tobytes()
+            assert (
+                act(packed, observations[first : first + n]).tobytes()
+                == actions[first : first + n].tobytes()
+            )
     observations[7, 2] = np.nan
     broken = act(packed, observations)
     assert np.isnan(broken[7]) and np.delete(broken, 7).tobytes() == np.delete(actions, 7).tobytes()

@@ -14,7 +14,9 @@ from tests.capsule_gym.policies.test_policy import make_policy
 
 def begun(policy, n, changes=None, **kwargs):
     """A batch at the start of its episodes, without autoreset."""
-    env = CapsuleVectorEnv(n, autoreset_mode="DISABLED", max_episode_steps=10_000, **{**policy.env_kwargs, **kwargs})
+    env = CapsuleVectorEnv(
+        n, autoreset_mode="DISABLED", max_episode_steps=10_000, **{**policy.env_kwargs, **kwargs}
+    )
     observations, _ = env.reset(seed=3, options={} if changes is None else {"changes": changes})
     return env, observations
 
@@ -36,21 +38,37 @@ def assert_same(one, other, rows=None):
 
 
 def jumps(n):
-    """Four, none, one or three jumps of M and mu: between steps, on a step, two in one step, and one after the end."""
+    """Four, none, one or three jumps of M and mu: between steps, on a step, two in one step, and
+    one after the end."""
     one = [{"t": 0.3, "M": 0.6, "mu": 0.1}]
-    three = [{"t": 0.505, "M": 0.4, "mu": 0.02}, {"t": 0.51, "M": 0.7, "mu": 0.05}, {"t": 1.9, "M": 0.5, "mu": 0.2}]
+    three = [
+        {"t": 0.505, "M": 0.4, "mu": 0.02},
+        {"t": 0.51, "M": 0.7, "mu": 0.05},
+        {"t": 1.9, "M": 0.5, "mu": 0.2},
+    ]
     return [([*three, {"t": 50.0, "M": 0.5, "mu": 0.01}], [], one, three)[i % 4] for i in range(n)]
 
 
 def on_a_law():
     """A policy that observes estimates of M and mu on a law, and pumps with all of them."""
-    weights = np.array([[-1.0, 0.07, 0.02, 0.0, 0.01, *[0.0] * 5, 0.4, 0.05, 0.3, -0.02]], np.float32)
-    env_kwargs = {"observe_estimates": True, "controller": "baselines:adaptive", "residual_limit": 3.0}
+    weights = np.array(
+        [[-1.0, 0.07, 0.02, 0.0, 0.01, *[0.0] * 5, 0.4, 0.05, 0.3, -0.02]], np.float32
+    )
+    env_kwargs = {
+        "observe_estimates": True,
+        "controller": "baselines:adaptive",
+        "residual_limit": 3.0,
+    }
     layers = ((weights, np.full(1, 0.1, np.float32)),)
-    return make_policy(layers=layers, mean=np.zeros(14), variance=np.ones(14), env_kwargs=env_kwargs)
+    return make_policy(
+        layers=layers, mean=np.zeros(14), variance=np.ones(14), env_kwargs=env_kwargs
+    )
 
 
-PRETRAINED = [partial(load_policy, name) for name in ("direct-ppo", "direct-sac", "residual-ppo", "dp-distilled-wide")]
+PRETRAINED = [
+    partial(load_policy, name)
+    for name in ("direct-ppo", "direct-sac", "residual-ppo", "dp-distilled-wide")
+]
 
 
 @pytest.mark.parametrize("n", [1, 2 * LANES + 3])
@@ -67,7 +85,12 @@ def test_a_rollout_gives_the_bits_of_a_loop_in_python_and_of_environments_alone(
     assert_same(looped.simulation, rolled.simulation, EPISODE_ROWS)
     # The platform moves, so that the filter can estimate M and mu, which have changed.
     assert np.median(metrics["distance"] + metrics["backward_ratio"]) > 0.01
-    assert n == 1 or len(set(rolled.simulation.row(Row.mu)[1:5])) == len(set(rolled.simulation.row(Row.M)[1:5])) > 1
+    assert (
+        n == 1
+        or len(set(rolled.simulation.row(Row.mu)[1:5]))
+        == len(set(rolled.simulation.row(Row.M)[1:5]))
+        > 1
+    )
     for i in {0, n // 2, n - 1}:
         alone = CapsuleEnv(**policy.env_kwargs)
         observation, _ = alone.reset(seed=3 + i, options={"changes": jumps(n)[i]})

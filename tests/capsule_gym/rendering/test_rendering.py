@@ -25,13 +25,22 @@ def frame(capsule=None, **changes):
     return pixels
 
 
-# Frames in blocks of pixels: `python -m tests.capsule_gym.rendering.test_rendering` draws the picture anew.
+# Frames in blocks of pixels: `python -m tests.capsule_gym.rendering.test_rendering` draws the
+# picture anew.
 EXPECTED = Path(__file__).with_name("frames.png")
 BLOCK = 6
 SCENES = (
     {},
     {"theta": -0.7, "torque": 1.1, "x_dot": 0.35, "ghost": ("rival", 0.9, 0.45)},
-    {"capsule": Capsule(l=0.39), "theta": 1.2, "torque": -0.2, "x_dot": -0.05, "x": -0.31, "mu": 0.3, "M": 0.75},
+    {
+        "capsule": Capsule(l=0.39),
+        "theta": 1.2,
+        "torque": -0.2,
+        "x_dot": -0.05,
+        "x": -0.31,
+        "mu": 0.3,
+        "M": 0.75,
+    },
 )
 
 
@@ -42,7 +51,9 @@ def draw_scenes():
         pixels = frame(**scene)
         assert pixels.shape == (HEIGHT, WIDTH, 3) and pixels.dtype == np.uint8
         assert pixels.flags.c_contiguous and pixels.flags.writeable
-        drawn.append(pixels.reshape(HEIGHT // BLOCK, BLOCK, WIDTH // BLOCK, BLOCK, 3).mean(axis=(1, 3)))
+        drawn.append(
+            pixels.reshape(HEIGHT // BLOCK, BLOCK, WIDTH // BLOCK, BLOCK, 3).mean(axis=(1, 3))
+        )
     return np.concatenate(drawn)
 
 
@@ -53,7 +64,9 @@ def test_the_frames_are_those_that_were_looked_at_and_hold_nothing_of_those_befo
     # Another version of the font moves its edges by a fraction of a pixel.
     np.testing.assert_allclose(drawn, expected, atol=8.0)
     # Robot, grid and ruler of the scenes without a rival have no text.
-    scenes = (each.reshape(len(SCENES), -1, *expected.shape[1:])[::2, 22:65] for each in (drawn, expected))
+    scenes = (
+        each.reshape(len(SCENES), -1, *expected.shape[1:])[::2, 22:65] for each in (drawn, expected)
+    )
     np.testing.assert_allclose(*scenes, atol=1.0)
     renderer, rng = Renderer(Capsule(), "rgb_array", 50, 1.5), np.random.default_rng(0)
     for n in range(24):
@@ -80,7 +93,9 @@ changed = {name for name in os.environ if os.environ[name] != before.get(name)}
 assert changed <= {"PYGAME_HIDE_SUPPORT_PROMPT"}, changed
 renderer.close()
 """
-    done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout == "" and done.stderr == ""
 

@@ -1,4 +1,5 @@
-"""The adaptive law (37) to (39): every term compared with the paper's equations and the plant's, and tracking."""
+"""The adaptive law (37) to (39): every term compared with the paper's equations and the plant's,
+and tracking."""
 
 import math
 
@@ -27,7 +28,9 @@ FORMS = {"regularised": REGULARISED, "unregularised": UNREGULARISED}
 def some_constants(choices=REGULARISED, *, contact="newton", dt=1e-3, **changes):
     """A nominal plant, and the law's constants with some of the choices changed."""
     plant = Capsule(M=0.47, mu=0.013, normal_force=contact).plant()
-    return plant, constants_of(GAINS, choices._replace(**changes), plant, reference_table(PROPOSED, plant), dt)
+    return plant, constants_of(
+        GAINS, choices._replace(**changes), plant, reference_table(PROPOSED, plant), dt
+    )
 
 
 def draw(rng, *, n=1):
@@ -36,11 +39,16 @@ def draw(rng, *, n=1):
     x_dot = rng.choice([-1.0, 1.0]) * rng.uniform(0.05, 0.4)
     root = rng.uniform(0.2, 3.0) ** (1.0 / (2 * n + 1))
     reference = (*(rng.uniform(-1.0, 1.0, 6) * [1.0, 4.0, 4.0, 0.3, 0.3, 3.0]).tolist(), 0.0)
-    return (theta, theta_dot, x, x_dot), (*rng.uniform(0.1, 1.0, 9).tolist(), root, rng.uniform(-0.1, 0.1)), reference
+    return (
+        (theta, theta_dot, x, x_dot),
+        (*rng.uniform(0.1, 1.0, 9).tolist(), root, rng.uniform(-0.1, 0.1)),
+        reference,
+    )
 
 
 def printed(state, memory, reference, p, choices):
-    """The torque and the rates of the estimates and the root of eta: (37) to (39) in matrices, corrected."""
+    """The torque and the rates of the estimates and the root of eta: (37) to (39) in matrices,
+    corrected."""
     gains, width, n = GAINS, choices.saturation_width, choices.n
     q, q_dot = np.array([state[0], state[2]]), np.array([state[1], state[3]])
     q_d, q_d_dot, q_d_ddot = (np.array([reference[i], reference[i + 3]]) for i in range(3))
@@ -54,18 +62,28 @@ def printed(state, memory, reference, p, choices):
     N = max(0.0, (p.M + p.m) * p.g - p.m * p.l * (q_d_ddot[0] * s + q_dot[0] ** 2 * c) - spring)
     Y_theta = np.array([rho_dot[0], -c * rho_dot[1], q[0], q_dot[0], -s])
     Y_x = np.array([-c * rho_dot[0], rho_dot[1], N * np.sign(q_dot[1]), s * q_dot[0] * rho[0]])
-    alpha_theta, alpha_x, eta = np.array(memory[:5]), np.array(memory[5:9]), memory[9] ** (2 * n + 1)
+    alpha_theta, alpha_x, eta = (
+        np.array(memory[:5]),
+        np.array(memory[5:9]),
+        memory[9] ** (2 * n + 1),
+    )
     d, dx = delta
     w = dx * (Y_x @ alpha_x)
     denominator = d**2 + choices.beta
     sgn = np.sign(d) if width == 0.0 else np.clip(d / width, -1.0, 1.0)
     T_c = Y_theta @ alpha_theta - gains.K1 * d
     T_n = -sgn * abs(dx) * abs(eta) - gains.K2 * sgn * abs(dx)
-    T_n += -(eta + 1.0) * d * dx * gains.K3 * dx / denominator - (eta - 1.0) * d * abs(w) / denominator
+    T_n += (
+        -(eta + 1.0) * d * dx * gains.K3 * dx / denominator - (eta - 1.0) * d * abs(w) / denominator
+    )
     eta_dot = eta ** ((2 * n + 2) / (2 * n + 1)) * d**2 / denominator * (gains.K3 * dx**2 + abs(w))
     # r = eta^(1 / (2n + 1)), hence r' = eta' / ((2n + 1) r^(2n)).
     root_rate = eta_dot / ((2 * n + 1) * memory[9] ** (2 * n))
-    return T_c + T_n, np.concatenate([-gains.Gamma_1 * Y_theta * d, -gains.Gamma_2 * Y_x * dx]), root_rate
+    return (
+        T_c + T_n,
+        np.concatenate([-gains.Gamma_1 * Y_theta * d, -gains.Gamma_2 * Y_x * dx]),
+        root_rate,
+    )
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -99,7 +117,9 @@ def test_every_term_and_the_euler_step_are_the_papers(form, n, contact):
         expected, alpha_dot, root_rate = printed(state, memory, reference, plant, choices)
         torque, after = law(*state, memory, reference)
         assert torque == pytest.approx(expected, rel=1e-10)
-        np.testing.assert_allclose(np.subtract(after[:9], memory[:9]) / 2e-4, alpha_dot, rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(
+            np.subtract(after[:9], memory[:9]) / 2e-4, alpha_dot, rtol=1e-7, atol=1e-9
+        )
         if trial % 5 > 0:
             assert (after[9] - memory[9]) / 2e-4 == pytest.approx(root_rate, rel=1e-7)
         assert after[10] == memory[10]
@@ -107,15 +127,23 @@ def test_every_term_and_the_euler_step_are_the_papers(form, n, contact):
 
 @pytest.mark.parametrize("contact", ["newton", "paper"])
 def test_error_dynamics_are_those_of_the_plant(contact):
-    # Eq. (38), M delta' + C delta = [T, 0] - [Y_theta alpha_theta, Y_x alpha_x], with the plant's own accelerations
-    # and normal force, determines every sign and factor of the regressors, which a step of 1 s shows.
+    # Eq. (38), M delta' + C delta = [T, 0] - [Y_theta alpha_theta, Y_x alpha_x], with the plant's
+    # own accelerations and normal force, determines every sign and factor of the regressors, which
+    # a step of 1 s shows.
     p, constants = some_constants(contact=contact, dt=1.0, estimate_range=math.inf)
-    law, alpha, rng, checked = CoreLaw("adaptive", **constants), nominal_estimates(p), np.random.default_rng(11), 0
+    law, alpha, rng, checked = (
+        CoreLaw("adaptive", **constants),
+        nominal_estimates(p),
+        np.random.default_rng(11),
+        0,
+    )
     for _ in range(200):
         state, memory, reference = draw(rng)
         theta, theta_dot, _, x_dot = state
         u = rng.uniform(-1.0, 1.0)
-        theta_ddot, x_ddot, normal = dynamics.accelerations(theta, theta_dot, x_dot, math.copysign(1.0, x_dot), u, p)
+        theta_ddot, x_ddot, normal = dynamics.accelerations(
+            theta, theta_dot, x_dot, math.copysign(1.0, x_dot), u, p
+        )
         if normal <= 0.0:
             continue
         checked += 1
@@ -123,7 +151,10 @@ def test_error_dynamics_are_those_of_the_plant(contact):
         reference = (*reference[:2], theta_ddot, *reference[3:])
         change = np.subtract(memory, law(*state, memory, reference)[1])
         delta_theta, delta_x = sliding_variables(state, memory[-1], reference, GAINS)
-        Y_theta, Y_x = change[:5] / (GAINS.Gamma_1 * delta_theta), change[5:9] / (GAINS.Gamma_2 * delta_x)
+        Y_theta, Y_x = (
+            change[:5] / (GAINS.Gamma_1 * delta_theta),
+            change[5:9] / (GAINS.Gamma_2 * delta_x),
+        )
         theta_part = p.m * p.l * GAINS.Lambda_theta * (theta_dot - reference[1])
         x_part = x_ddot - reference[5] + GAINS.Lambda_x * (x_dot - reference[4])
         cosine, sine = math.cos(theta), p.m * p.l * math.sin(theta)
@@ -151,16 +182,24 @@ def test_x_d_starts_anew_or_goes_on_at_the_start_of_a_cycle(form, expected):
     law = CoreLaw("adaptive", **constants)
     state, memory, reference = draw(np.random.default_rng(6))
     begins = (*reference[: COLUMNS.index("cycle_start")], 1.0)
-    start = state[2] if expected == "x" else memory[MEMORY.index("x_anchor")] + constants["cycle_advance"]
+    start = (
+        state[2]
+        if expected == "x"
+        else memory[MEMORY.index("x_anchor")] + constants["cycle_advance"]
+    )
     torque, after = law(*state, memory, begins)
     assert after[-1] == start
     # The same call already uses the new start.
     assert (torque, after) == law(*state, (*memory[:-1], start), reference)
-    assert constants["cycle_advance"] == pytest.approx(reference_table(PROPOSED, plant)[-1, 3]) and start != 0.0
+    assert (
+        constants["cycle_advance"] == pytest.approx(reference_table(PROPOSED, plant)[-1, 3])
+        and start != 0.0
+    )
 
 
 def test_plant_without_friction_or_spring_has_bounds_too():
-    # Zero times infinity is not a valid bound: a free estimate stays free if its constant is 0 on the nominal plant.
+    # Zero times infinity is not a valid bound: a free estimate stays free if its constant is 0 on
+    # the nominal plant.
     plant = Capsule(mu=0.0, k=0.0).plant()
     constants = constants_of(GAINS, UNREGULARISED, plant, reference_table(PROPOSED, plant), 1e-3)
     state, memory, reference = draw(np.random.default_rng(8))
@@ -175,5 +214,7 @@ def test_choices_reach_the_law(regularised):
         controller = adaptive(regularised=regularised, **given)
         choices = default._replace(**{name: value for name, value in given.items() if name != "dt"})
         assert eta_of(np.array(controller.memory), choices.n) == pytest.approx(choices.eta_0)
-        constants = constants_of(PUBLISHED, choices, NOMINAL.plant(), controller.reference, controller.dt)
+        constants = constants_of(
+            PUBLISHED, choices, NOMINAL.plant(), controller.reference, controller.dt
+        )
         assert controller.law == CoreLaw("adaptive", **constants)

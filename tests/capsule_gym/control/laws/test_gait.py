@@ -25,15 +25,21 @@ def test_the_law_is_a_polynomial_of_the_state_and_its_guard_proportional_to_the_
     *coefficients, step = FREE[:-2]
     # The name phi_ijk holds the powers of theta, theta_dot and x_dot.
     powers = [map(int, name.removeprefix("phi_")) for name in PARAMETERS[:-3]]
-    cubic = sum(phi * a**i * b**j * c**k for phi, (i, j, k) in zip(coefficients, powers, strict=True))
+    cubic = sum(
+        phi * a**i * b**j * c**k for phi, (i, j, k) in zip(coefficients, powers, strict=True)
+    )
     expected = TORQUE_LIMIT * (cubic + step * np.sign(c))
     found = [torque(gait(FREE), *state) for state in states.tolist()]
-    np.testing.assert_allclose(found, np.clip(expected, -TORQUE_LIMIT, TORQUE_LIMIT), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        found, np.clip(expected, -TORQUE_LIMIT, TORQUE_LIMIT), rtol=1e-9, atol=1e-12
+    )
     *_, gain, threshold = known_parameters("gait")
     for theta in (-0.6, 0.0, 0.3):
         limit = math.sqrt(threshold / math.cos(theta))
         for theta_dot in (0.99 * limit, 1.1 * limit, -0.99 * limit, -1.2 * limit):
-            brake = torque(gait(FREE), theta, theta_dot, 0.1) - torque(gait(), theta, theta_dot, 0.1)
+            brake = torque(gait(FREE), theta, theta_dot, 0.1) - torque(
+                gait(), theta, theta_dot, 0.1
+            )
             excess = max(0.0, theta_dot * theta_dot * math.cos(theta) - threshold)
             assert brake == pytest.approx(math.copysign(gain * excess, theta_dot), abs=1e-9)
 
