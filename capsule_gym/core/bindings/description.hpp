@@ -9,11 +9,13 @@ struct NameList {
   const char *list, *names;
 };
 
+constexpr const char* OPTION_NAMES =
+    CAPSULE_OPTIONS(CAPSULE_NAME, CAPSULE_RANGE_NAMES, CAPSULE_DISTURBANCE_NAMES);
 #define ROW CAPSULE_NAME
 #define FIELD(type, name) CAPSULE_NAME(name)
 constexpr NameList NAME_LISTS[] = {
     {"ROW_NAMES", CAPSULE_ROWS},
-    {"OPTIONS", CAPSULE_OPTIONS(CAPSULE_NAME, CAPSULE_RANGE_NAMES, CAPSULE_DISTURBANCE_NAMES)},
+    {"OPTIONS", OPTION_NAMES},
     {"BATCH", CAPSULE_BATCH(FIELD)},
     {"CONSTANTS", CAPSULE_CONSTANTS(CAPSULE_NAME)},
     {"DISTURBANCES", CAPSULE_DISTURBANCES(CAPSULE_NAME)},
@@ -34,7 +36,9 @@ template <class Task, class Put> void describe_metrics(Put put) {
   Layout layout = {};
   layout.rows = layout.task = NUM_ROWS;
   Batch batch = {};
-  batch.world = (double*)&world, batch.layout = &layout, batch.lanes = 1;
+  batch.world = (double*)&world;
+  batch.layout = &layout;
+  batch.lanes = 1;
   auto put_names = [&](const char* name, const char* description, double) {
     put(name, description);
   };

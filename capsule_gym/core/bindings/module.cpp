@@ -156,8 +156,8 @@ void call_plain(void* data, double* block, double* torques, long long n) {
 
 // The names in a text, which spaces separate.
 PyObject* names_in(const char* text) {
-  PyObject *joined = PyUnicode_FromString(text),
-           *names = joined ? PyUnicode_Split(joined, nullptr, -1) : nullptr;
+  PyObject* joined = PyUnicode_FromString(text);
+  PyObject* names = joined ? PyUnicode_Split(joined, nullptr, -1) : nullptr;
   Py_XDECREF(joined);
   return names;
 }
@@ -175,40 +175,43 @@ void append(PyObject* list, PyObject* value) {
   Py_XDECREF(value);
 }
 
-// The types of tuples with named fields that `describe` and TASKS contain.
-#define NAMED(name) {#name, nullptr},
-PyStructSequence_Field SETTINGS_FIELDS[] = {CAPSULE_SETTINGS(NAMED){nullptr, nullptr}};
-PyStructSequence_Field LAYOUT_FIELDS[] = {CAPSULE_LAYOUT(NAMED){nullptr, nullptr}};
-PyStructSequence_Field DESCRIPTION_FIELDS[] = {NAMED(settings) NAMED(layout) NAMED(entries)
-                                                   NAMED(draws){nullptr, nullptr}};
-PyStructSequence_Field TASK_FIELDS[] = {NAMED(fields) NAMED(shown) NAMED(term) NAMED(steps)
-                                            NAMED(draws) NAMED(metrics){nullptr, nullptr}};
-#undef NAMED
-template <class Fields>
-constexpr int COUNT = (int)(sizeof(Fields) / sizeof(PyStructSequence_Field)) - 1;
-PyTypeObject *settings_type, *layout_type, *description_type, *task_type;
+// Types of named tuples, and the names of the options (a list); `fill` makes them.
+PyObject *settings_type, *layout_type, *description_type, *task_type, *option_names;
+
+// A type of tuples with named fields, by `collections.namedtuple`.
+PyObject* named_tuple_type(const char* name, const char* fields) {
+  PyObject* collections = PyImport_ImportModule("collections");
+  PyObject* make = collections ? PyObject_GetAttrString(collections, "namedtuple") : nullptr;
+  PyObject* arguments = Py_BuildValue("(ss)", name, fields);
+  PyObject* module = Py_BuildValue("{ss}", "module", "capsule_gym.core._core");
+  PyObject* type = make && arguments && module ? PyObject_Call(make, arguments, module) : nullptr;
+  for (PyObject* used : {collections, make, arguments, module}) Py_XDECREF(used);
+  return type;
+}
 
 PyObject* as_object(double number) { return PyFloat_FromDouble(number); }
 PyObject* as_object(long long number) { return PyLong_FromLongLong(number); }
 
-// A tuple of this type from the numbers of a struct.
-template <class Number>
-PyObject* named_tuple(PyTypeObject* type, const Number* numbers, int count) {
-  PyObject* found = PyStructSequence_New(type);
-  for (int n = 0; found && n < count; n++)
-    PyStructSequence_SetItem(found, n, as_object(numbers[n]));
+// A tuple of this type from a struct of numbers.
+template <class Number, class Struct> PyObject* named_tuple(PyObject* type, const Struct& numbers) {
+  constexpr int COUNT = sizeof(Struct) / sizeof(Number);
+  PyObject* values = PyTuple_New(COUNT);
+  for (int n = 0; values && n < COUNT; n++)
+    PyTuple_SetItem(values, n, as_object(((const Number*)&numbers)[n]));
+  PyObject* found = values ? PyObject_CallObject(type, values) : nullptr;
+  Py_XDECREF(values);
   return found;
 }
 
-// Reads an option by its name; NaN where it is missing or None. Returns whether it is there.
-bool read_option(PyObject* options, const char* name, double& option) {
-  PyObject* value = PyDict_GetItemString(options, name);
+// Reads an option by its name, a str; NaN where it is missing or None. Returns whether it is there.
+bool read_option(PyObject* options, PyObject* name, double& option) {
+  PyObject* value = PyDict_GetItemWithError(options, name);
   option = __builtin_nan("");
-  if (!value || PyErr_Occurred()) return false;
+  if (!value) return false;
   if (value == Py_None) return true;
   option = PyFloat_AsDouble(value);
   if (PyErr_Occurred())
-    PyErr_Format(PyExc_TypeError, "the option '%s' must be a number or None, got %R", name, value);
+    PyErr_Format(PyExc_TypeError, "the option %R must be a number or None, got %R", name, value);
   return true;
 }
 
@@ -219,17 +222,8 @@ PyObject* describe(PyObject*, PyObject* options) {
     return PyErr_Format(PyExc_TypeError, "options must be a dict, got %R", options);
   Options o;
   Py_ssize_t found = 0;
-#define READ(name) found += read_option(options, #name, o.name);
-#define READ_ENDS(name, range)                             \
-  found += read_option(options, name "_low", o.range.low); \
-  found += read_option(options, name "_high", o.range.high);
-#define READ_RANGE(name) READ_ENDS(#name, name##_range)
-#define READ_DISTURBANCE(name) READ_ENDS("disturbances_" #name, disturbances_##name)
-  CAPSULE_OPTIONS(READ, READ_RANGE, READ_DISTURBANCE)
-#undef READ
-#undef READ_ENDS
-#undef READ_DISTURBANCE
-#undef READ_RANGE
+  for (Py_ssize_t n = 0; n < PyList_Size(option_names); n++)
+    found += read_option(options, PyList_GetItem(option_names, n), ((double*)&o)[n]);
   if (PyErr_Occurred()) return nullptr;
   if (found != PyDict_Size(options))
     return PyErr_Format(PyExc_TypeError, "the core has no option of a name in %R", options);
@@ -237,69 +231,41 @@ PyObject* describe(PyObject*, PyObject* options) {
   bool known = describe_environment(o, d, [](size_t bytes) { return PyMem_Malloc(bytes); });
   if (!known) return PyErr_Format(PyExc_ValueError, "the core has no task of this number");
   if (!d.entries) return PyErr_NoMemory();
-  PyObject *entries = PyList_New(0), *draws = PyList_New(0),
-           *description = PyStructSequence_New(description_type);
+  PyObject* entries = PyList_New(0);
   for (long long k = 0; k < d.layout.entries; k++) {
     const auto& [name, age, low, high] = d.entries[k];
-    PyObject* whole =
+    PyObject* aged =
         age ? PyUnicode_FromFormat("%s %d", name, (int)age) : PyUnicode_FromString(name);
-    append(entries, Py_BuildValue("Ndd", whole, low, high));
+    append(entries, Py_BuildValue("Ndd", aged, low, high));
   }
+  PyObject* draws = PyList_New(0);
   for (long long k = 0; k < d.layout.draws; k++) {
     const auto& [row, stream, place, low, range, distribution] = d.draws[k];
     append(draws, Py_BuildValue("dddddd", row, stream, place, low, range, distribution));
   }
   PyMem_Free(d.entries);
-  constexpr int NUM_SETTINGS = COUNT<decltype(SETTINGS_FIELDS)>,
-                NUM_SIZES = COUNT<decltype(LAYOUT_FIELDS)>;
-  PyObject* settings = named_tuple(settings_type, (const double*)&d.settings, NUM_SETTINGS);
-  PyObject* layout = named_tuple(layout_type, (const long long*)&d.layout, NUM_SIZES);
-  PyStructSequence_SetItem(description, 0, settings);
-  PyStructSequence_SetItem(description, 1, layout);
-  PyStructSequence_SetItem(description, 2, entries);
-  PyStructSequence_SetItem(description, 3, draws);
+  PyObject* settings = named_tuple<double>(settings_type, d.settings);
+  PyObject* layout = named_tuple<long long>(layout_type, d.layout);
+  PyObject* description =
+      PyObject_CallFunction(description_type, "NNNN", settings, layout, entries, draws);
   if (PyErr_Occurred()) Py_CLEAR(description);
   return description;
 }
 
-// What Python knows of a task: a tuple of type `Task`.
+// What Python knows of a task: a tuple of type `TaskDescription`.
 template <class Task> PyObject* describe_task(PyObject* shared_metrics) {
   using namespace portable;
-  PyObject *found = PyStructSequence_New(task_type), *draws = PyList_New(0),
-           *metrics = PyDict_New();
+  PyObject* draws = PyList_New(0);
   Task::draws(NOT_GIVEN, [&](const char* option, double low, double high, double distribution) {
     append(draws, Py_BuildValue("sddd", option, low, high, distribution));
   });
+  PyObject* metrics = PyDict_New();
   describe_metrics<Task>([&](const char* name, const char* description) {
     if (!PyDict_GetItemString(shared_metrics, name))
       put_item(metrics, name, PyUnicode_FromString(description));
   });
-  PyStructSequence_SetItem(found, 0, names_in(Task::FIELDS));
-  PyStructSequence_SetItem(found, 1, names_in(Task::SHOWN));
-  PyStructSequence_SetItem(found, 2, PyUnicode_FromString(Task::TERM));
-  PyStructSequence_SetItem(found, 3, PyLong_FromLong(Task::STEPS));
-  PyStructSequence_SetItem(found, 4, draws);
-  PyStructSequence_SetItem(found, 5, metrics);
-  return found;
-}
-
-// Puts the types of tuples into the module's dict; returns whether that has failed.
-bool put_types(PyObject* own) {
-  bool failed = false;
-#define PUT_TYPE(type, name, doc, FIELDS)                                      \
-  {                                                                            \
-    PyStructSequence_Desc desc = {"capsule_gym.core._core." name, doc, FIELDS, \
-                                  COUNT<decltype(FIELDS)>};                    \
-    type = PyStructSequence_NewType(&desc);                                    \
-    failed |= !type || PyDict_SetItemString(own, name, (PyObject*)type) < 0;   \
-  }
-  PUT_TYPE(settings_type, "Settings", "The settings of the step.", SETTINGS_FIELDS)
-  PUT_TYPE(layout_type, "Layout", "The rows of an environment, and sizes.", LAYOUT_FIELDS)
-  PUT_TYPE(description_type, "Description", "What follows from the options of an environment.",
-           DESCRIPTION_FIELDS)
-  PUT_TYPE(task_type, "TaskDescription", "What follows from a task.", TASK_FIELDS)
-#undef PUT_TYPE
-  return failed;
+  return PyObject_CallFunction(task_type, "NNsiNN", names_in(Task::FIELDS), names_in(Task::SHOWN),
+                               Task::TERM, Task::STEPS, draws, metrics);
 }
 
 // The laws by name, in the order of their numbers: names of constants, sizes of the memory and of a
@@ -346,20 +312,30 @@ PyObject* row_class() {
 int fill(PyObject* module) {
   using namespace portable;
   PyObject* own = PyModule_GetDict(module);
-  bool failed = put_types(own);
+  bool failed = false;
+  auto put = [&](const char* name, PyObject* value) {
+    failed |= put_item(own, name, value);
+    return value;
+  };
+  auto put_type = [&](const char* name, const char* fields) {
+    return put(name, named_tuple_type(name, fields));
+  };
+  settings_type = put_type("Settings", CAPSULE_SETTINGS(CAPSULE_NAME));
+  layout_type = put_type("Layout", CAPSULE_LAYOUT(CAPSULE_NAME));
+  description_type = put_type("Description", "settings layout entries draws");
+  task_type = put_type("TaskDescription", "fields shown term steps draws metrics");
   if (failed) return -1;
-  auto put = [&](const char* name, PyObject* value) { failed |= put_item(own, name, value); };
   PyObject* metrics = describe_shared_metrics();
   put("TASKS", describe_tasks(metrics));
   put("METRICS", metrics);
   put("LAWS", describe_laws());
   put("Row", row_class());
-  char levels[64] = "";
-  for (int i = BEST; i < NUM_LEVELS; i++)
-    __builtin_strcat(__builtin_strcat(levels, LEVELS[i].name), " ");
+  PyObject* levels = PyList_New(0);
+  for (int i = BEST; i < NUM_LEVELS; i++) append(levels, PyUnicode_FromString(LEVELS[i].name));
+  put("LEVELS", levels);
   for (auto [list, names] : NAME_LISTS) put(list, names_in(names));
+  option_names = names_in(OPTION_NAMES);
 #define NAMES(list, names) put(#list, names_in(names));
-  NAMES(LEVELS, levels)
   NAMES(PLANT, NOMINAL_CONSTANTS(CAPSULE_NAME))
   NAMES(OBSERVED, OBSERVED(CAPSULE_NAME))
   NAMES(TRAJECTORY, CAPSULE_TRAJECTORY(CAPSULE_NAME))
