@@ -105,18 +105,24 @@ inline void platform_motion(const double* angle, const double* velocity, const d
                             long long n, double h, const AnyPlant& plant, double* motion) {
   AnyPlant p = plant;
   p.stribeck_excess = 0.0;  // without the Stribeck curve
+  double* positions = motion;
+  double* velocities = motion + n;
+  double* accelerations = motion + 2 * n;
   double x = 0.0, x_dot = 0.0;
   for (long long i = 0; i < n; i++) {
-    double force = p.driving_force(angle[i], velocity[i], acceleration[i]), remaining = h;
+    double force = p.driving_force(angle[i], velocity[i], acceleration[i]);
     double normal = max(0.0, p.normal_force(angle[i], velocity[i], acceleration[i]));
-    motion[i] = x, motion[n + i] = x_dot, motion[2 * n + i] = 0.0;
+    positions[i] = x;
+    velocities[i] = x_dot;
+    accelerations[i] = 0.0;
+    double remaining = h;
     // At most two parts: the slide until the platform stops, and the motion from rest.
     for (int part = 0; part < 2; part++) {
       if (x_dot == 0.0 && abs(force) <= p.static_friction_limit(force, normal)) break;
       double direction = x_dot == 0.0 ? force : x_dot;
       double slip = direction > 0.0 ? 1.0 : -1.0;
       double x_ddot = (force - p.friction_force(slip, x_dot, normal)) / (p.M + p.m);
-      if (part == 0) motion[2 * n + i] = x_ddot;
+      if (part == 0) accelerations[i] = x_ddot;
       double after = x_dot + remaining * x_ddot;
       if (x_dot * after >= 0.0) {
         x = x + remaining * (x_dot + 0.5 * remaining * x_ddot);
@@ -137,12 +143,16 @@ long long run_episodes(const Batch& batch, long long first, long long last, long
                        const double* network) {
   for (long long at = first; at < last; at += N) {
     auto& block = block_of<N>(batch, at);
-    int n = last - at < N ? (int)(last - at) : N, going = n;
+    int n = last - at < N ? (int)(last - at) : N;
+    int going = n;
     // One more step than needed, so that the final state is that of a loop in Python.
     for (long long step = 0; step < steps && going > 0; step++) {
       going = 0;
-      for (int j = 0; j < n; j++)
-        going += (int)(block.active[j] = block.termination[j] == 0.0 ? 1.0 : 0.0);
+      for (int j = 0; j < n; j++) {
+        bool active = block.termination[j] == 0.0;
+        block.active[j] = active;
+        going += active;
+      }
       float actions[N];
       act(network, batch.observations + at * batch.layout->entries, n, actions);
       for (int j = 0; j < n; j++) block.action[j] = actions[j];

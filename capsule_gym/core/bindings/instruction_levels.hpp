@@ -30,21 +30,28 @@ struct Level {
 constexpr Level LEVELS[] = {{"v4", v4::find}, {"v3", v3::find}, {"portable", portable::find}};
 
 // The place of the best level that the processor runs. The processor itself answers: zig's runtime
-// lacks what
-// `__builtin_cpu_supports` reads, and says no to everything. `static`, so that the linker cannot
-// take a copy from level.cpp, which is compiled for instructions that the processor may lack.
+// lacks what `__builtin_cpu_supports` reads, and says no to everything. `static`, so that the
+// linker cannot take a copy from level.cpp, which is compiled for instructions that the processor
+// may lack.
 static inline int best_level() {
-  unsigned a, b, c, d, enabled, high;
-  if (__get_cpuid_max(0, nullptr) < 7) return 2;
+  constexpr int V4 = 0, V3 = 1, PORTABLE = 2;
+  // Bits of leaf 1, register c, and of leaf 7, register b.
+  constexpr unsigned FMA = 1u << 12, XGETBV = 1u << 27;
+  constexpr unsigned BMI1 = 1u << 3, AVX2 = 1u << 5, BMI2 = 1u << 8;
+  constexpr unsigned AVX512F = 1u << 16, AVX512DQ = 1u << 17, AVX512CD = 1u << 28;
+  constexpr unsigned AVX512BW = 1u << 30, AVX512VL = 1u << 31;
+  // What the operating system saves: registers of 128 and 256 bits; those of 512 bits and masks.
+  constexpr unsigned YMM = 0x06, ZMM = 0xe6;
+  auto all = [](unsigned present, unsigned needed) { return (present & needed) == needed; };
+  unsigned a, b, c, d, saved, high;
+  if (__get_cpuid_max(0, nullptr) < 7) return PORTABLE;
   __cpuid(1, a, b, c, d);
-  bool fma = c >> 12 & 1, xgetbv = c >> 27 & 1;
-  if (!fma || !xgetbv) return 2;
-  __asm__("xgetbv" : "=a"(enabled), "=d"(high) : "c"(0));
+  if (!all(c, FMA | XGETBV)) return PORTABLE;
+  __asm__("xgetbv" : "=a"(saved), "=d"(high) : "c"(0));
   __cpuid_count(7, 0, a, b, c, d);
-  const unsigned V3 = 1u << 3 | 1u << 5 | 1u << 8,
-                 V4 = 1u << 16 | 1u << 17 | 1u << 28 | 1u << 30 | 1u << 31;
-  if ((enabled & 6) != 6 || (b & V3) != V3) return 2;
-  return (enabled & 0xe6) == 0xe6 && (b & V4) == V4 ? 0 : 1;
+  if (!all(saved, YMM) || !all(b, BMI1 | AVX2 | BMI2)) return PORTABLE;
+  bool v4 = all(saved, ZMM) && all(b, AVX512F | AVX512DQ | AVX512CD | AVX512BW | AVX512VL);
+  return v4 ? V4 : V3;
 }
 #else
 constexpr Level LEVELS[] = {{"portable", portable::find}};

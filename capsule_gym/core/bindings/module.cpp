@@ -36,7 +36,7 @@ bool read_argument(const Function& function, Py_ssize_t place, PyObject* given,
   constexpr const char* ACCEPTED[] = {"a float or an int", "an int of 64 bits",
                                       "the address of an array (int)", "a str"};
   Due due = function.due[place - 1];
-  // Faster than PyLong_Check, which calls a function that reads the flags of the type.
+  // PyLong_Check calls a function that reads the flags of the type: slower.
   bool is_int = PyObject_TypeCheck(given, &PyLong_Type);
   bool accepted = true;
   if (due == Due::TEXT) argument.bits = (long long)PyUnicode_AsUTF8AndSize(given, nullptr);
@@ -134,12 +134,13 @@ void call_plain(void* data, double* block, double* torques, long long n) {
   PyGILState_STATE lock = PyGILState_Ensure();
   for (long long j = 0; j < n && !PyErr_Occurred(); j++) {
     if (halt[j] == HALTED) continue;
-    double *observed = block + state * lanes + j,
-           *memory = block + sizeof(Block<1>) / sizeof(double) * lanes + j;
+    const double* observed = block + state * lanes + j;
+    double* memory = block + NUM_ROWS * lanes + j;
     PyObject* given = PyTuple_New(4 + numbers);
-    for (long long r = 0; r < 4 + numbers; r++)
-      PyTuple_SetItem(given, r,
-                      PyFloat_FromDouble(r < 4 ? observed[r * lanes] : memory[(r - 4) * lanes]));
+    for (long long r = 0; r < 4; r++)
+      PyTuple_SetItem(given, r, PyFloat_FromDouble(observed[r * lanes]));
+    for (long long r = 0; r < numbers; r++)
+      PyTuple_SetItem(given, 4 + r, PyFloat_FromDouble(memory[r * lanes]));
     PyObject* found = PyObject_CallObject(function, given);
     Py_DecRef(given);
     if (!found) continue;
@@ -185,7 +186,8 @@ PyObject* named_tuple_type(const char* name, const char* fields) {
   PyObject* arguments = Py_BuildValue("(ss)", name, fields);
   PyObject* module = Py_BuildValue("{ss}", "module", "capsule_gym.core._core");
   PyObject* type = make && arguments && module ? PyObject_Call(make, arguments, module) : nullptr;
-  for (PyObject* used : {collections, make, arguments, module}) Py_XDECREF(used);
+  PyObject* used[] = {collections, make, arguments, module};
+  for (PyObject* each : used) Py_XDECREF(each);
   return type;
 }
 

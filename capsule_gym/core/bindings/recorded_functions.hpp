@@ -37,17 +37,29 @@ template <class S> void give(const S& outputs) {
 inline bool record(const char* function, long long number, const double* constants) {
   auto is = [&](const char* name) { return !__builtin_strcmp(function, name); };
   const auto& settings = *(const Settings*)constants;
-  if (is("sincos")) return give(sincos<Trace>(given<Trace>())), true;
-  if (is("exp")) return give(exp<Trace>(given<Trace>())), true;
-  if (is("tanh")) return give(tanh<Trace>(given<Trace>())), true;
+  if (is("sincos")) {
+    give(sincos<Trace>(given<Trace>()));
+    return true;
+  }
+  if (is("exp")) {
+    give(exp<Trace>(given<Trace>()));
+    return true;
+  }
+  if (is("tanh")) {
+    give(tanh<Trace>(given<Trace>()));
+    return true;
+  }
   if (is("torque")) {
-    Trace law_torque = given<Trace>(), action = given<Trace>();
+    Trace law_torque = given<Trace>();
+    Trace action = given<Trace>();
     give(total_torque(settings, law_torque, action));
     return true;
   }
   if (is("update_estimator")) {
     auto estimator = given<Estimator<Trace>>();
-    Trace theta = given<Trace>(), theta_dot = given<Trace>(), x_dot = given<Trace>();
+    Trace theta = given<Trace>();
+    Trace theta_dot = given<Trace>();
+    Trace x_dot = given<Trace>();
     update_estimator(estimator, theta, theta_dot, x_dot, assumed_pendulum(settings));
     give(estimator);
     return true;
@@ -56,7 +68,8 @@ inline bool record(const char* function, long long number, const double* constan
     auto memory = given<typename Law::template Cells<Trace>>();
     auto state = given<State<Trace>>();
     auto row = given<typename Law::template Line<Trace>>();
-    give(Law(constants).torque(state, memory, row)), give(memory);
+    give(Law(constants).torque(state, memory, row));
+    give(memory);
   };
   // A task: its memory, x, and for an observation the x of the previous one, what is observed, and
   // the estimator.

@@ -58,7 +58,10 @@ EXPORT(options) web::Options* options_address() { return &options; }
 EXPORT(describe) const web::Description* describe() {
   static unsigned long room = 0, size = 0;
   web::describe_environment(options, description, [](unsigned long bytes) {
-    if (bytes > size) room = allocate(size = bytes);
+    if (bytes > size) {
+      room = allocate(bytes);
+      size = bytes;
+    }
     return room;
   });
   return &description;
