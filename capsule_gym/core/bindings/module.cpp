@@ -311,6 +311,37 @@ PyObject* row_class() {
   return PyObject_CallFunction((PyObject*)&PyType_Type, "s()N", "Row", rows);
 }
 
+// Puts the constants; returns whether that has failed.
+bool put_constants(PyObject* own) {
+  using namespace portable;
+  bool failed = false;
+#define REAL(name) failed |= put_item(own, #name, PyFloat_FromDouble(name));
+  REAL(THETA_LIMIT)
+  REAL(THETA_DOT_BOUND)
+  REAL(MOTOR_WIDTH)
+  REAL(MOTOR_SLOPE)
+  REAL(ROUNDING)
+  REAL(LARGEST_COMMAND)
+  REAL(START_THETA)
+  REAL(M_BOUND)
+  REAL(MU_BOUND)
+  REAL(CONTROL_DT)
+  REAL(DIRECT_PHYSICS_DT)
+  REAL(LAW_PHYSICS_DT)
+#undef REAL
+#define WHOLE(name) failed |= put_item(own, #name, PyLong_FromLongLong(name));
+  WHOLE(LANES)
+  WHOLE(MOST_CELLS)
+  WHOLE(PADDING)
+  WHOLE(COMMANDS)
+  WHOLE(ESTIMATOR_CELLS)
+  WHOLE(DIRECTIONS)
+  WHOLE(MOST_RESULTS)
+  WHOLE(MOST_SUBSTEPS)
+#undef WHOLE
+  return failed;
+}
+
 int fill(PyObject* module) {
   using namespace portable;
   PyObject* own = PyModule_GetDict(module);
@@ -336,35 +367,13 @@ int fill(PyObject* module) {
   for (int i = BEST; i < NUM_LEVELS; i++) append(levels, PyUnicode_FromString(LEVELS[i].name));
   put("LEVELS", levels);
   for (auto [list, names] : NAME_LISTS) put(list, names_in(names));
+  put("PLANT", names_in(NOMINAL_CONSTANTS(CAPSULE_NAME)));
+  put("OBSERVED", names_in(OBSERVED(CAPSULE_NAME)));
+  put("TRAJECTORY", names_in(CAPSULE_TRAJECTORY(CAPSULE_NAME)));
+  put("STREAMS", names_in(CAPSULE_STREAMS(CAPSULE_NAME)));
   option_names = names_in(OPTION_NAMES);
-#define NAMES(list, names) put(#list, names_in(names));
-  NAMES(PLANT, NOMINAL_CONSTANTS(CAPSULE_NAME))
-  NAMES(OBSERVED, OBSERVED(CAPSULE_NAME))
-  NAMES(TRAJECTORY, CAPSULE_TRAJECTORY(CAPSULE_NAME))
-  NAMES(STREAMS, CAPSULE_STREAMS(CAPSULE_NAME))
-#define REAL(name) put(#name, PyFloat_FromDouble(name));
-  REAL(THETA_LIMIT)
-  REAL(THETA_DOT_BOUND)
-  REAL(MOTOR_WIDTH)
-  REAL(MOTOR_SLOPE)
-  REAL(ROUNDING)
-  REAL(LARGEST_COMMAND)
-  REAL(START_THETA)
-  REAL(M_BOUND)
-  REAL(MU_BOUND)
-  REAL(CONTROL_DT)
-  REAL(DIRECT_PHYSICS_DT)
-  REAL(LAW_PHYSICS_DT)
-#define WHOLE(name) put(#name, PyLong_FromLongLong(name));
-  WHOLE(LANES)
-  WHOLE(MOST_CELLS)
-  WHOLE(PADDING)
-  WHOLE(COMMANDS)
-  WHOLE(ESTIMATOR_CELLS)
-  WHOLE(DIRECTIONS)
-  WHOLE(MOST_RESULTS)
-  WHOLE(MOST_SUBSTEPS)
   put("PLAIN_LAW", PyLong_FromVoidPtr((void*)&call_plain));
+  failed |= put_constants(own);
   return failed || PyErr_Occurred() ? -1 : 0;
 }
 
