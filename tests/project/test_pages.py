@@ -157,7 +157,7 @@ def extras():
     return set(re.findall(r"^([\w-]+) = ", table, re.MULTILINE))
 
 
-@pytest.mark.parametrize("line", find_commands())
+@pytest.mark.parametrize("line", list(find_commands()))
 def test_commands_and_their_options_exist(line):
     # Takes the body of a loop, without environment variables.
     line = re.sub(r"^for \w+ in .*?; do (.*?)[;&] *done.*$", r"\1", line)
