@@ -38,7 +38,8 @@ def write_gif(
         )
     # One palette for all frames: colours do not flicker, and only moving parts are stored again.
     every = math.ceil(len(pictures) / FRAMES_OF_PALETTE)
-    together = Image.fromarray(np.concatenate(pictures[::every]))
+    shown = [np.asarray(picture) for picture in pictures[::every]]
+    together = Image.fromarray(np.concatenate(shown))
     # By coverage, so that the few pixels of a legend keep their colour; then means (kmeans), which
     # do not tint the background.
     coverage, undithered = Image.Quantize.MAXCOVERAGE, Image.Dither.NONE

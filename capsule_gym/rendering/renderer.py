@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from capsule_gym.parameters import Capsule
 from capsule_gym.tasks.task import ENV_ID
 
-Colour = tuple[int, int, int]
 Points = NDArray[np.float64] | Sequence[tuple[float, float]]
 
 # Everything is drawn at this size and averaged down, which anti-aliases shapes and texts alike.
@@ -40,22 +39,22 @@ GAUGE = 72.0
 SMALLEST_ARROW = 0.015  # rad
 SPRING_INNER, SPRING_OUTER, SPRING_TURNS = 9.0, 31.0, 2.5
 
-PAPER = (247, 249, 252)
-WHITE = (255, 255, 255)
-FLOOR_FILL = (233, 238, 244)
-GRID = (226, 232, 240)
-HAIRLINE = (217, 224, 233)
-TICK = (148, 160, 177)
-GREY = (109, 122, 141)
-INK = (30, 41, 59)
-SLATE = (71, 85, 105)
-SHELL = (128, 150, 181)
-INSIDE = (231, 236, 243)
-BALL_COLOUR = (13, 128, 124)
-TORQUE = (139, 76, 199)
-STICK = (37, 99, 186)
-SLIP = (238, 128, 36)
-GHOST = (196, 205, 217)
+PAPER = "#f7f9fc"
+WHITE = "#ffffff"
+FLOOR_FILL = "#e9eef4"
+GRID = "#e2e8f0"
+HAIRLINE = "#d9e0e9"
+TICK = "#94a0b1"
+GREY = "#6d7a8d"
+INK = "#1e293b"
+SLATE = "#475569"
+SHELL = "#8096b5"
+INSIDE = "#e7ecf3"
+BALL_COLOUR = "#0d807c"
+TORQUE = "#8b4cc7"
+STICK = "#2563ba"
+SLIP = "#ee8024"
+GHOST = "#c4cdd9"
 
 
 def _number(value: float, decimals: int) -> str:
@@ -205,11 +204,9 @@ class Renderer:
     def _close_if_asked(self) -> None:
         """Closes the window if the user or `pygame.quit()` in other code has closed it."""
         pygame = self._pygame
-        if not pygame.display.get_init():
-            self.close()
-            return
+        lost = not pygame.display.get_init()
         # Taking every event keeps the queue from filling up.
-        if any(event.type == pygame.QUIT for event in pygame.event.get()):
+        if lost or any(event.type == pygame.QUIT for event in pygame.event.get()):
             self.close()
 
     def close(self) -> None:
@@ -254,13 +251,13 @@ class Renderer:
         text = f"{name} {centimetres} cm {side}"
         self._write(text, 17, GREY, WIDTH - 24, HEADER + 27, "topright")
 
-    def _draw_shell(self, middle: float, colour: Colour, line: float = 0.0) -> None:
+    def _draw_shell(self, middle: float, colour: str, line: float = 0.0) -> None:
         """Draws the shell of a robot: filled, or an inner border of `line` pixels."""
         left, top = middle - SHELL_HALF, FLOOR - SHELL_HEIGHT
         radius = SHELL_HEIGHT / 2
         self._box(left, top, 2 * SHELL_HALF, SHELL_HEIGHT, colour, radius, line)
 
-    def _draw_robot(self, theta: float, torque: float, contact: Colour) -> None:
+    def _draw_robot(self, theta: float, torque: float, contact: str) -> None:
         """Draws the contact and the platform, the motor's torque, the spring and the pendulum."""
         pivot, ball = _polar(0.0, 0.0), _polar(theta, ROD)
         foot = SHELL_HALF - SHELL_HEIGHT / 2 + 6
@@ -324,7 +321,7 @@ class Renderer:
         y: float,
         width: float,
         height: float,
-        colour: Colour,
+        colour: str,
         radius: float = 0.0,
         line: float = 0.0,
     ) -> None:
@@ -333,17 +330,17 @@ class Renderer:
         border, corners = round(SCALE * line), round(SCALE * radius)
         self._pygame.draw.rect(self._canvas, colour, sides, border, border_radius=corners)
 
-    def _disc(self, centre: tuple[float, float], radius: float, colour: Colour) -> None:
+    def _disc(self, centre: tuple[float, float], radius: float, colour: str) -> None:
         """Draws a filled disc."""
         x, y = centre
         self._pygame.draw.circle(self._canvas, colour, (SCALE * x, SCALE * y), SCALE * radius)
 
-    def _polygon(self, corners: Points, colour: Colour) -> None:
+    def _polygon(self, corners: Points, colour: str) -> None:
         """Draws a filled polygon."""
         scaled = np.rint(SCALE * np.asarray(corners))
         self._pygame.draw.polygon(self._canvas, colour, scaled.tolist())
 
-    def _ribbon(self, points: Points, width: float, colour: Colour) -> None:
+    def _ribbon(self, points: Points, width: float, colour: str) -> None:
         """Draws a line through the points as one polygon.
 
         pygame's thick lines have gaps and are thin where slanted.
@@ -361,7 +358,7 @@ class Renderer:
         self,
         text: str,
         size: int,
-        colour: Colour,
+        colour: str,
         x: float,
         baseline: float,
         anchor: str = "topleft",
@@ -371,7 +368,7 @@ class Renderer:
         place = round(SCALE * x), round(SCALE * baseline) - ascent
         self._canvas.blit(image, image.get_rect(**{anchor: place}))
 
-    def _draw_text(self, text: str, size: int, colour: Colour) -> tuple[Any, int]:
+    def _draw_text(self, text: str, size: int, colour: str) -> tuple[Any, int]:
         """The picture of a text, and its height above the baseline in pixels of the canvas."""
         # Other environments call pygame.quit() when they close, which voids every font in the
         # process. pygame contains its default font, so every machine has it.

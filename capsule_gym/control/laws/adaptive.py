@@ -21,10 +21,20 @@ from capsule_gym.control.laws.gains import (
 from capsule_gym.control.laws.profiles import COLUMNS, PROPOSED, Profile, optimal, reference_table
 from capsule_gym.parameters import NOMINAL, Capsule, Plant
 
-# The memory: the estimates of alpha_theta and alpha_x, the (2n + 1)-th root of eta, and the start
-# of x_d, m.
-ESTIMATES = (*(f"alpha_theta_{i}" for i in range(1, 6)), *(f"alpha_x_{i}" for i in range(1, 5)))
-MEMORY = (*ESTIMATES, "eta_root", "x_anchor")
+# The cells of the memory: the estimates, the (2n + 1)-th root of eta, and the start of x_d, m.
+MEMORY = (
+    "alpha_theta_1",
+    "alpha_theta_2",
+    "alpha_theta_3",
+    "alpha_theta_4",
+    "alpha_theta_5",
+    "alpha_x_1",
+    "alpha_x_2",
+    "alpha_x_3",
+    "alpha_x_4",
+    "eta_root",
+    "x_anchor",
+)
 
 
 def nominal_estimates(p: Plant) -> tuple[float, ...]:
