@@ -190,6 +190,7 @@ def test_the_rate_of_a_constant_that_dominates_is_close(capsule):
             r"M in \[0\.05, 1\] kg, mu in \[0, 2\]\): .*Painleve",
         ),
         ({"M": (0.05, 1.0)}, Capsule(mu=2.0), ".*Painleve"),
+        ({"m": (0.1, 40.0), "mu": (0.5, 9.0)}, Capsule(), ".*Painleve"),
         ({"M": (0.1, 1e300)}, Capsule(), ".*must be a finite number from"),
         ({"mu": (0.0, 1e300)}, Capsule(), ".*must be a finite number from"),
     ],

@@ -107,6 +107,12 @@ def test_a_law_belongs_to_its_task():
         CapsuleEnv(controller=law)
 
 
+def start(task, **options):
+    env = CapsuleEnv(task=task)
+    env.reset(seed=0, options=options)
+    return env
+
+
 def velocity_episode():
     """The positions and infos of 500 steps of the gait along three commands, and its metrics."""
     schedule = [{"t": 0.0, "v": 0.05}, {"t": 4.0, "v": -0.05}, {"t": 9.0, "v": 0.1}]
@@ -168,11 +174,12 @@ def test_an_invalid_range_of_commands_is_named(low, high, message):
         with_commands(low, high)
 
 
+SLOW = [{"t": 0.0, "v": 0.08}]
+
+
 def test_a_platform_that_moves_with_the_command_has_no_error():
     # Without friction and torque, a platform in motion goes on.
-    options = {"commands": [{"t": 0.0, "v": 0.08}], "mu": 0.0, "state": [0.0, 0.0, 0.0, 0.08]}
-    env = CapsuleEnv(task="velocity", randomization="none")
-    env.reset(seed=0, options=options)
+    env = start("velocity", commands=SLOW, mu=0.0, state=[0.0, 0.0, 0.0, 0.08])
     for _ in range(200):
         observation, reward, _, _, info = env.step(NO_TORQUE)
     assert observation[-1] == pytest.approx(0.08, rel=1e-5)
@@ -184,16 +191,14 @@ def test_a_platform_that_moves_with_the_command_has_no_error():
 
 
 def test_a_command_of_which_too_little_was_measured_does_not_count():
-    env = CapsuleEnv(task="velocity")
-    env.reset(seed=0, options={"commands": [{"t": 0.0, "v": 0.08}]})
+    env = start("velocity", commands=SLOW)
     assert env.episode_metrics(750)["velocity_error"] == 100.0
 
 
 @pytest.mark.parametrize(("goal", "reached"), [(0.0019, 1.0), (-0.0019, 1.0), (0.0021, 0.0)])
 def test_the_goal_is_reached_after_a_second_of_rest_within_2_mm(goal, reached):
     # The platform starts at rest; without a torque it stays in stick.
-    env = CapsuleEnv(task="goal")
-    env.reset(seed=0, options={"goal": goal, "mu": 0.4, "state": [0.0, 0.0, 3.0, 0.0]})
+    env = start("goal", goal=goal, mu=0.4, state=[0.0, 0.0, 3.0, 0.0])
     size = abs(goal)
     rate = 0.5 * np.exp(-size / 0.1) + 0.5 * np.exp(-size / 0.02) - size / 0.5
     # At rest, the last exponential counts twice.
@@ -215,18 +220,15 @@ def test_the_goal_is_reached_after_a_second_of_rest_within_2_mm(goal, reached):
 
 
 def test_a_step_that_began_in_slip_is_no_rest():
-    env = CapsuleEnv(task="goal")
-    env.reset(seed=0, options={"goal": 0.001, "mu": 0.4, "state": [0.0, 0.0, 0.0, 0.02]})
+    env = start("goal", goal=0.001, mu=0.4, state=[0.0, 0.0, 0.0, 0.02])
     held = [env.step(NO_TORQUE)[4]["held"] for _ in range(60)]
     assert held[0] == 0.0
     assert min(held[1:]) > 0.0
-    metrics = env.episode_metrics(750)
-    assert metrics["goal_time"] == pytest.approx(1.02)
+    assert env.episode_metrics(750)["goal_time"] == pytest.approx(1.02)
 
 
 def test_a_reached_goal_stays_reached():
-    env = CapsuleEnv(task="goal")
-    env.reset(seed=0, options={"goal": 0.001, "mu": 0.4, "state": [0.0, 0.0, 0.0, 0.0]})
+    env = start("goal", goal=0.001, mu=0.4, state=[0.0, 0.0, 0.0, 0.0])
     for _ in range(100):
         env.step(NO_TORQUE)
     # A step with a torque ends the rest.
@@ -240,8 +242,7 @@ def test_a_reached_goal_stays_reached():
 
 
 def test_the_time_of_a_failed_episode_is_that_of_the_whole():
-    env = CapsuleEnv(task="goal")
-    env.reset(seed=0, options={"state": [1.5, 5.0, 0.0, 0.0]})
+    env = start("goal", state=[1.5, 5.0, 0.0, 0.0])
     _, _, terminated, _, _ = env.step(NO_TORQUE)
     assert terminated
     assert env.episode_metrics(750)["goal_time"] == 15.0

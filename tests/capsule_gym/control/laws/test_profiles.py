@@ -3,7 +3,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
 
 from capsule_gym import dynamics
 from capsule_gym.control.laws.feedback_linearisation import feedback_linearising
@@ -49,17 +48,6 @@ def test_velocity_and_acceleration_are_derivatives(profile):
     np.testing.assert_allclose(
         (velocity_ahead - velocity_behind) / (2 * h), acceleration, atol=2e-5
     )
-
-
-@PROFILES
-def test_the_angle_is_the_integral_of_the_velocity(profile):
-    def velocity(t):
-        return profile.evaluate(t)[1]
-
-    t = np.array([0.01, 0.14])
-    (start, end), _, _ = profile.evaluate(t)
-    turned, _ = quad(velocity, *t)
-    assert end - start == pytest.approx(turned)
 
 
 @pytest.mark.parametrize(
