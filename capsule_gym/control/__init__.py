@@ -1,3 +1,1 @@
-"""Control laws inside the step: `Controller`, the laws of this package, and laws that users write
-in Python.
-"""
+"""Control laws inside the step: `Controller`, the laws of this package, and users' own laws."""

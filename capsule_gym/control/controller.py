@@ -17,16 +17,21 @@ Law = Callable[..., tuple[float, tuple[float, ...]]]
 # Period of a control law inside the step, s, unless its `Controller` sets another one: a step of
 # the integrator.
 LAW_DT = _core.LAW_PHYSICS_DT
-# Limits of the numbers in a reference table (80 MB), and of its columns and the cells of a memory,
-# each of which the compiler sees.
+# Most numbers in a reference table, 80 MB.
 LARGEST_TABLE = 10_000_000
+# Most columns of a table and cells of a memory, each of which the compiler sees.
 MOST_COLUMNS = _core.MOST_CELLS
+
+
+def constant_sizes(law: str) -> dict[str, int]:
+    """How many numbers each constant of a law of the core has, in the order of the core."""
+    items = (item.partition(":") for item in _core.LAWS[law][0].split())
+    return {name: int(size or 1) for name, _, size in items}
 
 
 @dataclass(frozen=True)
 class CoreLaw:
-    """A control law that comes with the package, compiled, with its constants. It is called like a
-    law in Python.
+    """A compiled control law of the package with its constants, called like a law in Python.
 
     Attributes:
         name: a key of `LAWS` of the core.
@@ -45,20 +50,16 @@ class CoreLaw:
                 NaN.
         """
         require(name in _core.LAWS, "name", f"one of {', '.join(_core.LAWS)}", name)
-        items = [item.partition(":") for item in _core.LAWS[name][0].split()]
-        counts, numbers = {key: int(count or 1) for key, _, count in items}, []
-        if counts.keys() != constants.keys():
-            raise TypeError(
-                f"the law {name!r} takes the constants {', '.join(counts)}, got {', '.join(constants)}"
-            )
-        for key, count in counts.items():
-            numbers += (given := np.ravel(np.asarray(constants[key], np.float64))).tolist()
-            require(
-                given.size == count and not np.isnan(given).any(),
-                key,
-                f"{count} numbers",
-                constants[key],
-            )
+        sizes = constant_sizes(name)
+        if sizes.keys() != constants.keys():
+            expected, given = ", ".join(sizes), ", ".join(constants)
+            raise TypeError(f"the law {name!r} takes the constants {expected}, got {given}")
+        numbers: list[float] = []
+        for key, size in sizes.items():
+            values = np.ravel(np.asarray(constants[key], np.float64))
+            fits = values.size == size and not np.isnan(values).any()
+            require(fits, key, f"{size} numbers", constants[key])
+            numbers += values.tolist()
         object.__setattr__(self, "name", name)
         object.__setattr__(self, "constants", tuple(numbers))
 
@@ -87,25 +88,23 @@ class CoreLaw:
             The torques before their clip to the torque limit, N m, shape (n,), and the memories of
             the next calls.
         """
-        n, columns = len(states), _core.LAWS[self.name][2]
-        given, rows = (np.ascontiguousarray(array, np.float64) for array in (states, rows))
-        renewed, torques, constants = (
-            np.array(memories, np.float64),
-            np.empty(n),
-            np.array([*self.constants, 0.0]),
-        )
-        expected = (n, 4), (n, self.cells), (n, columns)
-        if (given.shape, renewed.shape, rows.shape) != expected:
+        states = np.ascontiguousarray(states, np.float64)
+        rows = np.ascontiguousarray(rows, np.float64)
+        renewed = np.array(memories, np.float64)
+        n = len(states)
+        expected = (n, 4), (n, self.cells), (n, _core.LAWS[self.name][2])
+        if (states.shape, renewed.shape, rows.shape) != expected:
             raise ValueError(
                 f"states, memories and rows of {self.name!r} must have the shapes {expected}"
             )
-        native.call("law_torques", self.number, constants, given, renewed, rows, torques, n)
+        torques = np.empty(n)
+        # One number more: an array of a law without constants would have no address.
+        constants = np.array([*self.constants, 0.0])
+        native.call("law_torques", self.number, constants, states, renewed, rows, torques, n)
         return torques, renewed
 
     def __call__(self, *state_memory_reference: Any) -> tuple[float, tuple[float, ...]]:
-        """Evaluates one call `law(theta, theta_dot, x, x_dot, memory, reference)`; see
-        `Controller`.
-        """
+        """Evaluates `law(theta, theta_dot, x, x_dot, memory, reference)`; see `Controller`."""
         *state, memory, reference = state_memory_reference
         torques, renewed = self.evaluate(
             np.array([state]), np.array([memory]), np.array([reference])
@@ -162,25 +161,7 @@ class Controller:
         object.__setattr__(self, "reference", _check_reference(self.reference))
         object.__setattr__(self, "memory", _check_memory(self.memory))
         check_number("Controller.dt", self.dt, "a finite number > 0 (s)", 0.0, open_low=True)
-        # A trial call, so that a wrong signature raises an error here and not inside compiled code,
-        # which also does not check indices.
-        row = (*(float(value) for value in self.reference[0]), *([0.0] * self.task_size))
-        law = getattr(self.law, "py_func", self.law)
-        must = (
-            f"the control law of {self.name!r} must be law(theta, theta_dot, x, x_dot, memory, reference) -> (torque, "
-            f"memory) with finite numbers and as many memory cells as it is given ({len(self.memory)})"
-        )
-        try:
-            torque, memory = law(row[0], row[1], 0.0, 0.0, self.memory, row)
-            values = (float(torque + 0.0), *(float(cell + 0.0) for cell in memory))
-        except Exception as error:
-            # An arithmetic error comes from the values of the reference, not from the types.
-            kind = ValueError if isinstance(error, ArithmeticError) else TypeError
-            raise kind(
-                f"{must}, but a trial call on its reference failed: {first_cause(error)}"
-            ) from error
-        if len(values) - 1 != len(self.memory) or not all(map(math.isfinite, values)):
-            raise ValueError(f"{must}, got {values} on its reference")
+        self._try_law()
 
     @property
     def task_size(self) -> int:
@@ -189,36 +170,61 @@ class Controller:
 
     @property
     def row_size(self) -> int:
-        """Numbers that the law receives in `reference`: its row, and the task's memory if it reads
-        it.
-        """
+        """Numbers that the law receives in `reference`: its row and `task_size` more."""
         return self.reference.shape[1] + self.task_size
+
+    def _try_law(self) -> None:
+        """Calls the law once, so that a wrong signature raises an error here.
+
+        Compiled code does not check indices: the Python function is called instead.
+        """
+        law = getattr(self.law, "py_func", self.law)
+        row = (*self.reference[0].tolist(), *[0.0] * self.task_size)
+        cells = len(self.memory)
+        must = (
+            f"the control law of {self.name!r} must be law(theta, theta_dot, x, x_dot, memory, "
+            "reference) -> (torque, memory) with finite numbers and as many memory cells as it "
+            f"is given ({cells})"
+        )
+        try:
+            torque, memory = law(*row[:2], 0.0, 0.0, self.memory, row)
+            values = (float(torque + 0.0), *(float(cell + 0.0) for cell in memory))
+        except Exception as error:
+            # An arithmetic error comes from the values of the reference, not from the types.
+            kind = ValueError if isinstance(error, ArithmeticError) else TypeError
+            failed = f"a trial call on its reference failed: {first_cause(error)}"
+            raise kind(f"{must}, but {failed}") from error
+        if len(values) != 1 + cells or not all(map(math.isfinite, values)):
+            raise ValueError(f"{must}, got {values} on its reference")
 
 
 def _check_reference(reference: Any) -> np.ndarray:
     """A reference table as a read-only array of float64."""
-    accepted = (
-        f"a table of finite numbers of shape (steps >= 1, 2 <= columns <= {MOST_COLUMNS}) with theta_d and theta_d_dot "
-        f"in front, at most {LARGEST_TABLE} in all"
+    must = (
+        "Controller.reference must be a table of finite numbers of shape (steps >= 1, 2 <= "
+        f"columns <= {MOST_COLUMNS}) with theta_d and theta_d_dot in front, at most "
+        f"{LARGEST_TABLE} in all"
     )
     try:
         shape = np.shape(reference)
         # Checked before the copy, since the shape of an array can exceed any memory.
-        fits = (
-            len(shape) == 2
-            and shape[0] >= 1
-            and 2 <= shape[1] <= MOST_COLUMNS
-            and math.prod(shape) <= LARGEST_TABLE
-        )
-        table = np.array(reference, np.float64, order="C") if fits else None
+        table = np.array(reference, np.float64, order="C") if _fits_table(shape) else None
     except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(f"Controller.reference must be {accepted}: {error}") from None
-    if table is None or not np.isfinite(table).all():
-        raise ValueError(
-            f"Controller.reference must be {accepted}, got shape {shape}{', not all finite' if fits else ''}"
-        )
+        raise ValueError(f"{must}: {error}") from None
+    if table is None:
+        raise ValueError(f"{must}, got shape {shape}")
+    if not np.isfinite(table).all():
+        raise ValueError(f"{must}, got shape {shape}, not all finite")
     table.setflags(write=False)
     return table
+
+
+def _fits_table(shape: tuple[int, ...]) -> bool:
+    """Whether a reference table may have this shape."""
+    if len(shape) != 2:
+        return False
+    rows, columns = shape
+    return rows >= 1 and 2 <= columns <= MOST_COLUMNS and rows * columns <= LARGEST_TABLE
 
 
 def _check_memory(memory: Any) -> tuple[float, ...]:

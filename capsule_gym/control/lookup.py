@@ -13,9 +13,7 @@ _OWN = re.compile(r"baselines:[A-Za-z][A-Za-z0-9_]*")
 
 
 def is_own(controller: str | None) -> bool:
-    """Whether an import string names a law that comes with this package: resolving it runs no other
-    code.
-    """
+    """Whether an import string names a law of this package: resolving it runs no other code."""
     return controller is None or _OWN.fullmatch(controller) is not None
 
 
@@ -34,18 +32,17 @@ def find_controller(
     if isinstance(controller, Controller):
         # Before the texts of errors, for which its whole table would be printed.
         return controller
-    accepted = (
-        "None, a Controller, a function that returns one, or an import string 'module:attribute'"
+    must = (
+        "controller must be None, a Controller, a function that returns one, or an import string "
+        f"'module:attribute', got {short_repr(controller)}"
     )
-    must = f"controller must be {accepted}, got {short_repr(controller)}"
     found: Any = controller
     if isinstance(controller, str):
         try:
-            found = (
-                find_law(controller.partition(":")[2])
-                if is_own(controller)
-                else pkgutil.resolve_name(controller)
-            )
+            if is_own(controller):
+                found = find_law(controller.removeprefix("baselines:"))
+            else:
+                found = pkgutil.resolve_name(controller)
         except (ValueError, AttributeError, ModuleNotFoundError) as error:
             raise ValueError(f"{must}: {error}") from error
     if callable(found):
@@ -54,6 +51,8 @@ def find_controller(
         except (TypeError, ValueError) as error:
             kind = TypeError if isinstance(error, TypeError) else ValueError
             raise kind(f"{must}, whose call fails: {error}") from error
-    if found is not None and not isinstance(found, Controller):
-        raise TypeError(must if found is controller else f"{must}, which gives {short_repr(found)}")
-    return found
+    if found is None or isinstance(found, Controller):
+        return found
+    if found is not controller:
+        must += f", which gives {short_repr(found)}"
+    raise TypeError(must)

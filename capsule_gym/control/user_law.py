@@ -32,7 +32,7 @@ SOURCE = """
 @njit(**options)
 def call_each(b, u, first, last):
     for j in range(first, last):
-        torque, renewed = law({given}{state}, ({memory}), ({row}){named})
+        torque, renewed = law({arguments}, ({memory},), ({row},){named})
 {stores}
         u[j] = torque
 
@@ -75,15 +75,9 @@ def bind_user_law(
         The fields `user_law` and `user_data` of the core's `Batch`, and what must be kept alive
         while they are used.
     """
-    if importlib.util.find_spec("numba") is not None:
-        with _lock:
-            known = _compiled.setdefault(controller, {})
-            if (lanes, state) not in known:
-                # Where the compilation has failed once, it has warned.
-                failed = None in known.values()
-                known[lanes, state] = None if failed else _compile(controller, lanes, state)
-            if (compiled := known[lanes, state]) is not None:
-                return {"user_law": compiled.address, "compiled": compiled}
+    compiled = _compiled_law(controller, lanes, state)
+    if compiled is not None:
+        return {"user_law": compiled.address, "compiled": compiled}
     cells = len(controller.memory)
     plain = _plain(controller, raised)
     # The core's `PlainLaw`.
@@ -92,8 +86,9 @@ def bind_user_law(
 
 
 def _plain(controller: Controller, raised: list[Exception]) -> Callable[..., tuple[float, ...]]:
-    """The law as the core calls it: with separate numbers, for one tuple of the torque, or NaN, and
-    the memory.
+    """The law as the core calls it.
+
+    It takes all numbers separately and returns one tuple of the torque, or NaN, and the memory.
     """
     law: Any = controller.law
     cells = len(controller.memory)
@@ -101,53 +96,58 @@ def _plain(controller: Controller, raised: list[Exception]) -> Callable[..., tup
     def call(
         theta: float, theta_dot: float, x: float, x_dot: float, *numbers: float
     ) -> tuple[float, ...]:
+        memory, row = numbers[:cells], numbers[cells:]
         try:
-            found = tuple(law(theta, theta_dot, x, x_dot, numbers[:cells], numbers[cells:]))
-            if len(found) != 2 or len(renewed := tuple(found[1])) != cells:
-                must = f"the control law of {controller.name!r} must return (torque, memory) with {cells} cells of memory"
+            found = tuple(law(theta, theta_dot, x, x_dot, memory, row))
+            renewed = tuple(found[1]) if len(found) == 2 else ()
+            if len(renewed) != cells:
+                must = f"must return (torque, memory) with {cells} cells of memory"
+                place = f"theta = {theta:g}, theta_dot = {theta_dot:g}"
                 raise TypeError(
-                    f"{must}, got {short_repr(found)} at theta = {theta:g}, theta_dot = {theta_dot:g}"
+                    f"the control law of {controller.name!r} {must}, "
+                    f"got {short_repr(found)} at {place}"
                 )
             return found[0], *renewed
         except Exception as error:
             raised.append(error)
-            return (math.nan, *numbers[:cells])
+            return math.nan, *memory
 
     return call
 
 
+def _compiled_law(controller: Controller, lanes: int, state: int) -> Any:
+    """The compiled law for blocks of this kind, from an earlier call if there was one, or None."""
+    if importlib.util.find_spec("numba") is None:
+        return None
+    with _lock:
+        known = _compiled.setdefault(controller, {})
+        if (lanes, state) not in known:
+            # Where the compilation has failed once, it has warned.
+            failed = None in known.values()
+            known[lanes, state] = None if failed else _compile(controller, lanes, state)
+        return known[lanes, state]
+
+
 def _compile(controller: Controller, lanes: int, state: int) -> Any:
-    """The law in a loop over a block, compiled; None with a warning where numba cannot compile
-    it.
-    """
+    """The law in a compiled loop over a block; a warning and None where numba cannot compile it."""
     law: Any = controller.law
-    given: tuple[Any, ...] = ()
-    named: dict[str, Any] = {}
-    if isinstance(law, partial):
-        given, named, law = law.args, law.keywords, law.func
-    cells = len(controller.memory)
-    size = NUM_ROWS + cells + controller.row_size
-    names = [f"b[j + {n * lanes}]" for n in range(NUM_ROWS, size)]
-    source = SOURCE.format(
-        size=size * lanes,
-        lanes=lanes,
-        given="".join(f"given_{n}, " for n in range(len(given))),
-        state=", ".join(f"b[j + {(state + n) * lanes}]" for n in range(4)),
-        memory="".join(f"{name}, " for name in names[:cells]),
-        row="".join(f"{name}, " for name in names[cells:]),
-        named="".join(f", {name}=named_{name}" for name in named),
-        stores="\n".join(f"        {name} = renewed[{n}]" for n, name in enumerate(names[:cells])),
-    )
+    if not isinstance(law, partial):
+        law = partial(law)
+    # The arguments that a `functools.partial` binds, by their names in the source.
+    given = {f"given_{n}": value for n, value in enumerate(law.args)}
+    named = {f"named_{name}": value for name, value in law.keywords.items()}
+    source = _source(controller, lanes, state, list(given), list(law.keywords))
     # A division by zero gives infinity, as in the core: an exception would prevent vectorised
     # loops.
     options: dict[str, Any] = {"error_model": "numpy"}
     try:
         import numba
 
-        inner = law if hasattr(law, "py_func") else numba.njit(forceinline=True, **options)(law)
-        scope = {"law": inner, "njit": numba.njit, "options": options, "carray": numba.carray}
-        scope |= {f"given_{n}": value for n, value in enumerate(given)}
-        scope |= {f"named_{name}": value for name, value in named.items()}
+        function = law.func
+        if not hasattr(function, "py_func"):
+            function = numba.njit(forceinline=True, **options)(function)
+        scope = {"law": function, "njit": numba.njit, "options": options, "carray": numba.carray}
+        scope |= given | named
         exec(source, scope)
         pointer = numba.types.CPointer(numba.float64)
         signature = numba.void(numba.types.voidptr, pointer, pointer, numba.int64)
@@ -155,8 +155,29 @@ def _compile(controller: Controller, lanes: int, state: int) -> Any:
         return compile_function(scope["call_law"])
     except Exception as error:
         warnings.warn(
-            f"Python calls the control law {controller.name!r}, some tens of times slower than compiled code, since "
-            f"numba cannot compile it: {first_cause(error)}",
+            f"Python calls the control law {controller.name!r}, some tens of times slower than "
+            f"compiled code, since numba cannot compile it: {first_cause(error)}",
             stacklevel=2,
         )
         return None
+
+
+def _source(
+    controller: Controller, lanes: int, state: int, given: list[str], keywords: list[str]
+) -> str:
+    """The source of the loop, in which the law also takes bound arguments and keywords."""
+    cells = len(controller.memory)
+    size = NUM_ROWS + cells + controller.row_size
+    # The number of an environment in each row of the block.
+    places = [f"b[j + {row * lanes}]" for row in range(size)]
+    memory = places[NUM_ROWS : NUM_ROWS + cells]
+    stores = [f"        {place} = renewed[{n}]" for n, place in enumerate(memory)]
+    return SOURCE.format(
+        size=size * lanes,
+        lanes=lanes,
+        arguments=", ".join([*given, *places[state : state + 4]]),
+        memory=", ".join(memory),
+        row=", ".join(places[NUM_ROWS + cells :]),
+        named="".join(f", {name}=named_{name}" for name in keywords),
+        stores="\n".join(stores),
+    )

@@ -1,6 +1,4 @@
-"""The plant and its disturbances: constants, the distributions from which episodes draw them, and
-their limits.
-"""
+"""The plant and its disturbances: constants, their distributions and their limits."""
 
 from capsule_gym.parameters.capsule import CONSTANTS, NOMINAL, Capsule, NormalForce, Plant
 from capsule_gym.parameters.disturbances import DISTURBANCES, REAL, SENSORS, Disturbances

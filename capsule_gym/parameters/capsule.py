@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 from capsule_gym.checks import check_choice, check_number
 from capsule_gym.core import _core
@@ -10,9 +10,6 @@ from capsule_gym.core.native import evaluate
 from capsule_gym.parameters.limits import LARGEST, SMALLEST, check_divisor
 
 NormalForce = Literal["newton", "paper"]
-
-# rad: largest slope of the floor.
-LARGEST_SLOPE = 1.5
 
 
 class Plant(NamedTuple):
@@ -48,11 +45,9 @@ class Plant(NamedTuple):
 
 # The constants that a `Randomization` draws besides M and mu, in the order of their draws.
 CONSTANTS = tuple(_core.CONSTANTS)
-# The smallest values of those that are not 0.
-SMALLEST_OF = {
-    **dict.fromkeys(("M", "m", "l", "g", "backward_ratio"), SMALLEST),
-    "static_ratio": 1.0,
-}
+# The smallest and the largest values, SI units; those of other constants are 0 and LARGEST.
+LIMITS = dict.fromkeys(("M", "m", "l", "g", "backward_ratio"), (SMALLEST, LARGEST))
+LIMITS |= {"static_ratio": (1.0, LARGEST), "slope": (-1.5, 1.5)}
 
 
 def _check_size(name: str, value: Any, low: float, high: float = LARGEST) -> float:
@@ -62,8 +57,9 @@ def _check_size(name: str, value: Any, low: float, high: float = LARGEST) -> flo
 
 @dataclass(frozen=True, kw_only=True)
 class Capsule:
-    """The constants of the capsule robot, in SI units; the defaults are those of Liu, Yu and Cang
-    (2018), Sect. 5.
+    """The constants of the capsule robot, in SI units.
+
+    The defaults are those of Liu, Yu and Cang (2018), Sect. 5.
 
     Attributes:
         M: mass of the platform, kg.
@@ -115,17 +111,13 @@ class Capsule:
 
     def __post_init__(self) -> None:
         for name in ("M", "mu", *CONSTANTS):
-            low, high = (
-                (-LARGEST_SLOPE, LARGEST_SLOPE)
-                if name == "slope"
-                else (SMALLEST_OF.get(name, 0.0), LARGEST)
-            )
+            whose = f"Capsule.{name}"
+            low, high = LIMITS.get(name, (0.0, LARGEST))
             # Narrow types of numpy would reduce the precision of all derived quantities.
-            value = _check_size(f"Capsule.{name}", getattr(self, name), low, high)
-            object.__setattr__(self, name, check_divisor(name, f"Capsule.{name}", value))
-        check_choice(
-            "Capsule.normal_force", self.normal_force, ("newton", "paper"), "'newton' or 'paper'"
-        )
+            value = _check_size(whose, getattr(self, name), low, high)
+            object.__setattr__(self, name, check_divisor(name, whose, value))
+        forces = get_args(NormalForce)
+        check_choice("Capsule.normal_force", self.normal_force, forces, "'newton' or 'paper'")
         self.check_plant(self.M, self.mu)
 
     def check_plant(self, M: float, mu: float) -> None:
@@ -139,18 +131,21 @@ class Capsule:
             TypeError: if M or mu is not a number.
             ValueError: if M or mu is out of range, or the plant admits Painleve's paradox.
         """
-        M, mu = _check_size("M", M, SMALLEST), _check_size("mu", mu, 0.0)
+        M = _check_size("M", M, SMALLEST)
+        mu = _check_size("mu", mu, 0.0)
         # The largest coefficient that can act.
         mu *= max(1.0, self.backward_ratio) * self.static_ratio
-        share, bound = (M + self.m) / self.m, (1.0 + math.sqrt(1.0 + mu * mu)) / 2.0
-        if share <= bound:
-            # As a product: a power that overflows raises an exception in Python.
-            largest = math.sqrt((2.0 * share - 1.0) * (2.0 * share - 1.0) - 1.0)
-            raise ValueError(
-                f"M={M!r}, m={self.m!r} and friction coefficient mu={mu!r} admit Painleve's paradox: the slip "
-                f"equations need (M + m) / m > (1 + sqrt(1 + mu^2)) / 2 = {bound:.6g}, got {share:.6g}; with these "
-                f"masses mu must stay below {largest:.6g}"
-            )
+        ratio = (M + self.m) / self.m
+        bound = (1.0 + math.sqrt(1.0 + mu * mu)) / 2.0
+        if ratio > bound:
+            return
+        # As a product: a power that overflows raises an exception in Python.
+        largest = math.sqrt((2.0 * ratio - 1.0) * (2.0 * ratio - 1.0) - 1.0)
+        raise ValueError(
+            f"M={M!r}, m={self.m!r} and friction coefficient mu={mu!r} admit Painleve's paradox: "
+            f"the slip equations need (M + m) / m > (1 + sqrt(1 + mu^2)) / 2 = {bound:.6g}, got "
+            f"{ratio:.6g}; with these masses mu must stay below {largest:.6g}"
+        )
 
     def fastest_rate(self, M: float, mu: float) -> float:
         """The fastest rate of the pendulum's own motion in 1/s, which the integrator must resolve.
@@ -170,42 +165,42 @@ class Capsule:
         # The paper's normal force, which the pivot's torque changes, adds this share of that torque
         # at most.
         pivot = 0.5 * mu * share * self.l if self.normal_force == "paper" else 0.0
-        # The friction of the motor is steepest at rest, the Stribeck curve, which falls, at v_s /
-        # sqrt(3).
-        damping = (
-            (1.0 + pivot)
-            * (self.c + _core.MOTOR_SLOPE * self.motor_friction / _core.MOTOR_WIDTH)
-            / inertia
-        )
+        # The friction of the motor is steepest at rest.
+        motor = _core.MOTOR_SLOPE * self.motor_friction / _core.MOTOR_WIDTH
+        damping = (1.0 + pivot) * (self.c + motor) / inertia
         weight = self.m * self.g * self.l
-        steepest = (
-            0.65 * mu * (self.static_ratio - 1.0) * self.g / self.stribeck_speed
-            if self.stribeck_speed
-            else 0.0
-        )
-        floor = self.viscous / ((M + self.m) * remains) + steepest * (M + self.m) / M
-        lowest = (1.0 - (1.0 + math.pi) * pivot) * self.k - weight * math.sqrt(1.0 + mu * mu)
-        highest = (1.0 + (1.0 + math.pi) * pivot) * self.k + weight * mu
-        rates = []
-        for stiffness in (lowest / inertia, highest / inertia):
-            square = damping * damping / 4.0 - stiffness
-            rates.append(
-                damping / 2.0 + math.sqrt(square) if square >= 0.0 else math.sqrt(stiffness)
-            )
-        return max(rates) + floor
+        # The share by which that normal force changes the spring's stiffness at most.
+        spring = (1.0 + math.pi) * pivot
+        lowest = (1.0 - spring) * self.k - weight * math.sqrt(1.0 + mu * mu)
+        highest = (1.0 + spring) * self.k + weight * mu
+        rates = [_fastest_root(damping, stiffness / inertia) for stiffness in (lowest, highest)]
+        viscous = self.viscous / ((M + self.m) * remains)
+        falling = 0.0
+        if self.stribeck_speed > 0.0:
+            # The Stribeck curve falls most steeply at stribeck_speed / sqrt(3).
+            falling = 0.65 * mu * (self.static_ratio - 1.0) * self.g / self.stribeck_speed
+        return max(rates) + (viscous + falling * (M + self.m) / M)
 
     def plant(self, M: float | None = None, mu: float | None = None) -> Plant:
         """The constants as the core reads them, with another M in kg or mu if one is given."""
-        capsule = replace(self, M=self.M if M is None else M, mu=self.mu if mu is None else mu)
-        paper = float(self.normal_force == "paper")
-        extended = float(
-            any((paper, self.viscous, self.stribeck_speed, self.slope, self.motor_friction))
-        )
+        M = self.M if M is None else M
+        mu = self.mu if mu is None else mu
+        capsule = replace(self, M=M, mu=mu)
+        mass_ratio = capsule.m / (capsule.M + capsule.m)
+        paper = self.normal_force == "paper"
+        optional = (paper, self.viscous, self.stribeck_speed, self.slope, self.motor_friction)
+        constants = [getattr(self, name) for name in CONSTANTS]
         # Without the first four of `_core.PLANT`, which the core leaves to the caller.
-        derived = map(float, evaluate("derive", *(getattr(self, name) for name in CONSTANTS))[4:])
+        derived = map(float, evaluate("derive", *constants)[4:])
         return Plant(
-            capsule.M, capsule.mu, capsule.m / (capsule.M + capsule.m), paper, extended, *derived
+            capsule.M, capsule.mu, mass_ratio, float(paper), float(any(optional)), *derived
         )
+
+
+def _fastest_root(damping: float, stiffness: float) -> float:
+    """The largest absolute root of s^2 + damping s + stiffness, 1/s."""
+    square = damping * damping / 4.0 - stiffness
+    return damping / 2.0 + math.sqrt(square) if square >= 0.0 else math.sqrt(stiffness)
 
 
 NOMINAL = Capsule()

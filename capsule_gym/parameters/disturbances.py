@@ -8,9 +8,10 @@ from capsule_gym.core import _core
 from capsule_gym.parameters.limits import SHORTEST_STEP, check_divisor
 from capsule_gym.parameters.randomization import Range
 
-# Largest sizes of disturbances (SI units), and the longest latency, s, whose states each
-# environment remembers.
-LARGEST_DISTURBANCE, LONGEST_LATENCY = 1e3, 0.5
+# Largest size of a disturbance, SI units.
+LARGEST_DISTURBANCE = 1e3
+# s; each environment remembers its states for so long.
+LONGEST_LATENCY = 0.5
 # The sensors that always exist, unless they are `unmeasured`.
 SENSORS = ("theta", "theta_dot", "x_dot")
 
@@ -83,51 +84,58 @@ class Disturbances:
 
     def __post_init__(self) -> None:
         for name in DISTURBANCES:
-            low, high = self.limits(name)
-            accepted = f"a number from {low:g} to {high:g}, or a pair (low, high) of such numbers with low <= high"
-            value, whose = getattr(self, name), f"Disturbances.{name}"
-            check = check_pair if isinstance(value, (tuple, list)) else check_number
-            checked = check(whose, value, accepted, low=low, high=high)
-            for end in checked if isinstance(checked, tuple) else (checked,):
-                check_divisor(name, whose, end)
-            object.__setattr__(self, name, checked)
+            object.__setattr__(self, name, self._checked_draws(name))
         names = self.unmeasured
         fits = isinstance(names, (tuple, list)) and all(
             isinstance(name, str) and name in SENSORS for name in names
         )
         require(fits, "Disturbances.unmeasured", f"a tuple of names out of {SENSORS}", names)
         object.__setattr__(self, "unmeasured", tuple(names))
-        check_choice(
-            "Disturbances.controls",
-            self.controls,
-            ("both", "law", "agent"),
-            "'both', 'law' or 'agent'",
+        choices = ("both", "law", "agent")
+        check_choice("Disturbances.controls", self.controls, choices, "'both', 'law' or 'agent'")
+        self._check_size("stick_threshold", "a number of m/s")
+        if self.x_noise is not None:
+            self._check_size("x_noise", "None or a number of m")
+
+    def _checked_draws(self, name: str) -> Draws:
+        """The value of a field of `DISTURBANCES`, a number or a range, after its check."""
+        value = getattr(self, name)
+        low, high = self.limits(name)
+        accepted = (
+            f"a number from {low:g} to {high:g}, or a pair (low, high) of such numbers with "
+            "low <= high"
         )
-        for name, kinds in (
-            ("stick_threshold", "a number of m/s"),
-            ("x_noise", "None or a number of m"),
-        ):
-            if (value := getattr(self, name)) is not None or name == "stick_threshold":
-                accepted = f"{kinds} from 0 to {LARGEST_DISTURBANCE:g}"
-                number = check_number(
-                    f"Disturbances.{name}", value, accepted, 0.0, LARGEST_DISTURBANCE
-                )
-                object.__setattr__(self, name, number)
+        whose = f"Disturbances.{name}"
+        check = check_pair if isinstance(value, (tuple, list)) else check_number
+        checked = check(whose, value, accepted, low=low, high=high)
+        for end in checked if isinstance(checked, tuple) else (checked,):
+            check_divisor(name, whose, end)
+        return checked
+
+    def _check_size(self, name: str, kind: str) -> None:
+        """Checks a field that is not drawn."""
+        accepted = f"{kind} from 0 to {LARGEST_DISTURBANCE:g}"
+        value = getattr(self, name)
+        size = check_number(f"Disturbances.{name}", value, accepted, 0.0, LARGEST_DISTURBANCE)
+        object.__setattr__(self, name, size)
 
     @staticmethod
     def limits(name: str) -> tuple[float, float]:
         """The smallest and the largest value that a field of `DISTURBANCES` may have."""
         if name.endswith("_bias"):
             return -LARGEST_DISTURBANCE, LARGEST_DISTURBANCE
+        if name == "latency":
+            return 0.0, LONGEST_LATENCY
         lowest = SHORTEST_STEP if name == "drift_time" else 0.0
-        return lowest, LONGEST_LATENCY if name == "latency" else LARGEST_DISTURBANCE
+        return lowest, LARGEST_DISTURBANCE
 
     @classmethod
     def named(cls, name: "str | Disturbances") -> "Disturbances | None":
         """The `Disturbances` of a name, None for "none"; a `Disturbances` is returned unchanged."""
         if isinstance(name, cls):
             return name
-        return REAL if check_name("disturbances", name, cls, ("none", "real")) == "real" else None
+        known = {"none": None, "real": REAL}
+        return known[check_name("disturbances", name, cls, known)]
 
 
 DISTURBANCES = tuple(_core.DISTURBANCES)
@@ -147,5 +155,4 @@ REAL = Disturbances(
     lag=0.005,
     motor_friction=0.05,
 )
-"""The disturbances of `disturbances="real"`: cheap sensors, and the latency of a bus or a
-camera."""
+"""The disturbances of `disturbances="real"`: cheap sensors, the latency of a bus or a camera."""

@@ -14,10 +14,9 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class Randomization:
-    """Ranges (low, high) from which every episode draws its plant uniformly. None keeps the value
-    of the `Capsule`.
+    """Ranges (low, high) from which every episode draws its plant uniformly.
 
-    The fields have the names and the units of the `Capsule`'s.
+    None keeps the value of the `Capsule`, whose fields have the same names and units.
 
     Attributes:
         log_mu: draw log(mu) instead of mu uniformly.
@@ -51,24 +50,28 @@ class Randomization:
     def __post_init__(self) -> None:
         check_flag("Randomization.log_mu", self.log_mu)
         for name in ("M", "mu", *CONSTANTS):
-            value, whose = getattr(self, name), f"Randomization.{name}"
-            if value is None:
-                continue
-            # A Stribeck speed of 0 means none: just above it the friction is as steep as can be.
-            positive = name in ("M", "stribeck_speed") or (name == "mu" and self.log_mu)
-            limits, sign = {}, ""
-            if positive or name == "mu":
-                limits, sign = {"low": 0.0, "open_low": positive}, "0 < " if positive else "0 <= "
-            accepted = f"a pair (low, high) of finite numbers with {sign}low <= high"
-            low, high = check_pair(whose, value, accepted, **limits)
-            if name == "mu" and self.log_mu:
-                require(
-                    high / low <= LARGEST_RATIO,
-                    whose,
-                    f"within a factor of {LARGEST_RATIO:g} with log_mu",
-                    value,
-                )
-            object.__setattr__(self, name, (low, high))
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, self._checked_range(name))
+
+    def _checked_range(self, name: str) -> Range:
+        """The range of a constant after its check."""
+        value, whose = getattr(self, name), f"Randomization.{name}"
+        logarithmic = name == "mu" and self.log_mu
+        order = "low <= high"
+        limits: dict[str, Any] = {}
+        # A Stribeck speed of 0 means none: just above it the friction is as steep as can be.
+        if logarithmic or name in ("M", "stribeck_speed"):
+            order = "0 < low <= high"
+            limits = {"low": 0.0, "open_low": True}
+        elif name == "mu":
+            order = "0 <= low <= high"
+            limits = {"low": 0.0}
+        accepted = f"a pair (low, high) of finite numbers with {order}"
+        low, high = check_pair(whose, value, accepted, **limits)
+        if logarithmic:
+            accepted = f"within a factor of {LARGEST_RATIO:g} with log_mu"
+            require(high / low <= LARGEST_RATIO, whose, accepted, value)
+        return low, high
 
     @property
     def drawn(self) -> list[str]:
@@ -83,8 +86,7 @@ class Randomization:
         return RANDOMIZATIONS[check_name(argument, name, cls, RANDOMIZATIONS)]
 
     def corners(self, capsule: Capsule) -> list[Capsule]:
-        """The capsules at the ends of all ranges but those of M and mu, with the lightest platform
-        and most friction.
+        """The capsules at the ends of all ranges, with the lightest platform and most friction.
 
         Both are the worst case of Painleve's condition and of the integrator's stability, and every
         other constant is at one end of its range.
@@ -93,25 +95,31 @@ class Randomization:
             ValueError: if one of them, or the heaviest platform with the least friction, is
                 invalid.
         """
+        lightest, heaviest = self.M or (capsule.M, capsule.M)
+        least, most = self.mu or (capsule.mu, capsule.mu)
         try:
-            capsule.check_plant((self.M or (capsule.M,))[-1], (self.mu or (capsule.mu,))[0])
-            M, mu = (self.M or (capsule.M,))[0], (self.mu or (capsule.mu,))[-1]
-            every = product(*(getattr(self, name) for name in self.drawn))
-            return [
-                replace(capsule, M=M, mu=mu, **dict(zip(self.drawn, values, strict=True)))
-                for values in every
-            ]
+            capsule.check_plant(heaviest, least)
+            ranges = [getattr(self, name) for name in self.drawn]
+            corners = [dict(zip(self.drawn, ends, strict=True)) for ends in product(*ranges)]
+            return [replace(capsule, M=lightest, mu=most, **corner) for corner in corners]
         except ValueError as error:
             raise ValueError(f"Randomization({self}): {error}") from None
 
     def __str__(self) -> str:
         if self == Randomization():
             return "the capsule's own M and mu"
-        M = f"M in [{self.M[0]:g}, {self.M[1]:g}] kg" if self.M else "the capsule's own M"
-        scale = "log-uniform " if self.log_mu else ""
-        mu = f"mu {scale}in [{self.mu[0]:g}, {self.mu[1]:g}]" if self.mu else "the capsule's own mu"
-        ranges = ((name, *getattr(self, name)) for name in self.drawn)
-        return ", ".join([M, mu, *(f"{name} in [{low:g}, {high:g}]" for name, low, high in ranges)])
+        mu = "mu log-uniform" if self.log_mu else "mu"
+        texts = [
+            f"M in {_interval(self.M)} kg" if self.M else "the capsule's own M",
+            f"{mu} in {_interval(self.mu)}" if self.mu else "the capsule's own mu",
+        ]
+        texts += [f"{name} in {_interval(getattr(self, name))}" for name in self.drawn]
+        return ", ".join(texts)
+
+
+def _interval(ends: Range) -> str:
+    low, high = ends
+    return f"[{low:g}, {high:g}]"
 
 
 # The constants that are hard to measure on a robot, within 10 % of the paper's.

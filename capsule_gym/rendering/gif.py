@@ -1,8 +1,8 @@
 """GIFs, which pillow writes; it is imported only when needed."""
 
+import math
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -36,15 +36,21 @@ def write_gif(
         raise ValueError(
             "frames must contain at least one picture, got none: the episode ended before the first"
         )
-    # One palette for all frames: colours do not flicker, and only moving parts are stored again. By
-    # coverage, so that the few pixels of a legend keep their colour; then means (kmeans), which do
-    # not tint the background.
-    shown = pictures[:: -(-len(pictures) // FRAMES_OF_PALETTE)]
-    together = Image.fromarray(np.concatenate([np.asarray(picture) for picture in shown]))
-    palette = together.quantize(
-        128, method=Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE
-    )
-    pictures = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
-    options: dict[str, Any] = {"duration": round(1000 * frame_seconds), "loop": 0, "optimize": True}
+    # One palette for all frames: colours do not flicker, and only moving parts are stored again.
+    every = math.ceil(len(pictures) / FRAMES_OF_PALETTE)
+    shown = [np.asarray(picture) for picture in pictures[::every]]
+    together = Image.fromarray(np.concatenate(shown))
+    # By coverage, so that the few pixels of a legend keep their colour; then means (kmeans), which
+    # do not tint the background.
+    coverage, undithered = Image.Quantize.MAXCOVERAGE, Image.Dither.NONE
+    palette = together.quantize(128, method=coverage, kmeans=1, dither=undithered)
+    first, *others = (each.quantize(palette=palette, dither=undithered) for each in pictures)
     with replacing(path) as temporary:
-        pictures[0].save(temporary, save_all=True, append_images=pictures[1:], **options)
+        first.save(
+            temporary,
+            save_all=True,
+            append_images=others,
+            duration=round(1000 * frame_seconds),
+            loop=0,
+            optimize=True,
+        )

@@ -1,3 +1,1 @@
-"""The tasks: a module for each, with its `Task` named `TASK`, and `find_task`, which knows them by
-name.
-"""
+"""The tasks: a module for each with its `Task`, `TASK`; `find_task` knows them by name."""

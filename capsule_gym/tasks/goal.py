@@ -19,8 +19,7 @@ The observation of `CapsuleStickSlip-v0`, followed by:
 | time for which the platform has been at rest within 2 mm of the goal (s) | 0 | 1 |
 
 With disturbances, e is the position of the goal minus the measured x, and the platform is at rest
-where the measured
-|x_dot| is at most `stick_threshold`. Reward, `info` and metrics are true.
+where the measured |x_dot| is at most `stick_threshold`. Reward, `info` and metrics are true.
 
 With `goal_env=True` an observation is a dict for hindsight experience replay: `observation`, that
 of `CapsuleStickSlip-v0`; `achieved_goal`, x and x_dot of the platform (m, m/s; float64, measured
@@ -33,8 +32,8 @@ termination. A step whose x_dot is the desired one counts as rest.
 
 The sum of three terms, which `info` contains:
 
-- `reward_goal`, per second: -|e| / 0.5 m + exp(-|e| / 10 cm) / 2 + exp(-|e| / 2 cm) / 2 + exp(-|e| / 4 mm). At rest the
-  last exponential counts twice; at rest within 2 mm, 2 are added;
+- `reward_goal`, per second: -|e| / 0.5 m + exp(-|e| / 10 cm) / 2 + exp(-|e| / 2 cm) / 2
+  + exp(-|e| / 4 mm). At rest the last exponential counts twice; at rest within 2 mm, 2 are added;
 - `reward_energy` and `reward_termination`, as in `CapsuleStickSlip-v0`.
 
 ## Starting State
@@ -91,18 +90,19 @@ def compute_reward(settings: Settings, achieved_goal: Any, desired_goal: Any, in
     Raises:
         ValueError: if a goal has another shape.
     """
+    accepted = "of shape (.., 2), x in m and x_dot in m/s"
     for name, goal in (("achieved_goal", achieved_goal), ("desired_goal", desired_goal)):
-        require(
-            np.shape(goal)[-1:] == (2,), name, "of shape (.., 2), x in m and x_dot in m/s", goal
-        )
-    error, x_dot = np.moveaxis(np.subtract(desired_goal, achieved_goal, dtype=np.float64), -1, 0)
+        require(np.shape(goal)[-1:] == (2,), name, accepted, goal)
+    difference = np.subtract(desired_goal, achieved_goal, dtype=np.float64)
+    error, x_dot = np.moveaxis(difference, -1, 0)
     rest = settings.stick_threshold if settings.agent_reads else 0.0
     (rate,) = native.evaluate("goal_rate", error, np.abs(x_dot) <= rest)
     rewards = settings.law_steps * settings.physics_steps * settings.physics_dt * rate
     for term in ("reward_energy", "reward_termination"):
-        given = (
-            info.get(term, 0.0) if isinstance(info, dict) else [one.get(term, 0.0) for one in info]
-        )
+        if isinstance(info, dict):
+            given = info.get(term, 0.0)
+        else:
+            given = [each.get(term, 0.0) for each in info]
         rewards = rewards + np.asarray(given)
     return rewards if rewards.ndim else float(rewards)
 
@@ -110,11 +110,8 @@ def compute_reward(settings: Settings, achieved_goal: Any, desired_goal: Any, in
 def parse_goal(name: str, value: Any) -> list[float]:
     """The displacement of the goal from the start, in m."""
     farthest = LARGEST_STATE[2]
-    return [
-        check_number(
-            name, value, f"a finite number of m within {farthest:g} of 0", -farthest, farthest
-        )
-    ]
+    accepted = f"a finite number of m within {farthest:g} of 0"
+    return [check_number(name, value, accepted, -farthest, farthest)]
 
 
 TASK = Task(

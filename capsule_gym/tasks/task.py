@@ -26,8 +26,7 @@ ENERGY_WEIGHT = 0.1
 TERMINATION_PENALTY = 10.0
 THETA_LIMIT = _core.THETA_LIMIT
 START_THETA = _core.START_THETA
-# Limits of a reset: |theta| below THETA_LIMIT, and up to this |theta_dot| (rad/s), |x| (m) and
-# |x_dot| (m/s).
+# Limits of a reset: |theta| below the first (rad), |theta_dot| (rad/s), |x| (m), |x_dot| (m/s).
 LARGEST_STATE = (THETA_LIMIT, 1e3, 1e6, 1e3)
 
 # Keys of a change of the plant within an episode.
@@ -67,8 +66,7 @@ def parse_numbers(name: str, value: Any) -> list[float]:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Task:
-    """A task of the core, where its memory, reward, entries of the observation, draws and metrics
-    are.
+    """A task of the core: its memory, reward, part of the observation, draws and metrics.
 
     Attributes:
         name: value of the environment's argument `task`.
@@ -102,16 +100,12 @@ class Task:
 
     @cached_property
     def term(self) -> str:
-        """The name in `info` of the task's reward term, to which the energy and termination terms
-        are added.
-        """
+        """The name in `info` of the task's own reward term."""
         return self._description.term
 
     @cached_property
     def fields(self) -> list[str]:
-        """The names of the numbers in the memory of one environment; the last ones are those that
-        an episode draws.
-        """
+        """The names of the numbers in the memory of one environment, last those it draws."""
         return self._description.fields
 
     @cached_property
@@ -129,9 +123,7 @@ class Task:
 
     @cached_property
     def option_sizes(self) -> dict[str, int]:
-        """The reset options of the task, and how many drawn numbers each sets, in the order of the
-        memory.
-        """
+        """How many drawn numbers each reset option sets, in the order of the memory."""
         return dict(Counter(option for option, *_ in self._description.draws))
 
     @property
@@ -151,6 +143,5 @@ class Task:
             TypeError: if the value is of the wrong type.
             ValueError: if it is out of range.
         """
-        whose = f"options[{option!r}]"
         parser = self.parsers.get(option, parse_numbers)
-        return parser(whose, value)
+        return parser(f"options[{option!r}]", value)

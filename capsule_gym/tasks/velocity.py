@@ -64,29 +64,36 @@ import math
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from capsule_gym.checks import check_number, check_timed, require
 from capsule_gym.core import _core
 from capsule_gym.tasks.task import GRIP_DEFAULTS, Task
 
 # Largest accepted command, m/s.
 LARGEST = _core.LARGEST_COMMAND
+WITHIN_LARGEST = f"a number of m/s within {LARGEST:g} of 0"
 
 
 def parse_commands(name: str, value: Any) -> list[float]:
     """The velocities of the commands and how long each lasts, from `[{"t": s, "v": m/s}]`."""
-    accepted = f"a list of 1 to {_core.COMMANDS} dicts {{'t': s, 'v': m/s}}, the first at 0 s, each later than the one before"
+    accepted = (
+        f"a list of 1 to {_core.COMMANDS} dicts {{'t': s, 'v': m/s}}, the first at 0 s, each later "
+        "than the one before"
+    )
     if isinstance(value, (list, tuple)) and not 1 <= len(value) <= _core.COMMANDS:
         raise ValueError(f"{name} must be {accepted}, got {len(value)}")
     times: list[float] = []
-    commands: list[float] = []
+    velocities: list[float] = []
     for where, t, command in check_timed(name, value, accepted, ("t", "v")):
         require(times != [] or t == 0.0, f"{where}['t']", "0 s for the first command", t)
+        v = check_number(f"{where}['v']", command["v"], WITHIN_LARGEST, -LARGEST, LARGEST)
         times.append(t)
-        limit = f"a number of m/s within {LARGEST:g} of 0"
-        commands.append(check_number(f"{where}['v']", command["v"], limit, -LARGEST, LARGEST))
+        velocities.append(v)
+    # The last command stays.
+    durations = [*np.diff(times).tolist(), math.inf]
     more = _core.COMMANDS - len(times)
-    lasts = [later - t for t, later in zip(times, [*times[1:], math.inf], strict=True)]
-    return [*commands, *[commands[-1]] * more, *lasts, *[math.inf] * more]
+    return [*velocities, *velocities[-1:] * more, *durations, *[math.inf] * more]
 
 
 TASK = Task(
@@ -98,14 +105,12 @@ TASK = Task(
 
 
 def with_commands(low: float, high: float) -> Task:
-    """The task with commands uniform in [low, high], in m/s: a value of the environment's argument
-    `task`.
+    """The task with commands uniform in [low, high], in m/s, for the argument `task`.
 
     Raises:
         TypeError: if a limit is not a number.
         ValueError: if a limit is further than 0.2 m/s from 0, or low is above high.
     """
-    accepted = f"a number of m/s within {LARGEST:g} of 0"
-    low = check_number("low", low, accepted, -LARGEST, LARGEST)
-    high = check_number("high", high, f"{accepted} and not below low", low, LARGEST)
+    low = check_number("low", low, WITHIN_LARGEST, -LARGEST, LARGEST)
+    high = check_number("high", high, f"{WITHIN_LARGEST} and not below low", low, LARGEST)
     return replace(TASK, draw_range=(low, high))

@@ -10,17 +10,18 @@ from capsule_gym.core import _core
 from tests.project.test_pages import ROOT
 
 SET = ("CMAKE_ARGS", "CMAKE_GENERATOR", "ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR")
+KINDS = pytest.mark.parametrize("kind", ["wheel", "editable"])
+NOT_ON_WINDOWS = pytest.mark.skipif(os.name == "nt", reason="on Windows only CXX names a compiler")
 
 
 @pytest.fixture
 def backend(monkeypatch):
     """The module, with hooks of scikit-build-core that return what a build needs or sees."""
+    environment = {**os.environ}
+    for name in ("CXX", *SET):
+        environment.pop(name, None)
     monkeypatch.setattr(os, "umask", lambda mode: None)
-    monkeypatch.setattr(
-        os,
-        "environ",
-        {name: each for name, each in os.environ.items() if name not in ("CXX", *SET)},
-    )
+    monkeypatch.setattr(os, "environ", environment)
     build = ModuleType("scikit_build_core.build")
     for kind in ("wheel", "editable"):
         setattr(build, f"get_requires_for_build_{kind}", lambda settings: [settings])
@@ -30,53 +31,82 @@ def backend(monkeypatch):
     return SimpleNamespace(**runpy.run_path(str(ROOT / "capsule_gym" / "core" / "backend.py")))
 
 
-@pytest.mark.skipif(os.name == "nt", reason="on Windows only CXX names a compiler")
-@pytest.mark.parametrize("found", ["", "g++", "named"])
-@pytest.mark.parametrize("kind", ["wheel", "editable"])
-def test_a_build_asks_for_zig_where_it_finds_no_compiler(
-    kind, found, backend, monkeypatch, tmp_path
-):
-    for name, status in {"c++": 1, **({"g++": 0, "clang++": 0} if found == "g++" else {})}.items():
-        (tmp_path / name).write_text(f"#!/bin/sh\nexit {status}\n")
-        (tmp_path / name).chmod(0o755)
+@pytest.fixture
+def programs(monkeypatch, tmp_path):
+    """Writes programs that end with a status into the only folder of PATH."""
     monkeypatch.setenv("PATH", str(tmp_path))
-    if found == "named":
-        monkeypatch.setenv("CXX", "named")
+
+    def write(**statuses):
+        for name, status in statuses.items():
+            program = tmp_path / name
+            program.write_text(f"#!/bin/sh\nexit {status}\n")
+            program.chmod(0o755)
+
+    return write
+
+
+def build(backend, kind):
+    """The requirements of a build, and the environment that it sees."""
     needed = getattr(backend, f"get_requires_for_build_{kind}")("ninja")
     folder, given, seen = getattr(backend, f"build_{kind}")("here", settings=1)
-    assert (folder, given, needed) == (
-        "here",
-        {"settings": 1},
-        ["ninja", *([] if found else [backend.ZIG])],
-    )
-    if found:
-        assert seen["CXX"].endswith(found) and not {*SET} & set(seen)
+    assert folder == "here"
+    assert given == {"settings": 1}
+    return needed, seen
+
+
+@NOT_ON_WINDOWS
+@KINDS
+@pytest.mark.parametrize("named", [False, True])
+def test_a_build_takes_the_compiler_that_it_finds(kind, named, backend, programs, monkeypatch):
+    programs(**{"c++": 1})
+    if named:
+        monkeypatch.setenv("CXX", "named")
     else:
-        assert (
-            "zig;cc" in seen["CMAKE_ARGS"]
-            and seen["CMAKE_GENERATOR"] == "Ninja"
-            and "CXX" not in seen
-        )
-        assert seen[SET[2]] == seen[SET[3]] and not os.path.exists(seen[SET[2]])
+        programs(**{"g++": 0, "clang++": 0})
+    needed, seen = build(backend, kind)
+    assert needed == ["ninja"]
+    assert seen["CXX"].endswith("named" if named else "g++")
+    assert set(SET).isdisjoint(seen)
 
 
-@pytest.mark.parametrize("url", ["", "https://x/"])
-def test_the_published_readme_has_absolute_links(url, backend, monkeypatch, tmp_path):
+@NOT_ON_WINDOWS
+@KINDS
+def test_a_build_asks_for_zig_where_it_finds_no_compiler(kind, backend, programs):
+    programs(**{"c++": 1})
+    needed, seen = build(backend, kind)
+    assert needed == ["ninja", backend.ZIG]
+    assert "zig;cc" in seen["CMAKE_ARGS"]
+    assert seen["CMAKE_GENERATOR"] == "Ninja"
+    assert "CXX" not in seen
+    cache = seen["ZIG_GLOBAL_CACHE_DIR"]
+    assert seen["ZIG_LOCAL_CACHE_DIR"] == cache
+    assert not os.path.exists(cache)
+
+
+@pytest.mark.parametrize(
+    ("url", "links", "urls"),
+    [
+        ("", " c", {}),
+        (
+            "https://x/",
+            "![a](https://x/blob/v1/b.png?raw=true) [c](https://x/blob/v1/d.md)",
+            {
+                "Repository": "https://x",
+                "Issues": "https://x/issues",
+                "Changelog": "https://x/blob/v1/CHANGELOG.md",
+            },
+        ),
+    ],
+)
+def test_the_published_readme_has_absolute_links(url, links, urls, backend, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("REPOSITORY_URL", url)
     (tmp_path / "README.md").write_text("![a](b.png) [c](d.md) [e](https://f) [g](#h)")
-    made, files = backend.dynamic_metadata({}, {"version": "1"}), "https://x/blob/v1"
-    links = f"![a]({files}/b.png?raw=true) [c]({files}/d.md)" if url else " c"
-    assert made["readme"] == {
-        "text": f"{links} [e](https://f) [g](#h)",
-        "content-type": "text/markdown",
-    }
-    urls = {
-        "Repository": "https://x",
-        "Issues": "https://x/issues",
-        "Changelog": f"{files}/CHANGELOG.md",
-    }
-    assert made["urls"] == (urls if url else {})
+    made = backend.dynamic_metadata({}, {"version": "1"})
+    assert made["readme"]["text"] == f"{links} [e](https://f) [g](#h)"
+    assert made["readme"]["content-type"] == "text/markdown"
+    assert len(made["readme"]) == 2
+    assert made["urls"] == urls
 
 
 @pytest.mark.skipif(not Path("/proc/cpuinfo").exists(), reason="needs Linux")

@@ -1,7 +1,5 @@
-"""Properties of all commands: fast help with examples and without heavy imports, and errors that
-name the argument."""
+"""Properties of the help of all commands: examples, texts of options and no heavy imports."""
 
-import ast
 import json
 import os
 import re
@@ -10,7 +8,7 @@ import sys
 
 import pytest
 
-from tests import ROOT
+from tests.project.test_pages import ROOT, module_name
 
 HEAVY = {
     "torch",
@@ -23,6 +21,7 @@ HEAVY = {
     "optuna",
     "mujoco",
 }
+GUARD = '\nif __name__ == "__main__":\n'
 # Shows the help of every command in a process of its own, forked after the shared imports.
 HELP = """
 import contextlib, io, json, os, runpy, sys
@@ -38,7 +37,8 @@ for name in sys.argv[1:]:
                 runpy.run_module(name, run_name="__main__", alter_sys=True)
             except SystemExit as stop:
                 code = stop.code
-        print(json.dumps([name, code, out.getvalue(), sorted({each.partition(".")[0] for each in sys.modules})]))
+        loaded = sorted({each.partition(".")[0] for each in sys.modules})
+        print(json.dumps([name, code, out.getvalue(), loaded]))
         sys.stdout.flush()
         leave(0)
     os.wait()
@@ -50,33 +50,41 @@ def commands():
     found = {"train"}
     for package in ("capsule_gym", "baselines", "agents", "benchmarks", "tests", "web"):
         for path in (ROOT / package).rglob("*.py"):
-            guards = (
-                node
-                for node in ast.parse(path.read_text(encoding="utf-8")).body
-                if isinstance(node, ast.If)
-            )
-            guarded = any(ast.unparse(guard.test) == "__name__ == '__main__'" for guard in guards)
             # The build calls the one of the core.
-            if guarded and not path.name.startswith("test_") and path.parent.name != "core":
-                found.add(
-                    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__main__")
-                )
+            if path.name.startswith("test_") or path.parent.name == "core":
+                continue
+            if GUARD in path.read_text(encoding="utf-8"):
+                found.add(module_name(path).removesuffix(".__main__"))
     return sorted(found)
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
-def test_help_shows_examples_and_needs_nothing_heavy():
-    names = commands()
-    done = subprocess.run(
-        [sys.executable, "-c", HELP, *names], cwd=ROOT, capture_output=True, text=True, check=True
-    )
-    shown = list(map(json.loads, done.stdout.splitlines()))
-    assert [name for name, *_ in shown] == names
-    for name, status, text, loaded in shown:
+@pytest.fixture(scope="module")
+def helps():
+    """The command, its status, its help and the libraries that it has loaded, for all commands."""
+    if not hasattr(os, "fork"):
+        pytest.skip("needs fork")
+    call = [sys.executable, "-c", HELP, *commands()]
+    done = subprocess.run(call, cwd=ROOT, capture_output=True, text=True, check=True)
+    return [json.loads(line) for line in done.stdout.splitlines()]
+
+
+def test_every_command_has_a_help(helps):
+    assert [(name, status) for name, status, *_ in helps] == [(name, 0) for name in commands()]
+
+
+def test_help_needs_nothing_heavy(helps):
+    for name, *_, loaded in helps:
+        assert HEAVY.isdisjoint(loaded), name
+
+
+def test_help_shows_examples(helps):
+    for name, _, text, _ in helps:
         example = "python train.py" if name == "train" else f"python -m {name}"
-        assert status == 0 and "Examples:" in text and not set(loaded) & HEAVY, name
+        assert "Examples:" in text, name
         assert text.count(example) >= 2 or f"{example} " in text, name
+
+
+def test_every_option_has_a_text(helps):
+    for name, _, text, _ in helps:
         words = " ".join(re.sub("[│╭╮╰╯─]", "", text).split())
-        assert re.findall(r"(--[a-z-]+)(?: \S+)? \(default: ", words) == [], (
-            f"{name}: options without a text"
-        )
+        assert re.findall(r"(--[a-z-]+)(?: \S+)? \(default: ", words) == [], name

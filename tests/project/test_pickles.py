@@ -35,10 +35,9 @@ PICKLE = pickle.dumps(Touch())
 
 def write_model(path):
     """Writes a Stable-Baselines3 model whose parts are all such pickles."""
+    serialized = base64.b64encode(PICKLE).decode()
+    data = {"policy_class": {":type:": "type", ":serialized:": serialized}}
     with zipfile.ZipFile(path, "w") as parts:
-        data = {
-            "policy_class": {":type:": "type", ":serialized:": base64.b64encode(PICKLE).decode()}
-        }
         parts.writestr("data", json.dumps(data))
         for name in ("policy.pth", "policy.optimizer.pth", "pytorch_variables.pth"):
             parts.writestr(name, PICKLE)
@@ -48,12 +47,12 @@ def write_run(folder, algo, config=None):
     """Writes the folder of a run whose files are such pickles, except the configuration."""
     (folder / "best").mkdir(parents=True)
     settings = (config or small("direct", algo)).to_dict()
-    (folder / "config.json").write_text(
-        json.dumps({"task": "direct", "algo": algo, "hyperparameters": settings})
-    )
+    run = {"task": "direct", "algo": algo, "hyperparameters": settings}
+    (folder / "config.json").write_text(json.dumps(run))
     (folder / "evaluations.csv").write_text("steps,mean_speed_cm_s,failed\n512,1.0,0.0\n")
+    signed = hashlib.sha256(PICKLE).digest() + PICKLE
     for name in ("checkpoint-000000000512", "checkpoint-000000001024"):
-        (folder / name).write_bytes(hashlib.sha256(PICKLE).digest() + PICKLE)
+        (folder / name).write_bytes(signed)
     for part in (folder, folder / "best"):
         write_model(part / "model.zip")
         for name in ("vecnormalize.pkl", "policy.safetensors"):
@@ -67,19 +66,14 @@ def hostile(tmp_path, monkeypatch):
     write_run(tmp_path / "run", "ppo")
     write_run(tmp_path / "old", "sac")
     (tmp_path / "old" / "best" / "policy.safetensors").unlink()
-    write_run(
-        tmp_path / "study" / "direct-ppo" / "seed-0",
-        "ppo",
-        replace(row_settings("direct-ppo"), seed=0),
-    )
+    row = replace(row_settings("direct-ppo"), seed=0)
+    write_run(tmp_path / "study" / "direct-ppo" / "seed-0", "ppo", row)
     (tmp_path / "set.json").write_bytes(PICKLE)
-    (tmp_path / "archive").mkdir()
-    (tmp_path / "archive" / ARCHIVE).write_text('{"results": []}')
-    np.savez(
-        tmp_path / "archive" / ARRAYS,
-        nominal=np.array([Touch()], object),
-        values=np.array([Touch()], object),
-    )
+    archive = tmp_path / "archive"
+    archive.mkdir()
+    (archive / ARCHIVE).write_text('{"results": []}')
+    pickled = np.array([Touch()], object)
+    np.savez(archive / ARRAYS, nominal=pickled, values=pickled)
     (tmp_path / "empty").mkdir()
     write_model(tmp_path / "model.zip")
     (tmp_path / "policy.safetensors").write_bytes(PICKLE)
@@ -96,72 +90,69 @@ PATHS = (
     "policy.safetensors",
     "archive",
 )
-# The commands that read a path, with their arguments.
+# The arguments of every command that reads a path.
 READERS = {
-    "agents.evaluate": [
-        *([path] for path in PATHS),
-        ["pd", "--set", "set.json"],
-        ["pd", "--against", "run"],
-    ],
-    "agents.study": [["direct-ppo", "--runs", "study", "--seeds", "0"]],
-    "baselines.dynamic_programming": [
-        ["--folder", name, "--report"] for name in ("archive", "empty")
-    ],
+    "agents.evaluate": [*PATHS, "pd --set set.json", "pd --against run"],
+    "agents.study": ["direct-ppo --runs study --seeds 0"],
+    "baselines.dynamic_programming": ["--folder archive --report", "--folder empty --report"],
     "capsule_gym.demo": [
-        *([path, "-o", "a.gif"] for path in PATHS),
-        *(
-            ["adaptive", *words, "-o", "a.gif"]
-            for words in (["--set", "set.json"], ["--rival", "run"])
-        ),
+        *(f"{path} -o a.gif" for path in PATHS),
+        "adaptive --set set.json -o a.gif",
+        "adaptive --rival run -o a.gif",
     ],
-    "capsule_gym.export": [[path, "--c", "policy.h"] for path in PATHS],
-    "capsule_gym.identification": [["policy.safetensors"], ["model.zip"]],
-    "train": [["--run", "run"], ["--run", "old", "--task", "direct", "--algo", "sac"]],
+    "capsule_gym.export": [f"{path} --c policy.h" for path in PATHS],
+    "capsule_gym.identification": ["policy.safetensors", "model.zip"],
+    "train": ["--run run", "--run old --task direct --algo sac"],
 }
-# The commands with an option that trusts the path.
-TRUSTING = (
-    ["agents.study", "direct-ppo", "--runs", "study", "--seeds", "0", "--resume"],
-    ["train", "--resume", "run"],
-)
 
 
 def main_of(command):
     """The `main` function of a command."""
     module = importlib.import_module(command)
-    return (
-        module if hasattr(module, "main") else importlib.import_module(f"{command}.__main__")
-    ).main
+    if not hasattr(module, "main"):
+        module = importlib.import_module(f"{command}.__main__")
+    return module.main
 
 
 @pytest.mark.parametrize("command", READERS)
 def test_nothing_is_unpickled_that_is_not_trusted(command, hostile, monkeypatch, capsys):
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    for words in READERS[command]:
+    main = main_of(command)
+    for line in READERS[command]:
         with pytest.raises(SystemExit) as stop:
-            sys.exit(main_of(command)(words))
-        assert not Path(MARK).exists(), words
-        assert stop.value.code != 0, words
+            sys.exit(main(line.split()))
+        assert not Path(MARK).exists(), line
+        assert stop.value.code != 0, line
         assert "Traceback" not in capsys.readouterr().err
 
 
-def test_what_reads_a_path_is_among_these():
-    """Every command is listed as one that reads a path, or as one that does not."""
-    others = {name for name in commands() if name.startswith(("benchmarks", "tests", "web"))}
+def test_every_command_is_listed_as_one_that_reads_a_path_or_only_writes():
     only_written = {
         "agents.analysis",
         "agents.distillation",
         "agents.leaderboard",
+        "baselines.paper",
+        "baselines.paper.optimal_profiles",
         "baselines.tuning",
     }
-    only_written |= {"baselines.paper", "baselines.paper.optimal_profiles"}
-    assert set(commands()) == {*READERS, *others, *only_written}
+    of_the_project = ("benchmarks", "tests", "web")
+    users = {name for name in commands() if not name.startswith(of_the_project)}
+    assert users == READERS.keys() | only_written
 
 
-@pytest.mark.parametrize("words", TRUSTING, ids=lambda words: words[0])
-def test_an_option_says_what_is_trusted(words, hostile, monkeypatch):
-    monkeypatch.setattr(
-        "agents.study.train_all", lambda jobs, *_: {job: train_job(job) for job in jobs}
-    )
+@pytest.mark.parametrize(
+    ("command", "line"),
+    [
+        ("agents.study", "direct-ppo --runs study --seeds 0 --resume"),
+        ("train", "--resume run"),
+    ],
+)
+def test_an_option_says_what_is_trusted(command, line, hostile, monkeypatch):
+    def train_here(jobs, *_):
+        return {job: train_job(job) for job in jobs}
+
+    monkeypatch.setattr("agents.study.train_all", train_here)
+    main = main_of(command)
     with suppress(BaseException):
-        main_of(words[0])(words[1:])
+        main(line.split())
     assert Path(MARK).exists()

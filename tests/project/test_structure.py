@@ -1,5 +1,6 @@
 import dataclasses
 import importlib
+import inspect
 import pkgutil
 import re
 import subprocess
@@ -12,7 +13,8 @@ import pytest
 from capsule_gym.control.lookup import find_controller
 from capsule_gym.evaluation.episodes import evaluate
 from capsule_gym.evaluation.sets import NOMINAL_PLANT, EvaluationSet
-from tests.project.test_pages import MODULES, ROOT
+from tests import ROOT
+from tests.project.test_pages import MODULES, find, module_name
 
 PACKAGES = ("capsule_gym", "baselines", "agents", "benchmarks", "web", "examples")
 # What imports a module by a name that is computed.
@@ -21,12 +23,17 @@ IMPORTING = ("import_module", "resolve_name", "__import__", "entry_points")
 PATHS = re.compile(
     r"(?<![\w./*+-])(?:agents|baselines|benchmarks|capsule_gym|core|examples|tests|web)(?:/[\w.-]*\w)+"
 )
+LARGEST_FILE = 5_000_000  # bytes
 FORMER_PATH = re.compile(r"`[^`]+` of revision")
 # Names under which the documentation has shown objects, and where they are.
 FORMER_NAMES = {
     "baselines.adaptive": "capsule_gym.control.laws.adaptive:adaptive",
-    "baselines.dynamic_programming.archive:optimal_speed": "capsule_gym.evaluation.optimum:optimal_speed",
-    "baselines.evaluation.episodes:validation_set": "capsule_gym.evaluation.episodes:validation_set",
+    "baselines.dynamic_programming.archive:optimal_speed": (
+        "capsule_gym.evaluation.optimum:optimal_speed"
+    ),
+    "baselines.evaluation.episodes:validation_set": (
+        "capsule_gym.evaluation.episodes:validation_set"
+    ),
     "baselines.evaluation.policies:wrap_policy": "capsule_gym.evaluation.candidates:wrap_policy",
     "baselines.laws:find_law": "capsule_gym.control.laws:find_law",
     "capsule_gym.controller:find_controller": "capsule_gym.control.lookup:find_controller",
@@ -62,48 +69,32 @@ def test_no_module_imports_one_that_imports_it():
 def test_no_module_is_imported_by_its_name_unless_the_user_gives_it():
     """Static checks of imports do not see these."""
     found = set()
-    for package in PACKAGES:
-        for path in (ROOT / package).rglob("*.py"):
-            text = path.read_text(encoding="utf-8")
-            found |= {
-                (path.relative_to(ROOT).as_posix(), name)
-                for name in IMPORTING
-                if f"{name}(" in text
-            }
+    for path in find(*(f"{package}/**/*.py" for package in PACKAGES)):
+        text = path.read_text(encoding="utf-8")
+        found |= {(module_name(path), name) for name in IMPORTING if f"{name}(" in text}
     assert found == {
-        ("capsule_gym/control/lookup.py", "resolve_name"),  # the argument `controller`
-        (
-            "capsule_gym/evaluation/candidates.py",
-            "resolve_name",
-        ),  # `python -m agents.evaluate module:attribute`
-        ("agents/training/algorithms.py", "resolve_name"),  # `train.py --wrapper module:attribute`
-        (
-            "capsule_gym/policies/scripted.py",
-            "entry_points",
-        ),  # policies of the distributions that the user has installed
+        # The argument `controller`.
+        ("capsule_gym.control.lookup", "resolve_name"),
+        # `python -m agents.evaluate module:attribute`
+        ("capsule_gym.evaluation.candidates", "resolve_name"),
+        # `train.py --wrapper module:attribute`
+        ("agents.training.algorithms", "resolve_name"),
+        # Policies of the distributions that the user has installed.
+        ("capsule_gym.policies.scripted", "entry_points"),
     }
 
 
 def test_settings_and_results_cannot_be_changed():
     """Copies, caches and threads share them."""
     # `backend` needs scikit-build-core, which only the build of a wheel has.
-    names = [
-        ".".join(path.relative_to(ROOT).with_suffix("").parts)
-        for path in MODULES
-        if path.name != "backend.py"
-    ]
-    values = [each for name in names for each in vars(importlib.import_module(name)).values()]
-    found = [
-        each
-        for each in values
-        if dataclasses.is_dataclass(each) and getattr(each, "__module__", "") in names
-    ]
-    changing = {
-        (each.__module__, each.__name__) for each in found if not each.__dataclass_params__.frozen
-    }
-    assert {name for _, name in changing} == {"Archive", "Progress", "ShootingProblem"} and len(
-        changing
-    ) == 3
+    names = [module_name(path) for path in MODULES if path.name != "backend.py"]
+    changing = []
+    for name in names:
+        for kind in vars(importlib.import_module(name)).values():
+            own = inspect.isclass(kind) and kind.__module__ == name
+            if own and dataclasses.is_dataclass(kind) and not kind.__dataclass_params__.frozen:
+                changing.append(kind.__name__)
+    assert sorted(changing) == ["Archive", "Progress", "ShootingProblem"]
 
 
 def read_texts():
@@ -111,34 +102,26 @@ def read_texts():
     if not (ROOT / ".git").exists():
         pytest.skip("not a git checkout")
     command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
-    listing = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    files = [path for name in listing.split("\0") if name and (path := ROOT / name).is_file()]
-    assert [path for path in files if path.stat().st_size > 5_000_000] == []
-    return {path: text for path in files if b"\0" not in (text := path.read_bytes())}
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    paths = [ROOT / name for name in done.stdout.split("\0")]
+    contents = {path: path.read_bytes() for path in paths if path.is_file()}
+    assert [path for path, content in contents.items() if len(content) > LARGEST_FILE] == []
+    return {path: content for path, content in contents.items() if b"\0" not in content}
 
 
 def test_no_tracked_file_is_large_or_names_a_path_of_a_machine():
     # The strings are joined here, so that this file does not contain them.
-    paths = [("/work/" + "main").encode(), ("/ro" + "ot/").encode()]
-    assert [
-        str(path) for path, text in read_texts().items() if any(each in text for each in paths)
-    ] == []
+    folders = [b"/work/" + b"main", b"/ro" + b"ot/"]
+    for path, text in read_texts().items():
+        assert [folder for folder in folders if folder in text] == [], path
 
 
 def test_paths_that_texts_name_exist():
     """Comments, docstrings and pages; the changelog names files of earlier versions, and NAME
     stands for several."""
-    texts = {
-        path: text.decode() for path, text in read_texts().items() if path.name != "CHANGELOG.md"
-    }
-    named = {
-        (path, each)
-        for path, text in texts.items()
-        for each in PATHS.findall(FORMER_PATH.sub("", text))
-    }
-    named = {(str(path), each) for path, each in named if "NAME" not in each}
-    assert {
-        each
-        for each in named
-        if not any((root / each[1]).exists() for root in (ROOT, ROOT / "capsule_gym"))
-    } == set()
+    for file, text in read_texts().items():
+        if file.name == "CHANGELOG.md":
+            continue
+        for path in set(PATHS.findall(FORMER_PATH.sub("", text.decode()))):
+            exists = (ROOT / path).exists() or (ROOT / "capsule_gym" / path).exists()
+            assert exists or "NAME" in path, (file, path)

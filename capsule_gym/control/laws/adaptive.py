@@ -1,6 +1,4 @@
-"""The paper's adaptive variable-structure law (37) to (39) as a `Controller`: regularised, or
-corrected only.
-"""
+"""The paper's adaptive variable-structure law (37) to (39), regularised or corrected only."""
 
 import math
 from collections.abc import Sequence
@@ -23,27 +21,37 @@ from capsule_gym.control.laws.gains import (
 from capsule_gym.control.laws.profiles import COLUMNS, PROPOSED, Profile, optimal, reference_table
 from capsule_gym.parameters import NOMINAL, Capsule, Plant
 
-# The memory: the estimates of alpha_theta and alpha_x, the (2n + 1)-th root of eta, and the start
-# of x_d, m.
-ESTIMATES = (*(f"alpha_theta_{i}" for i in range(1, 6)), *(f"alpha_x_{i}" for i in range(1, 5)))
-MEMORY = (*ESTIMATES, "eta_root", "x_anchor")
+# The cells of the memory: the estimates, the (2n + 1)-th root of eta, and the start of x_d, m.
+MEMORY = (
+    "alpha_theta_1",
+    "alpha_theta_2",
+    "alpha_theta_3",
+    "alpha_theta_4",
+    "alpha_theta_5",
+    "alpha_x_1",
+    "alpha_x_2",
+    "alpha_x_3",
+    "alpha_x_4",
+    "eta_root",
+    "x_anchor",
+)
 
 
 def nominal_estimates(p: Plant) -> tuple[float, ...]:
     """alpha_theta = [m l^2, m l, k, c, m g l] and alpha_x = [m l, M + m, mu, m l] of a plant."""
     ml = p.m * p.l
-    return ml * p.l, ml, p.k, p.c, ml * p.g, ml, p.M + p.m, p.mu, ml
+    alpha_theta = ml * p.l, ml, p.k, p.c, ml * p.g
+    alpha_x = ml, p.M + p.m, p.mu, ml
+    return alpha_theta + alpha_x
 
 
 def constants_of(
     gains: Gains, choices: Choices, plant: Plant, table: np.ndarray, dt: float
 ) -> dict[str, Any]:
-    """The constants of the law by the names that the core gives them; `table` is from
-    `reference_table`.
-    """
-    free = math.isinf(choices.estimate_range)
-    low, high = 1.0 - choices.estimate_range, 1.0 + choices.estimate_range
-    estimates = nominal_estimates(plant)
+    """The constants of the law by their names in the core; `table` is from `reference_table`."""
+    lowest, highest = estimate_bounds(plant, choices.estimate_range)
+    # The platform rests from the last row, one step before the end of the cycle, to the end.
+    cycle_advance = float(table[-1, COLUMNS.index("x_d")])
     return {
         **plant_constants(plant),
         **gains._asdict(),
@@ -51,15 +59,22 @@ def constants_of(
         "n": choices.n,
         "saturation_width": choices.saturation_width,
         "root_bound": root_of_eta(choices.eta_bound, choices.n),
-        # Not a product if the range is infinite: zero times infinity is NaN.
-        "lowest": [-math.inf if free else low * estimate for estimate in estimates],
-        "highest": [math.inf if free else high * estimate for estimate in estimates],
+        "lowest": lowest,
+        "highest": highest,
         "anchored": choices.anchored,
-        # The last row is one step before the end of the cycle; the platform rests there, so x_d is
-        # the same.
-        "cycle_advance": float(table[-1, COLUMNS.index("x_d")]),
+        "cycle_advance": cycle_advance,
         "dt": dt,
     }
+
+
+def estimate_bounds(plant: Plant, share: float) -> tuple[list[float], list[float]]:
+    """The bounds of the estimates, which may differ from their nominal values by this share."""
+    nominal = nominal_estimates(plant)
+    if math.isinf(share):
+        # Not a product: zero times infinity is NaN.
+        return [-math.inf] * len(nominal), [math.inf] * len(nominal)
+    low, high = 1.0 - share, 1.0 + share
+    return [low * estimate for estimate in nominal], [high * estimate for estimate in nominal]
 
 
 def root_of_eta(eta: float, n: int) -> float:
@@ -69,7 +84,8 @@ def root_of_eta(eta: float, n: int) -> float:
     library.
     """
     exact = Context(prec=40)
-    return float(exact.power(Decimal(eta), exact.divide(Decimal(1), Decimal(2 * n + 1))))
+    exponent = exact.divide(1, 2 * n + 1)
+    return float(exact.power(Decimal(eta), exponent))
 
 
 def eta_of(memory: np.ndarray, n: int = REGULARISED.n) -> np.ndarray:
@@ -81,12 +97,20 @@ def eta_of(memory: np.ndarray, n: int = REGULARISED.n) -> np.ndarray:
 def sliding_variables(
     state: Sequence[np.ndarray], anchor: np.ndarray, reference: np.ndarray, gains: Gains
 ) -> tuple[np.ndarray, np.ndarray]:
-    """delta_theta (rad/s) and delta_x (m/s) of (37b); x_d starts from `anchor`, m; `reference` is
-    by `COLUMNS`.
+    """delta_theta (rad/s) and delta_x (m/s).
+
+    Args:
+        state: theta, theta_dot, x and x_dot.
+        anchor: the position from which x_d starts, m.
+        reference: the values of `COLUMNS`.
+        gains: the gains of the law.
     """
-    (theta, theta_dot, x, x_dot), (theta_d, theta_d_dot, _, x_d, x_d_dot, _, _) = state, reference
+    theta, theta_dot, x, x_dot = state
+    theta_d, theta_d_dot, _, x_d, x_d_dot, _, _ = reference
+    # Eq. (37b)
     delta_theta = (theta_dot - theta_d_dot) + gains.Lambda_theta * (theta - theta_d)
-    return delta_theta, (x_dot - x_d_dot) + gains.Lambda_x * (x - (anchor + x_d))
+    delta_x = (x_dot - x_d_dot) + gains.Lambda_x * (x - (anchor + x_d))
+    return delta_theta, delta_x
 
 
 def adaptive(
@@ -107,12 +131,11 @@ def adaptive(
     nominal: Capsule = NOMINAL,
     name: str = "adaptive",
 ) -> Controller:
-    """The adaptive variable-structure law (39) along a profile, with the published gains by
-    default.
+    """The adaptive variable-structure law (39) along a profile.
 
-    In the regularised form x_d starts from the platform at every cycle, sgn(delta_theta) is a
-    saturation, beta is 1, and estimates and eta are bounded. `adaptive_as_published` describes the
-    unregularised form.
+    The default gains are the published ones. In the regularised form x_d starts from the platform
+    at every cycle, sgn(delta_theta) is a saturation, beta is 1, and estimates and eta are bounded.
+    `adaptive_as_published` describes the unregularised form.
 
     Args:
         profile: reference of the pendulum.
@@ -137,27 +160,29 @@ def adaptive(
         TypeError: if an argument is of the wrong type.
         ValueError: if an argument is out of range.
     """
-    given = Gains(Lambda_theta, Lambda_x, K1, K2, K3, Gamma_1, Gamma_2)
-    gains = Gains(**check_gains(**given._asdict()))
+    gains = Gains(Lambda_theta, Lambda_x, K1, K2, K3, Gamma_1, Gamma_2)
+    gains = Gains(**check_gains(**gains._asdict()))
     if not isinstance(regularised, bool):
         raise TypeError(f"regularised must be True or False, got {regularised!r}")
     choices = REGULARISED if regularised else UNREGULARISED
     if beta is not None:
         accepted = "a finite number > 0 (rad^2/s^2)"
-        choices = choices._replace(beta=check_number("beta", beta, accepted, 0.0, open_low=True))
+        beta = check_number("beta", beta, accepted, 0.0, open_low=True)
+        choices = choices._replace(beta=beta)
     if n is not None:
         choices = choices._replace(n=check_count("n", n))
     if eta_0 is not None:
-        accepted, bound = f"a number > 0 and <= {choices.eta_bound:g}", choices.eta_bound
-        choices = choices._replace(
-            eta_0=check_number("eta_0", eta_0, accepted, 0.0, bound, open_low=True)
-        )
+        bound = choices.eta_bound
+        accepted = f"a number > 0 and <= {bound:g}"
+        eta_0 = check_number("eta_0", eta_0, accepted, 0.0, bound, open_low=True)
+        choices = choices._replace(eta_0=eta_0)
     plant = nominal.plant()
     table = reference_table(profile, plant, dt)
     constants = constants_of(gains, choices, plant, table, float(dt))
     # The first call begins a cycle and starts x_d from 0.
     anchor = 0.0 if choices.anchored else -constants["cycle_advance"]
-    memory = (*nominal_estimates(plant), root_of_eta(choices.eta_0, choices.n), anchor)
+    eta_root = root_of_eta(choices.eta_0, choices.n)
+    memory = (*nominal_estimates(plant), eta_root, anchor)
     return Controller(name, CoreLaw("adaptive", **constants), table, memory, float(dt))
 
 
@@ -180,7 +205,5 @@ def adaptive_as_published() -> Controller:
 
 
 def adaptive_optimal_profile() -> Controller:
-    """The adaptive law along the fastest profile (9) that satisfies Principles 1 to 4 with 1.5 N
-    m.
-    """
+    """The adaptive law along the fastest profile (9) with 1.5 N m and Principles 1 to 4."""
     return adaptive(optimal(1.5), name="adaptive-optimal-profile")

@@ -1,6 +1,4 @@
-"""Gains and constants of the control laws: those of the paper, those that it leaves open, and tuned
-parameters.
-"""
+"""Gains and constants of the control laws: the paper's, those that it leaves open, tuned ones."""
 
 import json
 import math
@@ -85,17 +83,18 @@ NO_REFERENCE = np.zeros((1, 2))
 @cache
 def known_parameters(name: str) -> tuple[float, ...]:
     """The parameters of a law in `tuned.json`, read once."""
-    return tuple(json.loads(TUNED.read_text(encoding="utf-8"))[name]["parameters"])
+    tuned = json.loads(TUNED.read_text(encoding="utf-8"))
+    return tuple(tuned[name]["parameters"])
 
 
 def check_gains(**gains: Any) -> dict[str, float]:
     """The gains as floats, each finite and not negative."""
-    return {
-        name: check_number(name, value, "a finite number >= 0", 0.0)
-        for name, value in gains.items()
-    }
+    accepted = "a finite number >= 0"
+    return {name: check_number(name, value, accepted, 0.0) for name, value in gains.items()}
 
 
 def plant_constants(plant: Plant) -> dict[str, float]:
     """The constants of a nominal plant by the names that the laws of the core give them."""
-    return {name: value for name, value in plant._asdict().items() if name != "extended"}
+    constants = plant._asdict()
+    del constants["extended"]
+    return constants

@@ -1,5 +1,4 @@
-"""A gait without a clock as a `Controller`: the torque is a polynomial of the state, and a guard
-keeps the contact.
+"""A gait without a clock: the torque is a polynomial of the state, and a guard keeps the contact.
 
 `gait` does not observe the plant and follows no reference. The guard identifies a platform that is
 lighter than those of the search by the momentum that the pendulum gives it. `gait_predictive` is
@@ -9,7 +8,7 @@ for late, noisy measurements and a lagging motor, `goal_pulses` and `velocity_pu
 
 from collections.abc import Sequence
 
-from capsule_gym.checks import check_number, short_repr
+from capsule_gym.checks import check_number, require
 from capsule_gym.control.controller import LAW_DT, Controller, CoreLaw
 from capsule_gym.control.laws.gains import NO_REFERENCE, known_parameters, plant_constants
 from capsule_gym.core import _core
@@ -39,20 +38,17 @@ FIRST_PULSE = (1.0, 1.0, 0.0, 0.0, 1e-4, 0.0)
 def gait_constants(parameters: Sequence[float] | None = None) -> dict[str, float]:
     """The constants that the laws with a gait share, by the names that the core gives them."""
     given = known_parameters("gait") if parameters is None else parameters
-    if len(given) != len(PARAMETERS):
-        raise ValueError(
-            f"parameters must be {len(PARAMETERS)} numbers, {', '.join(PARAMETERS)}, got {short_repr(given)}"
-        )
-    checked = {
-        name: check_number(f"parameters, {name},", value, "a finite number")
-        for name, value in zip(PARAMETERS, given, strict=True)
-    }
-    return {**checked, "torque_limit": TORQUE_LIMIT}
+    accepted = f"{len(PARAMETERS)} numbers, {', '.join(PARAMETERS)}"
+    require(len(given) == len(PARAMETERS), "parameters", accepted, given)
+    constants = {}
+    for name, value in zip(PARAMETERS, given, strict=True):
+        constants[name] = check_number(f"parameters, {name},", value, "a finite number")
+    constants["torque_limit"] = TORQUE_LIMIT
+    return constants
 
 
 def gait(parameters: Sequence[float] | None = None) -> Controller:
-    """The gait: its torque is a function of theta, theta_dot and x_dot. It does not observe M and
-    mu.
+    """The gait, whose torque is a function of theta, theta_dot and x_dot; M and mu are hidden.
 
     Its guard estimates M while the platform slips and acts earlier on platforms lighter than those
     of `wide`.
@@ -79,9 +75,8 @@ def gait_predictive() -> Controller:
     """
     constants = {**gait_constants(), **plant_constants(NOMINAL.plant())}
     law = CoreLaw("gait_predictive", **constants, lightest=LIGHTEST, dt=LAW_DT)
-    return Controller(
-        law.name, law, NO_REFERENCE, (*ESTIMATE, *(0.0,) * (law.cells - len(ESTIMATE)))
-    )
+    earlier_torques = (0.0,) * (law.cells - len(ESTIMATE))
+    return Controller(law.name, law, NO_REFERENCE, ESTIMATE + earlier_torques)
 
 
 def goal_pulses() -> Controller:
@@ -94,8 +89,9 @@ def goal_pulses() -> Controller:
 
 
 def velocity_pulses() -> Controller:
-    """The law of the task `velocity`: the gait and torque pulses towards the position of the target
-    0.3 s later.
+    """The law of the task `velocity`: the gait and torque pulses, towards the target's position.
+
+    The position is that of the target 0.3 s later.
     """
     return _pulses("velocity_pulses", "velocity")
 
@@ -103,6 +99,5 @@ def velocity_pulses() -> Controller:
 def _pulses(name: str, task: str) -> Controller:
     pendulum = {key: getattr(NOMINAL, key) for key in ("m", "l", "g", "k", "c")}
     law = CoreLaw(name, **gait_constants(), **pendulum, dt=LAW_DT)
-    return Controller(
-        name, law, NO_REFERENCE, (*(0.0,) * (law.cells - len(FIRST_PULSE)), *FIRST_PULSE), task=task
-    )
+    filtered = (0.0,) * (law.cells - len(FIRST_PULSE))
+    return Controller(name, law, NO_REFERENCE, filtered + FIRST_PULSE, task=task)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from capsule_gym.control.controller import LAW_DT, Controller, CoreLaw
+from capsule_gym.control.controller import LAW_DT, Controller, CoreLaw, constant_sizes
 from capsule_gym.control.laws.gains import NO_REFERENCE, known_parameters
 from capsule_gym.core import _core
 from capsule_gym.core.elementary import sincos
@@ -26,11 +26,12 @@ def fourier(series: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
         series: the period in s, which is rounded to a multiple of `LAW_DT`, the mean, the cosines
             and the sines.
     """
-    mean, coefficients = series[1], np.reshape(series[2:], (2, -1))
     rows = max(2, round(series[0] / LAW_DT))
     rate = 2.0 * math.pi / (rows * LAW_DT)
-    value, derivative = np.full(rows, mean), np.zeros(rows)
-    for n, (cosine, sine) in enumerate(coefficients.T.tolist(), 1):
+    value = np.full(rows, series[1])
+    derivative = np.zeros(rows)
+    cosines, sines = np.reshape(series[2:], (2, -1)).tolist()
+    for n, (cosine, sine) in enumerate(zip(cosines, sines, strict=True), 1):
         s, c = sincos(2.0 * math.pi * n / rows * np.arange(rows))
         value += cosine * c + sine * s
         derivative += n * rate * (sine * c - cosine * s)
@@ -38,8 +39,12 @@ def fourier(series: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def tracking(name: str, columns: Mapping[int, Any], rows: int) -> Controller:
-    """State feedback about a periodic trajectory; a column is a number or an array, and 0 if it is
-    not given.
+    """State feedback about a periodic trajectory.
+
+    Args:
+        name: name of the controller.
+        columns: a number or an array for a column; the others are 0.
+        rows: rows of the reference table.
     """
     table = np.zeros((rows, _core.LAWS["tracking"][2]))
     for column, values in columns.items():
@@ -56,7 +61,8 @@ def open_loop(parameters: Sequence[float] | None = None, name: str = "open-loop"
         name: name of the controller; without parameters, also the entry of the file.
     """
     torque, _ = fourier(known_parameters(name) if parameters is None else parameters)
-    return tracking(name, {FEEDFORWARD: np.clip(torque, -TORQUE_LIMIT, TORQUE_LIMIT)}, len(torque))
+    torque = np.clip(torque, -TORQUE_LIMIT, TORQUE_LIMIT)
+    return tracking(name, {FEEDFORWARD: torque}, len(torque))
 
 
 def open_loop_real() -> Controller:
@@ -65,8 +71,7 @@ def open_loop_real() -> Controller:
 
 
 def pd(parameters: Sequence[float] | None = None) -> Controller:
-    """Proportional-derivative control of the pendulum's angle along a Fourier series with four
-    harmonics.
+    """Proportional-derivative control of the angle along a Fourier series with four harmonics.
 
     Args:
         parameters: period (s), mean, cosines and sines of theta_d (rad), K_theta (N m/rad) and
@@ -84,16 +89,18 @@ def pd(parameters: Sequence[float] | None = None) -> Controller:
 
 
 def oscillator(parameters: Sequence[float] | None = None) -> Controller:
-    """A Hopf oscillator that the state entrains; a polynomial of its state, a spring and a damper
-    give the torque.
+    """A Hopf oscillator that the state entrains.
+
+    The torque is a polynomial of the oscillator's state, plus that of a spring and a damper.
 
     Args:
         parameters: the constants of the law `oscillator` of the core, in order, without `dt`; None
             for the tuned ones.
     """
     values = iter(known_parameters("oscillator") if parameters is None else parameters)
-    items = [item.partition(":") for item in _core.LAWS["oscillator"][0].split() if item != "dt"]
-    constants = {key: [next(values) for _ in range(int(count or 1))] for key, _, count in items}
-    return Controller(
-        "oscillator", CoreLaw("oscillator", **constants, dt=LAW_DT), NO_REFERENCE, memory=(1.0, 0.0)
-    )
+    constants: dict[str, Any] = {"dt": LAW_DT}
+    for name, size in constant_sizes("oscillator").items():
+        if name != "dt":
+            constants[name] = [next(values) for _ in range(size)]
+    law = CoreLaw("oscillator", **constants)
+    return Controller("oscillator", law, NO_REFERENCE, memory=(1.0, 0.0))

@@ -1,5 +1,4 @@
-"""The reference of the control laws: a profile of the pendulum, and the motion of the nominal
-platform along it.
+"""The reference of the control laws: a pendulum's profile and the nominal platform's motion.
 
 The profiles are the paper's, with seven phases (9), and EPC's, with six. A profile is a sequence of
 segments theta_d' = A sin(phase + rate s) + offset + slope s, with s from the start of the segment.
@@ -24,8 +23,7 @@ from capsule_gym.tasks.task import START_THETA
 
 # Results of `python -m baselines.paper.optimal_profiles`.
 OPTIMA = Path(__file__).parents[2] / "data" / "laws" / "optimal_profiles.json"
-# The nominal platform is integrated in steps of about this length, s; the error is then below 1e-8
-# m.
+# Length of a step of the nominal platform, s; the error is then below 1e-8 m.
 FINE_DT = 2e-5
 
 COLUMNS = ("theta_d", "theta_d_dot", "theta_d_ddot", "x_d", "x_d_dot", "x_d_ddot", "cycle_start")
@@ -33,8 +31,9 @@ COLUMNS = ("theta_d", "theta_d_dot", "theta_d_ddot", "x_d", "x_d_dot", "x_d_ddot
 
 @dataclass(frozen=True)
 class Segment:
-    """One phase: theta_d'(s) = amplitude sin(phase + rate s) + offset + slope s for s in [0,
-    duration); SI units.
+    """One phase: theta_d'(s) = amplitude sin(phase + rate s) + offset + slope s.
+
+    The time s goes from 0 to `duration`; SI units.
     """
 
     duration: float
@@ -56,14 +55,20 @@ class Segment:
 
     def turned(self, s: np.ndarray) -> np.ndarray:
         """Angle since the start of the segment, rad."""
+        _, first_cosine = sincos(self.phase)
         _, cosines = sincos(self.phase + self.rate * s)
-        sine = self.amplitude / self.rate * (sincos(self.phase)[1] - cosines)
+        sine = self.amplitude / self.rate * (first_cosine - cosines)
         return sine + (self.offset + 0.5 * self.slope * s) * s
 
 
 def _ramp(duration: float, start: float, end: float) -> Segment:
     """A segment whose velocity changes linearly from start to end."""
     return Segment(duration, offset=start, slope=(end - start) / duration)
+
+
+def _rise(duration: float, end: float) -> Segment:
+    """A quarter of a sine from rest to the velocity end."""
+    return Segment(duration, amplitude=end, rate=math.pi / (2.0 * duration))
 
 
 @dataclass(frozen=True)
@@ -91,61 +96,53 @@ class Profile:
         return float(self.times[-1])
 
     def evaluate(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """theta_d (rad), theta_d' (rad/s) and theta_d'' (rad/s^2) at times t (s), which may span
-        several cycles.
+        """theta_d (rad), theta_d' (rad/s) and theta_d'' (rad/s^2) at times t (s) of any cycle.
 
         At the edge of a phase the acceleration is that of the phase that begins.
         """
         ends = self.times
+        starts = np.append(0.0, ends)
         local = np.mod(np.asarray(t, np.float64), self.period)
-        phase = np.minimum(np.searchsorted(ends, local, side="right"), len(ends) - 1)
-        return self.evaluate_phases(phase, local - np.append(0.0, ends)[phase])
+        phase = np.searchsorted(ends, local, side="right")
+        phase = np.minimum(phase, len(ends) - 1)
+        return self.evaluate_phases(phase, local - starts[phase])
 
     def evaluate_phases(
         self, phase: np.ndarray, s: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """`evaluate` at times s (s) from the starts of phases, which are numbered from 0."""
         numbers = np.array([astuple(segment) for segment in self.segments]).T
-        turned = Segment(*numbers).turned(numbers[0])
-        # A segment of arrays: every time has the numbers of its phase.
+        durations = numbers[0]
+        # Segments of arrays: of all phases, then of the phase of every time.
+        turned = Segment(*numbers).turned(durations)
         segment = Segment(*numbers[:, phase])
         reached = np.cumsum([self.start, *turned])[phase]
         return reached + segment.turned(s), segment.velocity(s), segment.acceleration(s)
 
 
 def _durations(times: Sequence[float], count: int, V1: float, P2: float) -> list[float]:
-    """The durations of the phases between the given times, which must increase from 0; also checks
-    the velocities.
-    """
+    """The durations of the phases between the times, after a check of times and velocities."""
     if not 0.0 < P2 < V1:
         raise ValueError(f"P2 must be between 0 and V1, got P2={P2!r}, V1={V1!r}")
     if len(times) != count:
         raise ValueError(f"times must be t1 to t{count}, got {len(times)} values")
-    durations = np.diff(
-        [
-            0.0,
-            *(
-                check_number("times", t, "finite numbers > 0 (s)", 0.0, open_low=True)
-                for t in times
-            ),
-        ]
-    )
+    ends = [check_number("times", t, "finite numbers > 0 (s)", 0.0, open_low=True) for t in times]
+    durations = np.diff([0.0, *ends])
     if (durations <= 0.0).any():
         raise ValueError(f"times must increase, got {tuple(times)}")
-    return [float(duration) for duration in durations]
+    return durations.tolist()
 
 
 def _closed(name: str, progressive: Sequence[Segment], durations: Sequence[float]) -> Profile:
-    """A profile that ends with the slow return: down to -P3, hold, back to zero, with the P3 that
-    closes the cycle.
+    """A profile that ends with the slow return: down to -P3, hold, and back to zero.
+
+    P3 closes the cycle.
     """
     down, hold, back = durations
     swept = math.fsum(segment.turned(np.float64(segment.duration)) for segment in progressive)
     P3 = swept / (0.5 * down + hold + 0.5 * back)
-    return Profile(
-        name,
-        (*progressive, _ramp(down, 0.0, -P3), Segment(hold, offset=-P3), _ramp(back, -P3, 0.0)),
-    )
+    returning = (_ramp(down, 0.0, -P3), Segment(hold, offset=-P3), _ramp(back, -P3, 0.0))
+    return Profile(name, (*progressive, *returning))
 
 
 def seven_phases(times: Sequence[float], V1: float, P2: float, name: str = "proposed") -> Profile:
@@ -160,14 +157,14 @@ def seven_phases(times: Sequence[float], V1: float, P2: float, name: str = "prop
     Raises:
         ValueError: if the times do not increase, or P2 is not between 0 and V1.
     """
-    d = _durations(times, 7, V1, P2)
+    rise, hold, fall, brake, *returning = _durations(times, 7, V1, P2)
     progressive = [
-        Segment(d[0], amplitude=V1, rate=math.pi / (2.0 * d[0])),
-        Segment(d[1], offset=V1),
-        Segment(d[2], amplitude=V1, phase=math.pi / 2.0, rate=arccos(P2 / V1) / d[2]),
-        _ramp(d[3], P2, 0.0),
+        _rise(rise, V1),
+        Segment(hold, offset=V1),
+        Segment(fall, amplitude=V1, phase=math.pi / 2.0, rate=arccos(P2 / V1) / fall),
+        _ramp(brake, P2, 0.0),
     ]
-    return _closed(name, progressive, d[4:])
+    return _closed(name, progressive, returning)
 
 
 def optimal(torque_limit: float, dropped: int = 0) -> Profile:
@@ -184,21 +181,24 @@ def optimal(torque_limit: float, dropped: int = 0) -> Profile:
 
 
 def six_phases(times: Sequence[float], V1: float, P2: float, name: str = "EPC") -> Profile:
-    """The profile of the EPC system, with which the paper compares: as `seven_phases`, with t1 to
-    t6 and P2 at t2.
+    """The profile of the EPC system, with which the paper compares.
+
+    The arguments are those of `seven_phases`, with t1 to t6 and P2 at t2.
     """
-    d = _durations(times, 6, V1, P2)
-    rise = Segment(d[0], amplitude=V1, rate=math.pi / (2.0 * d[0]))
-    return _closed(name, (rise, _ramp(d[1], V1, P2), _ramp(d[2], P2, 0.0)), d[3:])
+    rise, fall, brake, *returning = _durations(times, 6, V1, P2)
+    progressive = [_rise(rise, V1), _ramp(fall, V1, P2), _ramp(brake, P2, 0.0)]
+    return _closed(name, progressive, returning)
 
 
 # Table 1: t1 to t7, and t1 to t6 of EPC, s.
 TABLE_1 = (0.133, 0.195, 0.27, 0.9, 1.7, 5.8, 6.6)
 TABLE_1_EPC = (0.1, 0.33, 0.9, 1.4, 5.8, 6.6)
-# rad/s. V1 is the published peak velocity; P2 is not published, and calibrated to the published
-# largest angle.
-V1, P2 = 7.8, 2.122
-V1_EPC, P2_EPC = 11.0, 1.451
+# Published peak velocities, rad/s.
+V1 = 7.8
+V1_EPC = 11.0
+# P2 is not published: calibrated to the published largest angle, rad/s.
+P2 = 2.122
+P2_EPC = 1.451
 
 PROPOSED = seven_phases(TABLE_1, V1, P2)
 EPC = six_phases(TABLE_1_EPC, V1_EPC, P2_EPC)
@@ -207,8 +207,7 @@ EPC = six_phases(TABLE_1_EPC, V1_EPC, P2_EPC)
 def platform_motion(
     angle: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray, h: float, p: Plant
 ) -> np.ndarray:
-    """x, x' and x'' of the platform while the pendulum follows a prescribed motion: the second row
-    of Eq. (1).
+    """x, x' and x'' of the platform along a motion of the pendulum: the second row of Eq. (1).
 
     The pendulum's angle (rad), velocity and acceleration are given at every h seconds, shape (n,).
     The environment's step is not used, only its functions for the forces, which are constant over
@@ -217,18 +216,16 @@ def platform_motion(
     Returns:
         Shape (3, n), from rest at x = 0: m, m/s, m/s^2.
     """
-    motion, plant = np.zeros((3, len(angle))), native.ordered(_core.PLANT, p._asdict())
-    arrays = (
-        np.ascontiguousarray(values, np.float64) for values in (angle, velocity, acceleration)
-    )
-    native.call("platform_motion", *arrays, len(angle), float(h), plant, motion)
+    pendulum = [np.ascontiguousarray(each, np.float64) for each in (angle, velocity, acceleration)]
+    plant = native.ordered(_core.PLANT, p._asdict())
+    motion = np.zeros((3, len(angle)))
+    native.call("platform_motion", *pendulum, len(angle), float(h), plant, motion)
     return motion
 
 
 @lru_cache(maxsize=16)
 def reference_table(profile: Profile, nominal: Plant, dt: float = LAW_DT) -> np.ndarray:
-    """One cycle of a profile, whose period must be a multiple of the law's, dt in s; x_d is the
-    nominal platform's.
+    """One cycle of a profile, sampled every dt (s); x_d is the nominal platform's.
 
     Returns:
         Shape (steps, 7), float64, columns COLUMNS; read-only.
@@ -245,13 +242,13 @@ def reference_table(profile: Profile, nominal: Plant, dt: float = LAW_DT) -> np.
         )
     fine = max(1, round(dt / FINE_DT))
     h = dt / fine
-    # Sampled at the middle of the fine steps, where the jumps of theta_d'' at the edges of the
-    # phases do not lie.
-    angle, velocity, acceleration = profile.evaluate((np.arange(steps * fine) + 0.5) * h)
-    platform = platform_motion(angle, velocity, acceleration, h, nominal)[:, ::fine]
+    # The middles of the fine steps: theta_d'' jumps at the edges of the phases.
+    middles = (np.arange(steps * fine) + 0.5) * h
+    platform = platform_motion(*profile.evaluate(middles), h, nominal)
+    pendulum = profile.evaluate(np.arange(steps) * dt)
     table = np.zeros((steps, len(COLUMNS)))
-    table[:, :3] = np.stack(profile.evaluate(np.arange(steps) * dt), axis=1)
-    table[:, 3:6] = platform.T
+    table[:, :3] = np.transpose(pendulum)
+    table[:, 3:6] = platform[:, ::fine].T
     table[0, 6] = 1.0
     table.setflags(write=False)
     return table

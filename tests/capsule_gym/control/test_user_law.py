@@ -1,12 +1,11 @@
-"""Laws that users write in Python: compiled by numba or called by Python, the same torques, and
-their exceptions."""
+"""Laws that users write in Python: torques, threads and exceptions, compiled or not."""
 
 import math
 import os
 import signal
 import sys
 import threading
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from unittest.mock import Mock
@@ -23,24 +22,34 @@ from capsule_gym.policies.rollout import rollout
 from tests.capsule_gym.fakes import picky
 
 
+def controller(law):
+    return Controller(getattr(law, "__name__", "own"), law, np.zeros((1, 2)))
+
+
+def zeros(n):
+    """Actions of a batch."""
+    return np.zeros((n, 1), np.float32)
+
+
 def whole(theta, theta_dot, x, x_dot, memory, reference):
     """A law that reads its whole input, with functions of numba's."""
     count, mean = memory
     mean = 0.9 * mean + 0.1 * (math.gamma(2.0 + 0.1 * theta) + math.sin(theta))
-    torque = (
-        0.05 * mean - 0.02 * theta_dot + 0.01 * x + 0.1 * x_dot + reference[0] + 0.1 * reference[2]
-    )
-    return torque + 0.01 * math.cos(count), (count + 1.0, mean)
+    feedback = 0.05 * mean - 0.02 * theta_dot + 0.01 * x + 0.1 * x_dot
+    torque = feedback + reference[0] + 0.1 * reference[2] + 0.01 * math.cos(count)
+    return torque, (count + 1.0, mean)
 
 
 def torques(n, disturbances):
-    """The torques of the law in an episode, alone or in a batch, shape (steps, n)."""
-    made = Controller("own", whole, 0.05 * np.sin(np.arange(21.0).reshape(7, 3)), (0.0, 1.0))
+    """The torques of the law in an episode, alone or in a batch, shape (70, n)."""
+    table = 0.05 * np.sin(np.arange(21.0).reshape(7, 3))
+    made = Controller("own", whole, table, (0.0, 1.0))
     env = CapsuleVectorEnv(n, controller=made, disturbances=disturbances, residual_limit=0.5)
     env.reset(seed=3)
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (70, n, 1)).astype(np.float32)
     rows = []
-    for actions in np.random.default_rng(0).uniform(-1.0, 1.0, (70, 60)).astype(np.float32)[:n].T:
-        env.step(actions[:, None])
+    for action in actions:
+        env.step(action)
         rows.append(env.simulation.row(Row.law_torque))
     return np.array(rows)
 
@@ -55,6 +64,7 @@ def either_way(request):
     """The test runs with compiled laws, and with laws that Python calls."""
     if request.param == "Python":
         request.getfixturevalue("without_numba")
+    return request.param
 
 
 @pytest.mark.parametrize("disturbances", ["none", "real"])
@@ -69,8 +79,7 @@ def test_python_gives_the_torques_of_numba_up_to_rounding(n, disturbances, monke
 
 
 def test_an_edited_helper_is_noticed_by_the_next_controller(either_way):
-    compiled = sys.modules["numba"] is not None
-    scope = {"wrapped": numba.njit if compiled else lambda function: function}
+    scope = {"wrapped": numba.njit if either_way == "numba" else lambda function: function}
 
     def law(theta, theta_dot, x, x_dot, memory, reference):
         return helper(theta), memory
@@ -78,7 +87,7 @@ def test_an_edited_helper_is_noticed_by_the_next_controller(either_way):
     for number in (2.0, 3.0):
         exec(f"@wrapped\ndef helper(value):\n    return {number} * value", scope)
         helper = scope["helper"]
-        env = CapsuleEnv(controller=Controller("own", law, np.zeros((1, 2))), torque_limit=9.0)
+        env = CapsuleEnv(controller=controller(law), torque_limit=9.0)
         _, info = env.reset(seed=0)
         assert info["law_torque"] == number * info["state"][0]
 
@@ -87,28 +96,28 @@ def test_threads_that_compile_laws_and_functions_at_once_get_right_results():
     def law_of(gain):
         return lambda theta, theta_dot, x, x_dot, memory, reference: (gain * theta + x_dot, memory)
 
-    wrong, done = [], threading.Event()
+    done = threading.Event()
 
     def make_environments(first):
         for gain in range(first, first + 6):
-            env = CapsuleEnv(controller=Controller("own", law_of(0.1 * gain), np.zeros((1, 2))))
+            env = CapsuleEnv(controller=controller(law_of(0.1 * gain)))
             _, info = env.reset(seed=0)
-            if info["law_torque"] != 0.1 * gain * info["state"][0]:
-                wrong.append(gain)
+            assert info["law_torque"] == 0.1 * gain * info["state"][0]
 
     def compile_functions():
         n = 0
         while not done.is_set():
             n += 1
             function = numba.njit(lambda value, factor=float(n): factor * value + 1.0)
-            if function(3.0) != 3.0 * n + 1.0:
-                wrong.append(f"function {n}")
+            assert function(3.0) == 3.0 * n + 1.0
 
     with ThreadPoolExecutor(3) as pool:
-        last = pool.submit(compile_functions)
-        made = wait([pool.submit(make_environments, first) for first in (0, 6)]).done
-        done.set()
-    assert not wrong and [each.result() for each in (last, *made)] == [None] * 3
+        compiling = pool.submit(compile_functions)
+        try:
+            list(pool.map(make_environments, (0, 6)))
+        finally:
+            done.set()
+    assert compiling.result() is None
 
 
 class OwnError(Exception):
@@ -122,82 +131,105 @@ def failing(theta, theta_dot, x, x_dot, memory, reference):
     return 0.1, (count + 1.0,)
 
 
-NOT_FINITE = r"^the control law 'picky' returned a torque that is not finite in environment"
+# The same controllers in all tests: a law is compiled once per controller.
+FAULTY = pytest.mark.parametrize(
+    ("law", "error"), [(controller(picky), ValueError), (controller(failing), OwnError)]
+)
+BATCHES = pytest.mark.parametrize(("n", "threads"), [(1, 1), (70, 1), (130, 2)])
 
 
-@pytest.mark.parametrize(("law", "error"), [(picky, ValueError), (failing, OwnError)])
-@pytest.mark.parametrize(("n", "threads"), [(1, 1), (70, 1), (130, 2)])
+def start(law, n, threads, x):
+    """A batch that begins at rest, with the environment in its middle at x (m); its number."""
+    lost = n // 2
+    states = np.tile([-1.0, 0.0, 0.0, 0.0], (n, 1))
+    states[lost, 2] = x
+    env = CapsuleVectorEnv(n, controller=law, threads=threads)
+    env.reset(seed=0, options={"state": states})
+    return env, lost
+
+
+def message(error, lost, place):
+    """The message of a law that fails in an environment."""
+    if error is OwnError:
+        return "^too far$"
+    not_finite = "^the control law 'picky' returned a torque that is not finite in environment"
+    return rf"{not_finite} {lost} \({place}"
+
+
+@FAULTY
+@BATCHES
 def test_an_exception_and_a_torque_that_is_not_finite_reach_the_caller(
     law, error, n, threads, either_way
 ):
-    made = Controller(law.__name__, law, np.zeros((1, 2)))
-    env, sound = (CapsuleVectorEnv(n, controller=made, threads=threads) for _ in range(2))
-    lost, zeros, states = (
-        n // 2,
-        np.zeros((n, 1), np.float32),
-        np.tile([-1.0, 0.0, 0.0, 0.0], (n, 1)),
-    )
-    others = np.arange(n) != lost
-    sound.reset(seed=0, options={"state": states})
-    states[lost, 2] = 5.5
-    env.reset(seed=0, options={"state": states})
-    env.step(zeros)
-    sound.step(zeros)
+    env, lost = start(law, n, threads, 5.5)
+    env.step(zeros(n))
     for step in ("2", r"\d"):
-        said = (
-            rf"{NOT_FINITE} {lost} \(step {step}, state .*'x': 5\.\d+"
-            if error is ValueError
-            else "^too far$"
-        )
+        said = message(error, lost, rf"step {step}, state .*'x': 5\.\d+")
         with pytest.raises(error, match=said) as caught:
-            env.step(zeros)
-        sound.step(zeros)
+            env.step(zeros(n))
         assert "nan" not in str(caught.value)
-    assert (
-        env.simulation.rows(0, 4)[:, others].tobytes()
-        == sound.simulation.rows(0, 4)[:, others].tobytes()
-    )
-    # The failed environment continues after a reset, which leaves the memory of the others as it
-    # is.
+
+
+@FAULTY
+@BATCHES
+def test_a_law_that_fails_in_one_environment_leaves_the_others_as_they_are(
+    law, error, n, threads, either_way
+):
+    env, lost = start(law, n, threads, 5.5)
+    sound, _ = start(law, n, threads, 0.0)
+    others = np.arange(n) != lost
+    env.step(zeros(n))
+    sound.step(zeros(n))
+    for _ in range(2):
+        with pytest.raises(error):
+            env.step(zeros(n))
+        sound.step(zeros(n))
+    found, expected = env.simulation.rows(0, 4), sound.simulation.rows(0, 4)
+    assert found[:, others].tobytes() == expected[:, others].tobytes()
     memory = env.simulation.row(NUM_ROWS)[others]
     observations, _ = env.reset(options={"reset_mask": ~others})
     assert np.array_equal(env.simulation.row(NUM_ROWS)[others], memory)
     assert env.observation_space.contains(observations)
-    info = env.step(zeros)[4]
-    assert all(np.isfinite(value).all() for name, value in info.items() if name[0] != "_")
-    assert np.array_equal(info["state"][others], sound.step(zeros)[4]["state"][others])
+    *_, info = env.step(zeros(n))
+    *_, expected = sound.step(zeros(n))
+    assert np.array_equal(info["state"][others], expected["state"][others])
+    for name, value in info.items():
+        assert name.startswith("_") or np.isfinite(value).all(), name
+
+
+@FAULTY
+@BATCHES
+def test_a_law_that_fails_at_a_reset_gives_no_torque_until_the_next_one(
+    law, error, n, threads, either_way
+):
+    env, lost = start(law, n, threads, 0.0)
+    states = np.zeros((n, 4))
     states[lost, 2] = -5.5
-    said = (
-        rf"{NOT_FINITE} {lost} \(step 0, state .*'x': -5\.5" if error is ValueError else "^too far$"
-    )
-    with pytest.raises(error, match=said):
+    with pytest.raises(error, match=message(error, lost, r"step 0, state .*'x': -5\.5")):
         env.reset(options={"state": states})
-    assert (
-        np.isfinite(env.simulation.row(Row.law_torque)).all()
-        and env.simulation.row(Row.law_torque)[lost] == 0.0
-    )
-    assert (env.reset()[1]["law_torque"] == 0.1).all()
+    law_torques = env.simulation.row(Row.law_torque)
+    assert np.isfinite(law_torques).all()
+    assert law_torques[lost] == 0.0
+    _, info = env.reset()
+    assert (info["law_torque"] == 0.1).all()
 
 
-@pytest.mark.parametrize(("law", "error"), [(picky, ValueError), (failing, OwnError)])
+@FAULTY
 def test_a_single_environment_reports_them_and_goes_on_after_a_reset(law, error, either_way):
-    env, action = (
-        CapsuleEnv(controller=Controller(law.__name__, law, np.zeros((1, 2)))),
-        np.zeros(1, np.float32),
-    )
+    env = CapsuleEnv(controller=law)
+    action = np.zeros(1, np.float32)
     env.reset(seed=0, options={"state": [-1.0, 0.0, 5.5, 0.0]})
     env.step(action)
     for _ in range(2):
-        with pytest.raises(error, match="too far" if error is OwnError else f"{NOT_FINITE} 0"):
+        with pytest.raises(error, match=message(error, 0, "")):
             env.step(action)
     env.reset(seed=0)
-    assert env.step(action)[4]["law_torque"] == 0.1
+    *_, info = env.step(action)
+    assert info["law_torque"] == 0.1
 
 
 def test_an_exception_ends_a_rollout(either_way):
-    env = CapsuleVectorEnv(
-        3, controller=Controller("failing", failing, np.zeros((1, 2))), autoreset_mode="DISABLED"
-    )
+    env = CapsuleVectorEnv(3, controller=controller(failing), autoreset_mode="DISABLED")
     env.reset(seed=0, options={"state": [[-1.0, 0.0, x, 0.0] for x in (5.5, 0.0, 0.0)]})
     policy = load_policy("residual-ppo")
     with pytest.raises(OwnError, match=r"^too far$"):
@@ -219,25 +251,25 @@ def test_a_failed_law_is_called_again_with_the_same_arguments(controls, monkeypa
         seen.append(arguments)
         return law(*arguments)
 
-    table = np.arange(14.0).reshape(7, 2)
-    calls = []
-    for function in (law, recorded):
-        if function is recorded:
-            monkeypatch.setitem(sys.modules, "numba", None)
-        made = Controller("own", function, table, (0.0,) * 5, task="goal")
-        env = CapsuleVectorEnv(
-            3, task="goal", controller=made, disturbances=replace(REAL, controls=controls)
-        )
+    def failed_calls(function):
+        """The arguments of the calls in the second step, the first in which the law fails."""
+        made = Controller("own", function, np.arange(14.0).reshape(7, 2), (0.0,) * 5, task="goal")
+        disturbances = replace(REAL, controls=controls)
+        env = CapsuleVectorEnv(3, task="goal", controller=made, disturbances=disturbances)
+        # The second call is one of Python.
         object.__setattr__(made, "law", recorded)
         env.reset(seed=1)
-        env.step(np.zeros((3, 1), np.float32))
+        env.step(zeros(3))
         seen.clear()
         with pytest.raises(OwnError):
-            env.step(np.zeros((3, 1), np.float32))
-        calls.append(list(seen))
-    (again,), called = calls
+            env.step(zeros(3))
+        return list(seen)
+
+    (again,) = failed_calls(law)
+    monkeypatch.setitem(sys.modules, "numba", None)
     # In Python, the calls that fail, of three environments, are the last ones.
-    np.testing.assert_allclose(np.hstack(again), np.hstack(called[-1]), rtol=1e-9)
+    called = failed_calls(recorded)[-1]
+    np.testing.assert_allclose(np.hstack(again), np.hstack(called), rtol=1e-9)
 
 
 def scaled(gain, theta, theta_dot, x, x_dot, memory, reference, offset=0.0):
@@ -245,11 +277,8 @@ def scaled(gain, theta, theta_dot, x, x_dot, memory, reference, offset=0.0):
 
 
 def test_a_partial_is_a_law_that_numba_compiles():
-    env = CapsuleEnv(
-        controller=Controller(
-            "scaled", partial(partial(scaled, 0.5), offset=0.25), np.zeros((1, 2))
-        )
-    )
+    law = partial(partial(scaled, 0.5), offset=0.25)
+    env = CapsuleEnv(controller=controller(law))
     _, info = env.reset(seed=0)
     assert info["law_torque"] == 0.5 * info["state"][0] + 0.25
     assert None not in user_law._compiled[env.simulation.controller].values()
@@ -267,36 +296,42 @@ def test_ctrl_c_in_a_law_that_python_calls_ends_the_step(n, without_numba):
             sum(range(10))
         return 0.1, memory
 
-    env = CapsuleVectorEnv(n, controller=Controller("long", law, np.zeros((1, 2))))
+    env = CapsuleVectorEnv(n, controller=controller(law))
     env.reset(seed=0)
     # A process in the background of a shell ignores Ctrl-C, and so would Python.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         with pytest.raises(KeyboardInterrupt):
-            env.step(np.zeros((n, 1), np.float32))
+            env.step(zeros(n))
     finally:
         signal.signal(signal.SIGINT, before)
     # No further environment is asked.
     assert len(calls) <= 3 * n + 1
     env.reset(seed=0)
-    assert np.isfinite(env.step(np.zeros((n, 1), np.float32))[0]).all()
+    observations, *_ = env.step(zeros(n))
+    assert np.isfinite(observations).all()
 
 
 @pytest.mark.usefixtures("without_numba")
 def test_calls_of_a_law_leave_no_objects_behind():
-    env = CapsuleEnv(controller=Controller("scaled", partial(scaled, 0.1), np.zeros((1, 2))))
+    env = CapsuleEnv(controller=controller(partial(scaled, 0.1)))
     env.reset(seed=0)
-    # A step calls the law ten times.
-    blocks = [env.step(np.zeros(1, np.float32)) and sys.getallocatedblocks() for _ in range(30)]
+    blocks = []
+    for _ in range(30):
+        # A step calls the law ten times.
+        env.step(np.zeros(1, np.float32))
+        blocks.append(sys.getallocatedblocks())
     assert blocks[-1] - blocks[9] < 100
 
 
 @pytest.mark.usefixtures("without_numba")
 def test_an_interrupted_step_leaves_no_exception_to_a_later_one():
     law = Mock([], return_value=(0.1, (0.0,)))
-    env = CapsuleVectorEnv(2, controller=Controller("broken", law, np.zeros((1, 2))))
+    env = CapsuleVectorEnv(2, controller=controller(law))
     env.reset(seed=0)
-    law.side_effect = ValueError("an earlier step"), KeyboardInterrupt(), *[(np.nan, (0.0,))] * 9
-    for error, message in ((KeyboardInterrupt, None), (ValueError, "finite")):
-        with pytest.raises(error, match=message):
-            env.step(np.zeros((2, 1), np.float32))
+    not_finite = [(np.nan, (0.0,))] * 9
+    law.side_effect = ValueError("an earlier step"), KeyboardInterrupt(), *not_finite
+    with pytest.raises(KeyboardInterrupt):
+        env.step(zeros(2))
+    with pytest.raises(ValueError, match="finite"):
+        env.step(zeros(2))

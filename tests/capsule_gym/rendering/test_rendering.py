@@ -12,15 +12,22 @@ from capsule_gym.rendering.renderer import FLOOR, HEADER, HEIGHT, WIDTH
 pygame = pytest.importorskip("pygame")
 Image = pytest.importorskip("PIL.Image")
 
-NAMES = ("theta", "x", "x_dot", "torque", "time", "M", "mu")
-STATE = dict(zip(NAMES, (0.3, 0.2, 0.0, 0.0, 1.0, 0.5, 0.01), strict=True))
+STATE = {
+    "theta": 0.3,
+    "x": 0.2,
+    "x_dot": 0.0,
+    "torque": 0.0,
+    "time": 1.0,
+    "M": 0.5,
+    "mu": 0.01,
+}
 STAGE = slice(HEADER + 1, FLOOR)
 
 
 def frame(capsule=None, **changes):
     """One frame from a new renderer, so that nothing carries over."""
     renderer = Renderer(capsule or Capsule(), "rgb_array", 50, 1.5)
-    pixels = renderer.draw(**{**STATE, **changes})
+    pixels = renderer.draw(**STATE | changes)
     renderer.close()
     return pixels
 
@@ -45,34 +52,40 @@ SCENES = (
 
 
 def draw_scenes():
-    """The scenes, as means over blocks of pixels."""
-    drawn = []
-    for scene in SCENES:
-        pixels = frame(**scene)
-        assert pixels.shape == (HEIGHT, WIDTH, 3) and pixels.dtype == np.uint8
-        assert pixels.flags.c_contiguous and pixels.flags.writeable
-        drawn.append(
-            pixels.reshape(HEIGHT // BLOCK, BLOCK, WIDTH // BLOCK, BLOCK, 3).mean(axis=(1, 3))
-        )
-    return np.concatenate(drawn)
+    """The scenes, as means over blocks of pixels, shape (scenes, rows, columns, 3)."""
+    frames = np.stack([frame(**scene) for scene in SCENES])
+    blocks = frames.reshape(-1, HEIGHT // BLOCK, BLOCK, WIDTH // BLOCK, BLOCK, 3)
+    return blocks.mean(axis=(2, 4))
 
 
-def test_the_frames_are_those_that_were_looked_at_and_hold_nothing_of_those_before():
-    with Image.open(EXPECTED) as picture:
-        expected = np.asarray(picture.convert("RGB"), float)
+def test_a_frame_is_an_array_that_the_caller_may_change():
+    pixels = frame()
+    assert pixels.shape == (HEIGHT, WIDTH, 3)
+    assert pixels.dtype == np.uint8
+    assert pixels.flags.c_contiguous
+    assert pixels.flags.writeable
+
+
+def test_the_frames_are_those_that_were_looked_at():
     drawn = draw_scenes()
+    with Image.open(EXPECTED) as picture:
+        expected = np.asarray(picture.convert("RGB"), float).reshape(drawn.shape)
     # Another version of the font moves its edges by a fraction of a pixel.
     np.testing.assert_allclose(drawn, expected, atol=8.0)
     # Robot, grid and ruler of the scenes without a rival have no text.
-    scenes = (
-        each.reshape(len(SCENES), -1, *expected.shape[1:])[::2, 22:65] for each in (drawn, expected)
-    )
-    np.testing.assert_allclose(*scenes, atol=1.0)
-    renderer, rng = Renderer(Capsule(), "rgb_array", 50, 1.5), np.random.default_rng(0)
+    np.testing.assert_allclose(drawn[::2, 22:65], expected[::2, 22:65], atol=1.0)
+
+
+def test_a_frame_holds_nothing_of_those_before():
+    renderer = Renderer(Capsule(), "rgb_array", 50, 1.5)
+    rng = np.random.default_rng(0)
     for n in range(24):
-        state = dict(zip(NAMES, rng.normal(0.0, (0.5, 0.4, 0.2, 0.6, 9.0, 0.2, 0.1)), strict=True))
-        state |= {"x_dot": 0.0} if n % 3 == 0 else {}
-        state |= {"ghost": ("rival", 0.4, state["x"] + 0.3)} if n % 4 == 1 else {}
+        values = rng.normal(0.0, (0.5, 0.4, 0.2, 0.6, 9.0, 0.2, 0.1))
+        state = dict(zip(STATE, values, strict=True))
+        if n % 3 == 0:
+            state["x_dot"] = 0.0
+        if n % 4 == 1:
+            state["ghost"] = ("rival", 0.4, state["x"] + 0.3)
         np.testing.assert_array_equal(renderer.draw(**state), frame(**state))
 
 
@@ -93,20 +106,25 @@ changed = {name for name in os.environ if os.environ[name] != before.get(name)}
 assert changed <= {"PYGAME_HIDE_SUPPORT_PROMPT"}, changed
 renderer.close()
 """
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout == "" and done.stderr == ""
+    call = [sys.executable, "-W", "error", "-c", code]
+    done = subprocess.run(call, capture_output=True, text=True, check=False)
+    assert done.stderr == ""
+    assert done.stdout == ""
+    assert done.returncode == 0
+
+
+def window_pixels():
+    """The picture in the window, shape (width, height, 3)."""
+    return pygame.surfarray.array3d(pygame.display.get_surface())
 
 
 def test_a_window_shows_the_frames(no_screen):
     renderer = Renderer(Capsule(), "human", 200, 1.5, title="a title")
-    for k in range(3):
-        assert renderer.draw(**{**STATE, "time": 0.02 * k}) is None
-    window = pygame.display.get_surface()
-    assert window.get_size() == (WIDTH, HEIGHT) and pygame.display.get_caption()[0] == "a title"
-    shown = pygame.surfarray.array3d(window).swapaxes(0, 1)
+    for n in range(3):
+        assert renderer.draw(**STATE | {"time": 0.02 * n}) is None
+    assert pygame.display.get_caption()[0] == "a title"
+    shown = window_pixels().swapaxes(0, 1)
+    assert shown.shape == (HEIGHT, WIDTH, 3)
     np.testing.assert_array_equal(shown[STAGE, 250:700], frame(time=0.04)[STAGE, 250:700])
 
 
@@ -116,39 +134,53 @@ def test_an_environment_draws_every_step_in_its_window(no_screen):
     shown = []
     for _ in range(3):
         env.step(np.ones(1, np.float32))
-        shown.append(pygame.surfarray.array3d(pygame.display.get_surface()))
-    assert (shown[0] != shown[1]).any() and (shown[1] != shown[2]).any()
+        shown.append(window_pixels())
+    first, second, third = shown
+    assert (first != second).any()
+    assert (second != third).any()
     env.close()
     assert not pygame.display.get_init()
+
+
+def test_an_environment_without_a_render_mode_draws_nothing():
+    env = CapsuleEnv()
     with pytest.warns(UserWarning, match=r"draws nothing without a render_mode"):
-        assert CapsuleEnv().render() is None
+        assert env.render() is None
 
 
 @pytest.mark.parametrize("by_user", [False, True])
 def test_a_closed_window_stays_closed(no_screen, by_user):
     renderer = Renderer(Capsule(), "human", 200, 1.5)
     renderer.draw(**STATE)
-    pygame.event.post(pygame.event.Event(pygame.QUIT)) if by_user else renderer.close()
+    if by_user:
+        pygame.event.post(pygame.event.Event(pygame.QUIT))
+    else:
+        renderer.close()
     for _ in range(2):
-        assert renderer.draw(**STATE) is None and renderer.closed
+        assert renderer.draw(**STATE) is None
+        assert renderer.closed
         assert not pygame.display.get_init()
     renderer.close()
 
 
 def test_every_frame_is_there_for_its_time_with_its_colours(tmp_path):
+    path = tmp_path / "moving.gif"
     # Many greys, with a few red pixels that move.
-    grey = np.add.outer(np.arange(100), np.arange(200))[..., None] * 255 // 298
-    frames = np.tile(grey, (6, 1, 1, 3)).astype(np.uint8)
-    for n, frame in enumerate(frames):
-        frame[10:14, 20 * n : 20 * n + 4] = (255, 0, 0)
-    write_gif(iter(frames), tmp_path / "moving.gif", frame_seconds=0.1, width=200)
-    with Image.open(tmp_path / "moving.gif") as moving:
-        assert (moving.n_frames, moving.info["loop"]) == (6, 0)
-        for n, frame in enumerate(frames):
+    grey = np.add.outer(np.arange(100), np.arange(200)) * 255 // 298
+    frames = np.tile(grey[..., None], (6, 1, 1, 3)).astype(np.uint8)
+    for n, picture in enumerate(frames):
+        picture[10:14, 20 * n : 20 * n + 4] = (255, 0, 0)
+    write_gif(iter(frames), path, frame_seconds=0.1, width=200)
+    with Image.open(path) as moving:
+        assert moving.n_frames == 6
+        assert moving.info["loop"] == 0
+        for n, expected in enumerate(frames):
             moving.seek(n)
+            shown = np.asarray(moving.convert("RGB"), int)
+            assert np.abs(shown - expected).max() < 16
             assert moving.info["duration"] == 100
-            assert np.abs(np.asarray(moving.convert("RGB"), int) - frame).max() < 16
 
 
 if __name__ == "__main__":
-    Image.fromarray(draw_scenes().round().astype(np.uint8)).save(EXPECTED, optimize=True)
+    picture = np.concatenate(draw_scenes()).round().astype(np.uint8)
+    Image.fromarray(picture).save(EXPECTED, optimize=True)

@@ -1,5 +1,4 @@
-"""The observer and the predictor: their estimates, and the performance of the law on late
-measurements."""
+"""The observer and the predictor: their estimates, and the law on late measurements."""
 
 import itertools
 import math
@@ -16,14 +15,22 @@ from capsule_gym.parameters import NOMINAL
 from capsule_gym.tasks.task import HORIZON, TORQUE_LIMIT
 
 PLANT = NOMINAL.plant()
-# What the laws assume: calls from a measurement to its torque, the motor's time constant in s, its
-# friction in N m, and the speed in rad/s from which this acts fully; smallest normal force as a
-# share of the weight.
-LATENCY, LAG, MOTOR_FRICTION, MOTOR_WIDTH, CONTACT_MARGIN = 10, 0.005, 0.05, 0.2, 0.1
+# What the laws assume: calls from a measurement to its torque, the motor's time constant (s), its
+# friction (N m), and the speed (rad/s) from which it acts fully.
+LATENCY = 10
+LAG = 0.005
+MOTOR_FRICTION = 0.05
+MOTOR_WIDTH = 0.2
+# Smallest normal force as a share of the weight.
+CONTACT_MARGIN = 0.1
+# Cells of the memory.
 M, MU, BIAS = 5, 6, 7
-# An estimate that a measurement of the same state does not correct.
+# A state, and an estimate that its measurement does not correct.
 THETA, THETA_DOT, X_DOT, MOTOR = 0.4, -5.0, 0.3, 0.5
+STATE = (THETA, THETA_DOT, 0.0, X_DOT)
 SLIDING = (1.0, THETA, THETA_DOT, X_DOT, MOTOR, NOMINAL.M, NOMINAL.mu, 0.0)
+# M (kg) and mu.
+PLANTS = [(0.5, 0.01), (0.6, 0.1), (0.38, 0.05), (0.75, 0.2), (0.4, 0.25)]
 LATE = Disturbances(latency=LATENCY * LAW_DT, lag=LAG, motor_friction=MOTOR_FRICTION)
 
 
@@ -39,50 +46,57 @@ def call(law, memory, theta=THETA, theta_dot=THETA_DOT, x_dot=X_DOT):
 
 
 def advance(state, motor, torque, plant, steps=1):
-    """Advances the state and the motor's torque (N m) behind the lag, with friction, by one call of
-    the law."""
+    """Advances the state and the motor's torque (N m), with its lag and friction, by `LAW_DT`."""
     h = LAW_DT / steps
     for _ in range(steps):
         motor = torque + (motor - torque) * math.exp(-h / LAG)
-        u = motor - MOTOR_FRICTION * min(1.0, max(-1.0, state[1] / MOTOR_WIDTH))
-        state = [float(value) for value in dynamics.step(*state, u, plant, h)[:4]]
+        _, theta_dot, _, _ = state
+        friction = MOTOR_FRICTION * np.clip(theta_dot / MOTOR_WIDTH, -1.0, 1.0)
+        state = dynamics.step(*state, motor - friction, plant, h)[:4]
     return state, motor
+
+
+def moving(state):
+    """theta, theta_dot and x_dot."""
+    theta, theta_dot, _, x_dot = state
+    return np.array([theta, theta_dot, x_dot])
 
 
 def episode(controller, plants, **options):
     """Runs an episode on plants of M (kg) and mu, and returns the batch."""
+    count, control_dt = len(plants), 0.1
     env = CapsuleVectorEnv(
-        len(plants), controller=controller, control_dt=0.1, autoreset_mode="DISABLED", **options
+        count, controller=controller, control_dt=control_dt, autoreset_mode="DISABLED", **options
     )
-    M, mu = np.array(plants).T
-    env.reset(seed=0, options={"M": M, "mu": mu})
-    for _ in range(round(HORIZON / 0.1)):
-        env.step(np.zeros((len(plants), 1), np.float32))
+    masses, frictions = np.transpose(plants)
+    env.reset(seed=0, options={"M": masses, "mu": frictions})
+    for _ in range(round(HORIZON / control_dt)):
+        env.step(np.zeros((count, 1), np.float32))
     return env
 
 
 def test_the_model_is_exact_to_first_order():
-    torque, duration = -1.0, 0.009
-    state, motor = (THETA, THETA_DOT, 0.0, X_DOT), MOTOR
+    torque = -1.0
+    state, motor = STATE, MOTOR
     for _ in range(9):
         state, motor = advance(state, motor, torque, PLANT, steps=200)
     errors = []
     for steps in (3, 6, 12):
-        law, estimate = predictive_law(dt=duration / steps), SLIDING
+        law = predictive_law(dt=9 * LAW_DT / steps)
+        estimate = SLIDING
         for _ in range(steps):
             # The measurement agrees with the estimate, which moves by one step of the model with
             # the oldest torque.
             _, memory = call(law, (*estimate, *(torque,) * LATENCY), *estimate[1:4])
             estimate = memory[:8]
-        errors.append(np.abs(np.subtract(estimate[1:5], (state[0], state[1], state[3], motor))))
-    assert (errors[0] < (1e-3, 0.1, 0.01, 0.2)).all() and (
-        np.divide(errors[:2], errors[1:]) > 1.6
-    ).all()
+        errors.append(np.abs(estimate[1:5] - np.append(moving(state), motor)))
+    assert (errors[0] < (1e-3, 0.1, 0.01, 0.2)).all()
+    assert (np.divide(errors[:2], errors[1:]) > 1.6).all()
 
 
 def test_the_prediction_follows_the_plant_through_the_queued_torques():
     queue = tuple(np.random.default_rng(0).uniform(-TORQUE_LIMIT, TORQUE_LIMIT, LATENCY).tolist())
-    state, motor = (THETA, THETA_DOT, 0.0, X_DOT), MOTOR
+    state, motor = STATE, MOTOR
     for torque in queue:
         state, motor = advance(state, motor, torque, PLANT, steps=20)
     # Gaits that return a share of one entry of the predicted state each; no platform is light
@@ -98,66 +112,75 @@ def test_the_prediction_follows_the_plant_through_the_queued_torques():
         present.append(torque / (0.1 * TORQUE_LIMIT) * scale - margin)
         # The memory drops the oldest torque and adds the newest one.
         assert memory[len(SLIDING) :] == (*queue[1:], torque)
-    moved = np.subtract((state[0], state[1], state[3]), (THETA, THETA_DOT, X_DOT))
-    missed = np.subtract(present, (state[0], state[1], state[3]))
-    assert (np.abs(missed) < 0.05 * np.abs(moved)).all()
+    moved = np.abs(moving(state) - moving(STATE))
+    missed = np.abs(present - moving(state))
+    assert (missed < 0.05 * moved).all()
 
 
-def test_mass_and_friction_are_learnt_and_the_gait_is_fast_on_late_measurements():
-    plants = [(0.5, 0.01), (0.6, 0.1), (0.38, 0.05), (0.75, 0.2), (0.4, 0.25)]
-    env = episode(gait_predictive(), plants, disturbances=LATE)
-    metrics = env.episode_metrics()
-    assert metrics["failed"].sum() == 0.0 and metrics["mean_speed"].min() > 12.0
-    estimates = {cell: env.simulation.row(NUM_ROWS + cell) for cell in (M, MU, BIAS)}
+def late_episode(controller):
+    return episode(controller, PLANTS, disturbances=LATE)
+
+
+def test_mass_and_friction_are_learnt_from_late_measurements():
+    simulation = late_episode(gait_predictive()).simulation
+    masses, frictions = np.transpose(PLANTS)
+    assert simulation.row(NUM_ROWS + M) == pytest.approx(masses, rel=0.2)
     # The friction of the environment's motor rises more slowly than that of the model.
-    assert estimates[M] == pytest.approx(np.array(plants)[:, 0], rel=0.2)
-    assert (
-        estimates[MU] == pytest.approx(np.array(plants)[:, 1], rel=0.25)
-        and np.abs(estimates[BIAS]).max() < 0.02
-    )
-    # The gait without observer and predictor, with the same sensors and motor.
-    alone = episode(gait(), plants, disturbances=LATE).episode_metrics()
-    assert (alone["mean_speed"] < 5.0).all()
+    assert simulation.row(NUM_ROWS + MU) == pytest.approx(frictions, rel=0.25)
+    assert np.abs(simulation.row(NUM_ROWS + BIAS)).max() < 0.02
+
+
+def test_the_gait_is_fast_on_late_measurements():
+    metrics = late_episode(gait_predictive()).episode_metrics()
+    assert metrics["failed"].sum() == 0.0
+    assert metrics["mean_speed"].min() > 12.0
+
+
+def test_the_gait_is_slow_without_observer_and_predictor():
+    metrics = late_episode(gait()).episode_metrics()
+    assert metrics["mean_speed"].max() < 5.0
 
 
 def test_torque_and_memory_are_finite_whatever_is_measured():
     controller = gait_predictive()
-    rng, memory, row = (
-        np.random.default_rng(0),
-        controller.memory,
-        tuple(controller.reference[0].tolist()),
-    )
-    values = (0.0, 1e-300, 0.1, 1.0, 1e3, 1e300, math.inf)
+    memory = controller.memory
+    rng = np.random.default_rng(0)
+    values = [0.0, 1e-300, 0.1, 1.0, 1e3, 1e300, math.inf]
     for _ in range(300):
-        theta, theta_dot, x_dot = (
-            float(rng.choice(values) * rng.choice((-1.0, 1.0))) for _ in range(3)
-        )
-        torque, memory = controller.law(theta, theta_dot, 0.0, x_dot, memory, row)
-        assert abs(torque) <= TORQUE_LIMIT and np.isfinite(memory).all()
+        measured = rng.choice(values, 3) * rng.choice([-1.0, 1.0], 3)
+        torque, memory = call(controller.law, memory, *measured.tolist())
+        assert abs(torque) <= TORQUE_LIMIT
+        assert np.isfinite(memory).all()
+
+
+def kept_torque(torque, theta, theta_dot):
+    """What remains of a torque of the gait, where nothing moves within the period of the law."""
+    law = predictive_law(dt=1e-15, guard_from=1e6, phi_000=torque / TORQUE_LIMIT)
+    estimate = (1.0, theta, theta_dot, X_DOT, 0.0, NOMINAL.M, NOMINAL.mu, 0.0)
+    kept, _ = call(law, (*estimate, *(0.0,) * LATENCY), theta, theta_dot)
+    return kept
+
+
+def lightest_normal_force(theta, theta_dot, torque):
+    plant = NOMINAL.plant(M=LIGHTEST, mu=0.0)
+    return dynamics.accelerations(theta, theta_dot, 0.1, 1.0, torque, plant)[2]
 
 
 def test_a_torque_that_would_lift_the_lightest_platform_is_reduced():
-    plant = NOMINAL.plant(M=LIGHTEST, mu=0.0)
     least = CONTACT_MARGIN * (LIGHTEST + NOMINAL.m) * NOMINAL.g
-
-    def kept_of(torque, theta, theta_dot):
-        # Nothing moves within the period of this law, so that the predicted state is the measured
-        # one.
-        law = predictive_law(dt=1e-15, guard_from=1e6, phi_000=torque / TORQUE_LIMIT)
-        estimate = (1.0, theta, theta_dot, X_DOT, 0.0, NOMINAL.M, NOMINAL.mu, 0.0)
-        return call(law, (*estimate, *(0.0,) * LATENCY), theta, theta_dot)[0]
-
     reduced = 0
     for theta, theta_dot, torque in itertools.product(
         (-1.0, -0.5, 0.5, 1.0), (-8.0, 0.0, 8.0), (-1.5, 0.5, 1.5)
     ):
-        kept = kept_of(torque, theta, theta_dot)
-        normal, after = (
-            dynamics.accelerations(theta, theta_dot, 0.1, 1.0, u, plant)[2] for u in (torque, kept)
-        )
-        if normal >= least:
+        kept = kept_torque(torque, theta, theta_dot)
+        if lightest_normal_force(theta, theta_dot, torque) >= least:
             assert kept == pytest.approx(torque)
         elif kept != pytest.approx(torque):
             reduced += 1
-            assert after == pytest.approx(least, rel=1e-9) or kept == 0.0
-    assert reduced > 0 and kept_of(1.5, 0.0, 20.0) == 1.5
+            normal = lightest_normal_force(theta, theta_dot, kept)
+            assert normal == pytest.approx(least, rel=1e-9) or kept == 0.0
+    assert reduced > 0
+
+
+def test_a_torque_that_does_not_change_the_contact_is_kept():
+    assert kept_torque(1.5, 0.0, 20.0) == 1.5
