@@ -36,24 +36,23 @@ def short_repr(value: Any) -> str:
 
 def shortened(text: str) -> str:
     """The text, without its middle if it is long."""
-    return text if len(text) <= LONGEST else f"{text[: LONGEST // 2]} .. {text[-LONGEST // 2 :]}"
+    if len(text) <= LONGEST:
+        return text
+    half = LONGEST // 2
+    return f"{text[:half]} .. {text[-half:]}"
 
 
 def require(
     fits: bool, name: str, accepted: str, value: Any, kind: type[Exception] = ValueError
 ) -> None:
-    """Raises an error that names the argument, its value and the accepted values, unless the value
-    fits.
-    """
+    """Raises an error that names the argument and its value, unless the value fits."""
     if not fits:
         raise kind(f"{name} must be {accepted}, got {short_repr(value)}")
 
 
 @contextmanager
 def prefix_errors(name: str) -> Iterator[None]:
-    """Begins the message of a TypeError or ValueError with the argument from which its value
-    comes.
-    """
+    """Begins the message of a TypeError or ValueError with the argument that contains the value."""
     try:
         yield
     except (TypeError, ValueError) as error:
@@ -61,25 +60,31 @@ def prefix_errors(name: str) -> Iterator[None]:
 
 
 def first_cause(error: Exception) -> str:
-    """The message of an error in one line; for an error of numba, the first cause and its line of
-    source.
+    """The first cause in the message of an error, in one line.
+
+    For an error of numba, its line of the source follows.
     """
     text = re.sub(r"\x1b\[\d*m", "", str(error))
-    lines = [
-        line.strip() for line in text.splitlines() if line.strip() and "pipeline (step:" not in line
-    ]
+    lines = [line.strip() for line in text.splitlines()]
+    lines = [line for line in lines if line and "pipeline (step:" not in line]
+    # A line that ends with a colon introduces the next one.
     cause = " ".join(lines[: 2 if lines and lines[0].endswith(":") else 1])
     place = re.search(r'File "(.*)", line (\d+)', text) or re.search(r" at (\S+) \((\d+)\)", text)
-    return cause + (f" ({Path(place[1]).name}, line {place[2]})" if place else "")
+    if place is None:
+        return cause
+    file, line = place.groups()
+    return f"{cause} ({Path(file).name}, line {line})"
 
 
 def nearest(given: str, names: Iterable[str]) -> str:
-    """The end of an error message for an unknown name: the most similar known name, or an empty
-    string.
-    """
-    known = {name.lower().replace("_", "-"): name for name in names}
-    similar = difflib.get_close_matches(given[:LONGEST].lower().replace("_", "-"), known, n=1)
-    return "".join(f"; did you mean {known[name]!r}?" for name in similar)
+    """The end of a message for an unknown name: the most similar known one, or an empty string."""
+
+    def simplified(name: str) -> str:
+        return name.lower().replace("_", "-")
+
+    known = {simplified(name): name for name in names}
+    similar = difflib.get_close_matches(simplified(given[:LONGEST]), known, n=1)
+    return f"; did you mean {known[similar[0]]!r}?" if similar else ""
 
 
 def check_number(
@@ -91,8 +96,7 @@ def check_number(
     *,
     open_low: bool = False,
 ) -> float:
-    """Returns `value` as a float, or raises an error that names the argument, its value and the
-    accepted values.
+    """Returns `value` as a float, or raises an error that names the argument and its value.
 
     Args:
         name: the argument's name.
@@ -106,29 +110,21 @@ def check_number(
         TypeError: if `value` is not a real number.
         ValueError: if it is not finite or outside the range.
     """
-    if isinstance(value, NO_NUMBERS) or not isinstance(
-        value, (int, float, np.integer, np.floating)
-    ):
-        raise TypeError(
-            f"{name} must be {accepted}, got {short_repr(value)} of type {type(value).__name__}"
-        )
+    real = isinstance(value, (int, float, np.integer, np.floating))
+    if not real or isinstance(value, NO_NUMBERS):
+        got = f"{short_repr(value)} of type {type(value).__name__}"
+        raise TypeError(f"{name} must be {accepted}, got {got}")
     try:
         number = float(value)
     except OverflowError:  # an integer beyond the largest float
         number = math.inf
-    require(
-        math.isfinite(number) and low <= number <= high and (not open_low or number > low),
-        name,
-        accepted,
-        value,
-    )
+    above = number > low if open_low else number >= low
+    require(math.isfinite(number) and above and number <= high, name, accepted, value)
     return number
 
 
 def check_integer(name: str, value: Any, accepted: str, low: int, high: int) -> int:
-    """Returns `value` as an int; a TypeError or ValueError names the argument, its value and the
-    accepted values.
-    """
+    """Returns `value` as an int, or raises an error that names the argument and its value."""
     integer = isinstance(value, (int, np.integer)) and not isinstance(value, NO_NUMBERS)
     require(integer, name, accepted, value, TypeError)
     require(low <= value <= high, name, accepted, value)
@@ -142,9 +138,7 @@ def check_count(name: str, value: Any, most: int = sys.maxsize) -> int:
 
 
 def check_name(argument: str, name: Any, kind: type, known: Iterable[str]) -> str:
-    """Returns a known name, or raises an error; an instance of `kind` would also be accepted for
-    the argument.
-    """
+    """Returns a known name, or raises an error; the argument may also be an instance of `kind`."""
     accepted = f"a {kind.__name__} or one of {sorted(known)}"
     require(isinstance(name, str), argument, accepted, name, TypeError)
     require(name in known, argument, accepted, name)
@@ -167,23 +161,23 @@ def check_flag(name: str, value: Any) -> bool:
 def check_timed(
     name: str, value: Any, accepted: str, keys: tuple[str, ...]
 ) -> Iterator[tuple[str, float, Any]]:
-    """Checks a list of dicts with these keys, each with a later time "t" in s than the one before.
+    """Checks a list of dicts with these keys, in ascending order of their time "t" in s.
 
     Yields:
         The name of a dict in messages, its time, and the dict.
     """
     require(isinstance(value, (list, tuple)), name, accepted, value, TypeError)
-    last, these = -math.inf, f"{', '.join(map(repr, keys[:-1]))} and {keys[-1]!r}"
+    *others, final = map(repr, keys)
+    required = f"a dict with the keys {', '.join(others)} and {final} and no others"
+    last = -math.inf
     for n, entry in enumerate(value):
         where = f"{name}[{n}]"
-        required = f"a dict with the keys {these} and no others"
         require(isinstance(entry, dict), where, required, entry, TypeError)
         require(set(entry) == set(keys), where, required, entry)
         t = check_number(f"{where}['t']", entry["t"], "a finite number >= 0 (s)", 0.0)
         if t <= last:
-            raise ValueError(
-                f"{where}['t'] must be later than the one before, {last:g} s, got {t:g} s"
-            )
+            times = f"the one before, {last:g} s, got {t:g} s"
+            raise ValueError(f"{where}['t'] must be later than {times}")
         yield where, t, entry
         last = t
 
@@ -194,23 +188,18 @@ def check_pair(name: str, value: Any, accepted: str, **limits: Any) -> tuple[flo
         low, high = value
     except (TypeError, ValueError):
         raise TypeError(f"{name} must be {accepted}, got {short_repr(value)}") from None
-    low, high = (
-        check_number(f"{name}[{n}]", end, accepted, **limits) for n, end in enumerate((low, high))
-    )
+    low = check_number(f"{name}[0]", low, accepted, **limits)
+    high = check_number(f"{name}[1]", high, accepted, **limits)
     require(low <= high, name, accepted, value)
     return low, high
 
 
 def from_fields(kind: type[Kind], argument: str, values: dict[str, Any]) -> Kind:
-    """The object with these fields, which JSON contains instead of it; raises the errors of its
-    fields.
-    """
+    """The object with these fields, which JSON contains instead; raises the fields' errors."""
     names = [each.name for each in fields(kind)]
     for name in values:
         if name not in names:
-            similar = nearest(str(name), names)
-            raise ValueError(
-                f"{argument} must have fields out of {names}, got {short_repr(name)}{similar}"
-            )
+            got = f"{short_repr(name)}{nearest(str(name), names)}"
+            raise ValueError(f"{argument} must have fields out of {names}, got {got}")
     with prefix_errors(argument):
         return kind(**values)

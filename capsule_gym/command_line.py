@@ -1,5 +1,6 @@
-"""Command lines from dataclasses and functions: a field or an argument is an option, its docstring
-the help text.
+"""Command lines from dataclasses and functions.
+
+A field or an argument is an option, its docstring the help text.
 
 A command is a function with the decorator `command("python -m baselines.tuning")`. One that checks
 or shares its options declares them as a frozen dataclass and calls `parse(Args, "python -m
@@ -23,14 +24,18 @@ try:
     import tyro
     from tyro.conf import Positional, arg
 except ImportError as error:
-    # The command by its package and, in capsule_gym, by its place there.
-    _package, _, _place = getattr(sys.modules["__main__"].__spec__, "name", "").partition(".")
-    _own_extra = {"export": "export", "identification": "identify"}.get(
-        _place.partition(".")[0], "render"
-    )
-    _extra = {"agents": "train", "baselines": "paper", "benchmarks": "bench"}.get(
-        _package, _own_extra
-    )
+    _EXTRAS = {
+        "agents": "train",
+        "baselines": "paper",
+        "benchmarks": "bench",
+        "capsule_gym.export": "export",
+        "capsule_gym.identification": "identify",
+    }
+    _command = getattr(sys.modules["__main__"].__spec__, "name", "")
+    _found = [
+        extra for package, extra in _EXTRAS.items() if f"{_command}.".startswith(f"{package}.")
+    ]
+    _extra = _found[0] if _found else "render"
     raise ImportError(f'this command needs tyro: pip install "capsule-gym[{_extra}]"') from error
 
 __all__ = [
@@ -61,12 +66,12 @@ def _integer(least: int) -> Any:
             raise ValueError(f"must be an integer >= {least}, got {words[0]!r}")
         return int(value)
 
-    back: Any = {
-        "is_instance": lambda value: isinstance(value, int),
-        "str_from_instance": lambda value: [str(value)],
-    }
     return tyro.constructors.PrimitiveConstructorSpec(
-        nargs=1, metavar="N", instance_from_str=read, **back
+        nargs=1,
+        metavar="N",
+        instance_from_str=read,
+        is_instance=lambda value: isinstance(value, int),
+        str_from_instance=lambda value: [str(value)],
     )
 
 
@@ -106,12 +111,11 @@ def parse(
 def command(
     prog: str, *errors: type[Exception]
 ) -> Callable[[Callable[..., int | None]], Callable[..., int]]:
-    """Makes a function the `main` of a command: it takes the words after the command, and returns
-    the exit status.
+    """Makes a function the `main` of a command, which returns the exit status.
 
-    The arguments of the function are the options, its docstring is the help. The status is 0 where
-    it returns None. An exception out of `errors` is an error of the command line, and an interrupt
-    ends the command without a traceback.
+    `main` takes the words after the command. The arguments of the function are the options, its
+    docstring is the help. The status is 0 where it returns None. An exception out of `errors` is an
+    error of the command line, and an interrupt ends the command without a traceback.
     """
 
     def decorate(function: Callable[..., int | None]) -> Callable[..., int]:
@@ -129,9 +133,7 @@ def command(
 
 
 def refuse(prog: str, message: str) -> NoReturn:
-    """Ends the command with status 2 and a message that names the option, its value and the
-    accepted values.
-    """
+    """Ends the command with status 2 and a message that names the option and its value."""
     print(f"{prog}: error: {message}", file=sys.stderr)
     raise SystemExit(2)
 
@@ -139,9 +141,7 @@ def refuse(prog: str, message: str) -> NoReturn:
 def check_output(
     option: str, path: Path | None, suffixes: Sequence[str] = (), *, overwrite: bool = False
 ) -> None:
-    """Raises a ValueError, before the computation, if the output file cannot be written; None is
-    accepted.
-    """
+    """Raises a ValueError, before the computation, if the output file cannot be written."""
     if path is None:
         return
     # Unlike the methods of Path, these functions accept names that no file can have.
@@ -150,6 +150,5 @@ def check_output(
     accepted = f"the name of a file {' or '.join(suffixes)}"
     require(not suffixes or path.suffix in suffixes, option, accepted, str(path))
     if os.path.exists(path) and not overwrite:
-        raise ValueError(
-            f"{option} must name a new file unless --overwrite is given, got {str(path)!r}"
-        )
+        accepted = "name a new file unless --overwrite is given"
+        raise ValueError(f"{option} must {accepted}, got {str(path)!r}")

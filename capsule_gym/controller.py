@@ -1,6 +1,4 @@
-"""Control laws of the core, and those that import strings name, under the former name of the
-module.
-"""
+"""Control laws of the core and of import strings, under the former name of the module."""
 
 from capsule_gym.control.controller import Controller, CoreLaw
 from capsule_gym.control.lookup import find_controller

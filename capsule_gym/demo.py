@@ -44,7 +44,8 @@ def read_keys(observations: np.ndarray) -> np.ndarray:
 
     held = pygame.key.get_pressed()
     # A growing theta swings the ball to the left.
-    left, right = held[pygame.K_LEFT] or held[pygame.K_a], held[pygame.K_RIGHT] or held[pygame.K_d]
+    left = held[pygame.K_LEFT] or held[pygame.K_a]
+    right = held[pygame.K_RIGHT] or held[pygame.K_d]
     return np.array([[STRENGTH * (bool(left) - bool(right))]], np.float32)
 
 
@@ -54,21 +55,21 @@ NAMES = [*scripted_names(), KEYBOARD.name, *policy_names()]
 
 
 def find_policy(name_or_path: str) -> Any:
-    """Finds a scripted or trained policy, one of its runs ("residual-ppo/seed-2"), or a policy file
-    or run by its path.
+    """Finds a scripted or trained policy by name, or a policy file or run by its path.
 
     Raises:
         ValueError: if there is no such policy, or its file is broken.
     """
     if name_or_path == KEYBOARD.name:
         return KEYBOARD
-    if scripted := find_scripted(name_or_path):
+    scripted = find_scripted(name_or_path)
+    if scripted is not None:
         return scripted
     if name_or_path in pretrained() or os.path.exists(name_or_path):
         return load_policy(name_or_path)
     raise ValueError(
-        f"a policy must be one of {', '.join(NAMES)}, or the path of a policy file or of a run's folder, got "
-        f"{short_repr(name_or_path)}{nearest(name_or_path, NAMES)}"
+        f"a policy must be one of {', '.join(NAMES)}, or the path of a policy file or of a run's "
+        f"folder, got {short_repr(name_or_path)}{nearest(name_or_path, NAMES)}"
     )
 
 
@@ -87,7 +88,8 @@ class Episode:
     """
 
     def __init__(self, policy: Any, found: EvaluationSet, plant: PlantSpec) -> None:
-        self.policy, self.time = policy, 0.0
+        self.policy = policy
+        self.time = 0.0
         self.end: Termination | None = None
         # Scripted policies without a task fit any set.
         unnamed = "speed" if isinstance(policy, Policy) else found.task
@@ -101,7 +103,8 @@ class Episode:
         """Steps until `time`, in s, or until the end of the episode."""
         dt = self.env.simulation.options.control_dt
         while self.end is None and self.time + 0.5 * dt < time:
-            self._observation, _, _, _, info = self.env.step(self._act(self._observation[None])[0])
+            action = self._act(self._observation[None])[0]
+            self._observation, _, _, _, info = self.env.step(action)
             self.time += dt
             if info["termination"] or self.time + 0.5 * dt > self._horizon:
                 self.end = Termination(int(info["termination"]))
@@ -110,7 +113,8 @@ class Episode:
     def speed(self) -> str:
         """The policy's name and its mean speed so far."""
         x = shown_state(self.env.simulation, 0)["x"]
-        return f"{self.policy.name} {100.0 * x / max(self.time, FRAME_SECONDS):.2f} cm/s"
+        speed = 100.0 * x / max(self.time, FRAME_SECONDS)
+        return f"{self.policy.name} {speed:.2f} cm/s"
 
 
 def draw_episode(
@@ -129,24 +133,42 @@ def draw_episode(
             return
 
 
+def _find_plant(chosen: EvaluationSet, seed: int, M: float | None, mu: float | None) -> PlantSpec:
+    """The plant with a seed; a given M or mu replaces the set's, whose changes are removed."""
+    plants = {plant.seed: plant for plant in chosen.plants}
+    require(seed in plants, "--seed", f"one of the set's, {min(plants)} to {max(plants)}", seed)
+    plant = plants[seed]
+    if M is not None:
+        plant = replace(plant, M=M, changes=())
+    if mu is not None:
+        plant = replace(plant, mu=mu, changes=())
+    return plant
+
+
+PolicyName = Annotated[
+    Positional[str],
+    arg(
+        metavar="NAME_OR_PATH",
+        help=f"{', '.join(NAMES)}; one run as NAME/seed-0; or the path of a policy file or of a "
+        "run's folder.",
+    ),
+]
+SetName = Annotated[
+    str,
+    arg(
+        name="set",
+        metavar="NAME_OR_PATH",
+        help=f"One of {', '.join(SET_NAMES + FURTHER_SET_NAMES + TASK_SET_NAMES)}, or the path of "
+        "a file.",
+    ),
+]
+
+
 @command(PROG, DependencyNotInstalled, ImportError, OSError, RuntimeError, ValueError)
 def main(
-    policy: Annotated[
-        Positional[str],
-        arg(
-            metavar="NAME_OR_PATH",
-            help=f"{', '.join(NAMES)}; one run as NAME/seed-0; or the path of a policy file or of a run's folder.",
-        ),
-    ],
+    policy: PolicyName,
     rival: Annotated[str | None, arg(metavar="NAME_OR_PATH")] = None,
-    found: Annotated[
-        str,
-        arg(
-            name="set",
-            metavar="NAME_OR_PATH",
-            help=f"One of {', '.join(SET_NAMES + FURTHER_SET_NAMES + TASK_SET_NAMES)}, or the path of a file.",
-        ),
-    ] = "paper",
+    found: SetName = "paper",
     seed: Count = 0,
     M: float | None = None,
     mu: float | None = None,
@@ -177,41 +199,40 @@ def main(
         seconds: Length of the shown part of the episode, s.
         speed: Shown seconds of the episode per second, from 0.1 to 20.
     """
-    check_number(
-        "--seconds", seconds, f"above 0 and at most {HORIZON:g} s", 0.0, HORIZON, open_low=True
-    )
+    accepted = f"above 0 and at most {HORIZON:g} s"
+    check_number("--seconds", seconds, accepted, 0.0, HORIZON, open_low=True)
     check_number("--speed", speed, "a number from 0.1 to 20", 0.1, 20.0)
     check_output("--output", output, overwrite=overwrite)
-    require(
-        output is None or output.suffix.lower() == ".gif",
-        "--output",
-        "the name of a GIF",
-        str(output),
-    )
-    if output is not None and KEYBOARD.name in (policy, rival):
-        raise ValueError(
-            f"a policy must not be {KEYBOARD.name!r} with --output, which opens no window"
-        )
+    if output is not None:
+        is_gif = output.suffix.lower() == ".gif"
+        require(is_gif, "--output", "the name of a GIF", str(output))
+        if KEYBOARD.name in (policy, rival):
+            reason = "with --output, which opens no window"
+            raise ValueError(f"a policy must not be {KEYBOARD.name!r} {reason}")
     chosen = load_set(found)
-    plants = {plant.seed: plant for plant in chosen.plants}
-    require(seed in plants, "--seed", f"one of the set's, {min(plants)} to {max(plants)}", seed)
-    given: dict[str, Any] = {
-        name: value for name, value in (("M", M), ("mu", mu)) if value is not None
-    }
-    plant = replace(plants[seed], **({**given, "changes": ()} if given else {}))
+    plant = _find_plant(chosen, seed, M, mu)
     episode = Episode(find_policy(policy), chosen, plant)
     outline = None if rival is None else Episode(find_policy(rival), chosen, plant)
-    simulation, mode = episode.env.simulation, "rgb_array" if output else "human"
-    limit, fps = simulation.settings.torque_limit, round(1.0 / FRAME_SECONDS)
-    renderer = Renderer(simulation.capsule, mode, fps, limit, episode.policy.name)
+    simulation = episode.env.simulation
+    renderer = Renderer(
+        simulation.capsule,
+        "rgb_array" if output else "human",
+        round(1.0 / FRAME_SECONDS),
+        simulation.settings.torque_limit,
+        episode.policy.name,
+    )
     frames = draw_episode(renderer, episode, outline, seconds, speed)
     if output is not None:
         write_gif(frames, output)
     for _ in frames:
         pass
-    speeds = "; ".join(each.speed for each in (episode, outline) if each)
-    end = f": {TERMINATIONS[episode.end]}" if episode.end is not None else ""
-    print(f"{speeds} over {episode.time:.1f} s on M = {plant.M:g} kg, mu = {plant.mu:g}{end}")
+    result = episode.speed
+    if outline is not None:
+        result += f"; {outline.speed}"
+    result += f" over {episode.time:.1f} s on M = {plant.M:g} kg, mu = {plant.mu:g}"
+    if episode.end is not None:
+        result += f": {TERMINATIONS[episode.end]}"
+    print(result)
 
 
 if __name__ == "__main__":

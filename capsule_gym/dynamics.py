@@ -70,10 +70,9 @@ class Motion(NamedTuple):
 
 
 def _evaluate(name: str, plant: Plant, *arguments: Numbers) -> tuple[np.ndarray, ...]:
-    require(
-        isinstance(plant, Plant), "plant", "a Plant, such as Capsule().plant()", plant, TypeError
-    )
-    constants = {**plant._asdict(), "M": 0.0, "mu": 0.0, "mass_ratio": 0.0}
+    accepted = "a Plant, such as Capsule().plant()"
+    require(isinstance(plant, Plant), "plant", accepted, plant, TypeError)
+    constants = plant._replace(M=0.0, mu=0.0, mass_ratio=0.0)._asdict()
     return evaluate(name, plant.M, plant.mu, *arguments, plant=ordered(_core.PLANT, constants))
 
 
@@ -91,8 +90,9 @@ def accelerations(
 def normal_force(
     theta: Numbers, theta_dot: Numbers, theta_ddot: Numbers, plant: Plant
 ) -> np.ndarray:
-    """Force of the floor on the platform in N, before the clamp at zero: Newton's law on the
-    vertical, or Eq. (7).
+    """Force of the floor on the platform in N, before the clamp at zero.
+
+    It follows from Newton's law on the vertical, or from Eq. (7).
     """
     return _evaluate("normal_force", plant, theta, theta_dot, theta_ddot)[0]
 
@@ -105,10 +105,10 @@ def driving_force(
 
 
 def friction_force(slip: Numbers, x_dot: Numbers, normal: Numbers, plant: Plant) -> np.ndarray:
-    """Coulomb friction on a sliding platform in N, in the direction of `slip`, which it opposes in
-    Eq. (1).
+    """Coulomb friction on a sliding platform in N, in the direction of `slip`.
 
-    `normal` must not be negative. The result includes the Stribeck curve, but not viscous friction.
+    Eq. (1) subtracts it. `normal` must not be negative. The result includes the Stribeck curve, but
+    not viscous friction.
     """
     return _evaluate("friction_force", plant, slip, x_dot, normal)[0]
 
@@ -116,7 +116,10 @@ def friction_force(slip: Numbers, x_dot: Numbers, normal: Numbers, plant: Plant)
 def stick_margin(
     theta: Numbers, theta_dot: Numbers, u: Numbers, plant: Plant
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Static friction limit minus |driving force|, in N, and the driving force itself; stick needs a margin >= 0."""
+    """Static friction limit minus |driving force|, in N, and the driving force itself.
+
+    Stick needs a margin >= 0.
+    """
     margin, force = _evaluate("stick_margin", plant, theta, theta_dot, u)
     return margin, force
 
@@ -124,8 +127,9 @@ def stick_margin(
 def contact_phase(
     theta: Numbers, theta_dot: Numbers, x_dot: Numbers, u: Numbers, plant: Plant
 ) -> np.ndarray:
-    """The phase of the contact: the direction of motion; at rest 0.0 below the static limit, else
-    the load's sign.
+    """The phase of the contact: the direction of motion.
+
+    At rest it is 0.0 below the static limit, else the load's sign.
     """
     return _evaluate("contact_phase", plant, theta, theta_dot, 0.0, x_dot, u)[0]
 

@@ -23,15 +23,16 @@ def add_name_to_errors(path: Path) -> Iterator[None]:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yields the path of a temporary file next to `path`, with the same suffix, which replaces
-    `path` at the end.
+    """Yields the path of a temporary file, which replaces `path` at the end.
 
+    It lies next to `path` and has the same suffix.
     Readers never see a partial file. After an error in the block, or a power failure, the previous
     file remains.
     """
-    # Random, since processes on two machines, and threads, may write the same file. Names have at
-    # most 255 bytes.
-    temporary = path.with_name(f".{path.stem[:20]}.{secrets.token_hex(8)}.tmp{path.suffix[:20]}")
+    # Random, since processes on two machines, and threads, may write the same file.
+    token = secrets.token_hex(8)
+    # Shortened, since names have at most 255 bytes.
+    temporary = path.with_name(f".{path.stem[:20]}.{token}.tmp{path.suffix[:20]}")
     try:
         with add_name_to_errors(path):
             yield temporary
@@ -68,18 +69,17 @@ def to_json(value: Any) -> str:
      "cost": null
     }
     """
-    return (
-        json.dumps(json.loads(json.dumps(value), parse_constant=lambda name: None), indent=1) + "\n"
-    )
+    finite = json.loads(json.dumps(value), parse_constant=lambda name: None)
+    return json.dumps(finite, indent=1) + "\n"
 
 
 def canonical_hash(value: Any) -> str:
-    """The sha256 of the value as JSON with sorted keys and no white space: layout and key order do
-    not matter.
+    """The sha256 of the value as JSON with sorted keys and no white space.
+
+    Layout and the order of keys do not matter.
 
     >>> canonical_hash({"M": 0.5, "mu": 0.01}) == canonical_hash({"mu": 0.01, "M": 0.5})
     True
     """
-    return hashlib.sha256(
-        json.dumps(value, sort_keys=True, separators=(",", ":")).encode()
-    ).hexdigest()
+    text = json.dumps(value, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -1,3 +1,1 @@
-"""Evaluation of policies: evaluation sets, episodes, statistics, and the optimum of dynamic
-programming.
-"""
+"""Evaluation of policies: sets, episodes, statistics, and the optimal speed of a plant."""

@@ -1,5 +1,4 @@
-"""Policies by name or path: scripted policies, checkpoints, training runs, and policies of other
-projects.
+"""Policies by name or path: scripted policies, checkpoints, runs, policies of other projects.
 
 docs/evaluation.md shows how to evaluate the latter.
 """
@@ -44,9 +43,7 @@ class AnyPolicy(Protocol):
 
     @property
     def env_kwargs(self) -> Mapping[str, Any]:
-        """The arguments of the policy's `CapsuleVectorEnv`; the evaluation overrides
-        `EPISODE_SETTINGS`.
-        """
+        """The arguments of the policy's `CapsuleVectorEnv`, without `EPISODE_SETTINGS`."""
 
     def start(self, seeds: Sequence[int], /) -> Act:
         """Starts a batch of episodes, each with a seed for policies that draw random numbers.
@@ -74,34 +71,35 @@ def wrap_policy(
         TypeError: if the policy is of another type, or `env_kwargs` is given for a policy that has
             its own.
     """
-    kind = isinstance(policy, type)
-    start = None if kind else getattr(policy, "start", None)
+    is_class = isinstance(policy, type)
+    start = None if is_class else getattr(policy, "start", None)
     if callable(start) and hasattr(policy, "env_kwargs"):
         if env_kwargs is not None:
-            raise TypeError(
-                f"env_kwargs must not be given with a policy that has its own, got {dict(env_kwargs)!r}"
-            )
+            own = f"a policy that has its own, got {dict(env_kwargs)!r}"
+            raise TypeError(f"env_kwargs must not be given with {own}")
         return policy
-    kwargs = dict(getattr(policy, "env_kwargs", {}) if env_kwargs is None else env_kwargs)
-    given = (
-        getattr(policy, "name", getattr(policy, "__name__", type(policy).__name__))
-        if name is None
-        else name
-    )
+    if env_kwargs is None:
+        env_kwargs = getattr(policy, "env_kwargs", {})
+    kwargs = dict(env_kwargs)
+    type_name = type(policy).__name__
+    if name is None:
+        name = getattr(policy, "name", getattr(policy, "__name__", type_name))
     if isinstance(policy, Controller):
-        own = {"task": getattr(policy.task, "name", policy.task)} if policy.task else {}
-        return ScriptedPolicy(given, EXTERNAL, {**own, **kwargs, "controller": policy})
-    if not callable(start):
-        if kind or not (callable(policy) or hasattr(policy, "predict")):
-            accepted = "an object with predict(), as of Stable-Baselines3, or start(), a Controller, or a function"
-            what = f"the class {policy.__name__}" if kind else f"a {type(policy).__name__}"
-            raise TypeError(f"policy must be {accepted} of observations, got {what}")
-        start = (
-            _start_with_predict(policy)
-            if callable(getattr(policy, "predict", None))
-            else lambda seeds: policy
+        if policy.task:
+            kwargs.setdefault("task", getattr(policy.task, "name", policy.task))
+        kwargs["controller"] = policy
+        return ScriptedPolicy(name, EXTERNAL, kwargs)
+    if callable(start):
+        return ScriptedPolicy(name, EXTERNAL, kwargs, start)
+    if is_class or not (callable(policy) or hasattr(policy, "predict")):
+        got = f"the class {policy.__name__}" if is_class else f"a {type_name}"
+        raise TypeError(
+            "policy must be an object with predict(), as of Stable-Baselines3, or start(), a "
+            f"Controller, or a function of observations, got {got}"
         )
-    return ScriptedPolicy(given, EXTERNAL, kwargs, start)
+    if callable(getattr(policy, "predict", None)):
+        return ScriptedPolicy(name, EXTERNAL, kwargs, _start_with_predict(policy))
+    return ScriptedPolicy(name, EXTERNAL, kwargs, lambda seeds: policy)
 
 
 def _start_with_predict(policy: Any) -> Callable[[Sequence[int]], Act]:
@@ -109,14 +107,14 @@ def _start_with_predict(policy: Any) -> Callable[[Sequence[int]], Act]:
     space = getattr(policy, "observation_space", None)
 
     def start(seeds: Sequence[int]) -> Act:
-        state, starts = None, np.ones(len(seeds), bool)
+        state: Any = None
+        starts = np.ones(len(seeds), bool)
 
         def act(observations: np.ndarray) -> np.ndarray:
             nonlocal state, starts
             if isinstance(space, Dict) and not isinstance(observations, dict):
-                raise ValueError(
-                    f"policy must observe what its environment shows, arrays, got a model of {space}"
-                )
+                shown = f"what its environment shows, arrays, got a model of {space}"
+                raise ValueError(f"policy must observe {shown}")
             actions, state = policy.predict(
                 observations, state=state, episode_start=starts, deterministic=True
             )
@@ -157,37 +155,36 @@ class Candidate:
 
     @property
     def base(self) -> str | None:
-        """The scripted policy that only runs the law of the trained policies; None if there is
-        none.
-        """
-        law = self.policies[0].env_kwargs.get("controller")
-        alone = [each for each in LAW_POLICIES.values() if "task" not in each.env_kwargs]
-        names = [each.name for each in alone if law and each.env_kwargs["controller"] == law]
-        return names[0] if names and self.trained else None
+        """The scripted policy that only runs the law of the trained policies, or None."""
+        alone = {"controller": self.policies[0].env_kwargs.get("controller")}
+        names = (name for name, policy in LAW_POLICIES.items() if policy.env_kwargs == alone)
+        return next(names, None) if self.trained else None
 
     @property
     def inputs(self) -> tuple[str, str]:
         """What the policies sense, and what they are told about the plant."""
         if not self.trained:
-            return getattr(self.policies[0], "senses", ""), getattr(self.policies[0], "told", "")
-        policy, base = self.trained[0], LAW_POLICIES.get(self.base or "")
-        options = EnvConfig(**policy.env_kwargs)
-        senses = [
-            "state",
-            "stick" + (f" of {options.stack_size} steps" if options.stack_size > 1 else ""),
-        ]
-        senses += ["law"] if base else []
-        told = base.told if base else "nothing"
+            policy = self.policies[0]
+            return getattr(policy, "senses", ""), getattr(policy, "told", "")
+        options = EnvConfig(**self.trained[0].env_kwargs)
+        senses = "state, stick"
+        told = "nothing"
+        if options.stack_size > 1:
+            senses += f" of {options.stack_size} steps"
+        if self.base:
+            senses += ", law"
+            told = LAW_POLICIES[self.base].told
         if options.observe_estimates:
             # The estimates follow from a model of the pendulum.
-            senses, told = [*senses, "estimates of M, mu"], "nominal pendulum"
-        return ", ".join(senses), "M, mu" if options.observe_parameters else told
+            senses += ", estimates of M, mu"
+            told = "nominal pendulum"
+        if options.observe_parameters:
+            told = "M, mu"
+        return senses, told
 
 
 def _trained(name: str, folder: Path, trust_controller: bool = False) -> Candidate:
-    """Loads a trained policy from a folder with runs seed-0, seed-1, .., from a run's folder or
-    from a policy file.
-    """
+    """Loads a trained policy from a folder with runs, from a run's folder or from a file."""
     paths = [path for path in sorted(folder.glob("seed-*")) if path.is_dir()] or [folder]
     loaded = [load_policy(path, trust_controller=trust_controller) for path in paths]
     seeds = [policy.training_seed for policy in loaded]
@@ -195,9 +192,8 @@ def _trained(name: str, folder: Path, trust_controller: bool = False) -> Candida
         raise ValueError(f"{folder} must contain runs of different training seeds, got {seeds}")
     descriptions = {policy.description for policy in loaded}
     if len(descriptions) > 1:
-        raise ValueError(
-            f"{folder} must contain runs of one kind, got: {'; '.join(sorted(descriptions))}"
-        )
+        kinds = "; ".join(sorted(descriptions))
+        raise ValueError(f"{folder} must contain runs of one kind, got: {kinds}")
     loaded.sort(key=lambda policy: policy.training_seed)
     return Candidate(name, tuple(loaded), descriptions.pop(), folder)
 
@@ -225,34 +221,38 @@ def find_candidate(
     """
     if REFERENCE.fullmatch(name_or_path):
         if not trust:
-            raise ValueError(
-                f"importing policy {name_or_path!r} runs its code; --trust allows it, or pass the object"
-            )
-        # Finds modules in the current folder, as for a script.
-        sys.path.insert(0, "")
-        try:
-            found = pkgutil.resolve_name(name_or_path)
-        except (ModuleNotFoundError, AttributeError) as error:
-            raise ValueError(f"policy {name_or_path!r} cannot be imported: {error}") from error
-        finally:
-            sys.path.remove("")
-        try:
-            return Candidate(name_or_path, (wrap_policy(found, name=name_or_path),), EXTERNAL)
-        except TypeError as error:
-            raise ValueError(f"policy {name_or_path!r}: {error}") from error
-    if policy := find_scripted(name_or_path):
+            risk = f"importing policy {name_or_path!r} runs its code"
+            raise ValueError(f"{risk}; --trust allows it, or pass the object")
+        return _imported(name_or_path)
+    policy = find_scripted(name_or_path)
+    if policy is not None:
         return Candidate(name_or_path, (policy,), policy.description)
     known = name_or_path.partition("/")[0] in checkpoint_names()
     path = CHECKPOINTS / name_or_path if known else Path(name_or_path)
     # Unlike the methods of Path, this function accepts names that no file can have.
     if os.path.exists(path):
         return _trained(name_or_path, path, trust_controller)
-    known_scripted = scripted_names()
-    scripted, checkpoints = (
-        ", ".join(names) or "there is none" for names in (known_scripted, checkpoint_names())
-    )
-    similar = nearest(name_or_path, [*known_scripted, *checkpoint_names()])
+    scripted = scripted_names()
+    checkpoints = checkpoint_names()
+    hint = nearest(name_or_path, scripted + checkpoints)
     raise ValueError(
-        f"policy must be a scripted policy ({scripted}), a checkpoint ({checkpoints}), or the path of a run's folder "
-        f"or of a policy file, got {short_repr(name_or_path)}{similar}"
+        f"policy must be a scripted policy ({', '.join(scripted) or 'there is none'}), a "
+        f"checkpoint ({', '.join(checkpoints) or 'there is none'}), or the path of a run's folder "
+        f"or of a policy file, got {short_repr(name_or_path)}{hint}"
     )
+
+
+def _imported(name: str) -> Candidate:
+    """The object "module:attribute" as a policy; importing it runs its code."""
+    # Finds modules in the current folder, as for a script.
+    sys.path.insert(0, "")
+    try:
+        found = pkgutil.resolve_name(name)
+    except (ModuleNotFoundError, AttributeError) as error:
+        raise ValueError(f"policy {name!r} cannot be imported: {error}") from error
+    finally:
+        sys.path.remove("")
+    try:
+        return Candidate(name, (wrap_policy(found, name=name),), EXTERNAL)
+    except TypeError as error:
+        raise ValueError(f"policy {name!r}: {error}") from error

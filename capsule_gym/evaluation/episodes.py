@@ -17,8 +17,8 @@ from capsule_gym.envs.config import EnvConfig
 from capsule_gym.envs.contract import draw_plant
 from capsule_gym.envs.resets import random_stream
 from capsule_gym.envs.vector_env import CapsuleVectorEnv
-from capsule_gym.evaluation.candidates import Candidate, find_candidate, wrap_policy
-from capsule_gym.evaluation.optimum import find_grid, optimal_speed
+from capsule_gym.evaluation.candidates import AnyPolicy, Candidate, find_candidate, wrap_policy
+from capsule_gym.evaluation.optimum import PlantGrid, find_grid, optimal_speed
 from capsule_gym.evaluation.sets import EvaluationSet, PlantSpec, load_set
 from capsule_gym.evaluation.statistics import estimate
 from capsule_gym.parameters import CONSTANTS, NOMINAL, Capsule, Disturbances, Randomization
@@ -53,17 +53,20 @@ class TableMetric:
     share: bool = False
 
     def format(self, value: float | None, *, sign: bool = False) -> str:
-        """Formats a number; an infinite or undefined number, which means no forward progress, gives
-        a dash.
+        """Formats a number.
+
+        An infinite or undefined number, which means no forward progress, gives a dash.
         """
         if value is None or not math.isfinite(value):
             return "-"
         text = f"{value:{'+' if sign else ''}.{self.digits}f}"
+        # No sign in front of zero.
         return text.replace("-", "") if float(text) == 0.0 else text
 
     def with_interval(self, values: Iterable[float | None], *, sign: bool = False) -> str:
-        """Formats a value and the ends of its interval as `value [low, high]`, or without an
-        interval as `value`.
+        """Formats a value and the ends of its interval as `value [low, high]`.
+
+        Without an interval, the text is `value`.
         """
         value, low, high = (self.format(each, sign=sign) for each in values)
         return value if low == high == "-" else f"{value} [{low},\N{NO-BREAK SPACE}{high}]"
@@ -112,15 +115,17 @@ def validation_set(
         task: task of the environment; its further draws follow from the episodes' seeds.
         disturbances: disturbances of the environment.
     """
-    drawn, plants = Randomization.named(randomization), []
+    ranges = Randomization.named(randomization)
+    plants = []
     for seed in range(first_seed, first_seed + count):
-        M, mu = draw_plant(drawn, capsule or NOMINAL, random_stream(seed, 0, "parameters"))
-        shares = random_stream(seed, 0, "variation").random(len(CONSTANTS)).tolist()
-        own = {}
-        for constant in drawn.drawn:
-            low, high = getattr(drawn, constant)
-            own[constant] = low + (high - low) * shares[CONSTANTS.index(constant)]
-        plants.append(PlantSpec(M, mu, seed, capsule=own or None))
+        M, mu = draw_plant(ranges, capsule or NOMINAL, random_stream(seed, 0, "parameters"))
+        shares = random_stream(seed, 0, "variation").random(len(CONSTANTS))
+        drawn = {}
+        for constant in ranges.drawn:
+            low, high = getattr(ranges, constant)
+            share = float(shares[CONSTANTS.index(constant)])
+            drawn[constant] = low + (high - low) * share
+        plants.append(PlantSpec(M, mu, seed, capsule=drawn or None))
     return EvaluationSet(name, tuple(plants), task, capsule, disturbances)
 
 
@@ -152,62 +157,33 @@ def evaluate(
         ValueError: if the policy or set does not exist, their tasks differ, or the policy's actions
             are invalid.
     """
-    chosen = (
-        evaluation_set if isinstance(evaluation_set, EvaluationSet) else load_set(evaluation_set)
-    )
-    if env_kwargs is not None and isinstance(policy, (str, Path, Candidate)):
-        raise TypeError(
-            "env_kwargs must not be given with a policy's name or path or a candidate, which has its own"
-        )
-    require(
-        isinstance(env_kwargs or {}, Mapping), "env_kwargs", "None or a dict", env_kwargs, TypeError
-    )
-    for name in {*chosen.env_kwargs, "num_envs", "max_episode_steps", "autoreset_mode"} - {"task"}:
-        if name in (env_kwargs or {}):
-            raise ValueError(
-                f"env_kwargs must not contain {name!r}, which the set {chosen.name!r} determines"
-            )
+    chosen = evaluation_set
+    if not isinstance(chosen, EvaluationSet):
+        chosen = load_set(chosen)
+    if env_kwargs is not None:
+        _check_env_kwargs(env_kwargs, policy, chosen)
     if isinstance(policy, (str, Path)):
         policy = find_candidate(str(policy))
     if isinstance(policy, Candidate):
         check_task(policy, chosen)
         return [
-            episode
-            for each in policy.policies
-            for episode in evaluate(each, chosen, horizon=horizon)
+            episode for run in policy.policies for episode in evaluate(run, chosen, horizon=horizon)
         ]
     policy = wrap_policy(policy, env_kwargs=env_kwargs)
     check_task(Candidate(policy.name, (policy,), ""), chosen)
-    settings: dict[str, Any] = {**policy.env_kwargs, **chosen.env_kwargs}
-    seconds, control_dt = (
-        chosen.horizon,
-        EnvConfig(control_dt=settings.get("control_dt", CONTROL_DT)).control_dt,
-    )
+    settings = {**policy.env_kwargs, **chosen.env_kwargs}
+    control_dt = EnvConfig(control_dt=settings.get("control_dt", CONTROL_DT)).control_dt
+    seconds = chosen.horizon
     if horizon is not None:
         accepted = f"a number from {control_dt:g} to {LONGEST_STEP:g} (s)"
         seconds = check_number("horizon", horizon, accepted, control_dt, LONGEST_STEP)
-    steps, seeds = round(seconds / control_dt), [plant.seed for plant in chosen.plants]
-    batch = {
-        "num_envs": len(seeds),
-        "max_episode_steps": steps,
-        "autoreset_mode": AutoresetMode.DISABLED,
-    }
-    env = CapsuleVectorEnv(**{**settings, **batch})
+    steps = round(seconds / control_dt)
+    settings["num_envs"] = len(chosen.plants)
+    settings["max_episode_steps"] = steps
+    settings["autoreset_mode"] = AutoresetMode.DISABLED
+    env = CapsuleVectorEnv(**settings)
     try:
-        resets = [plant.reset_options() for plant in chosen.plants]
-        options = {key: [each[key] for each in resets] for key in resets[0]}
-        arrays = {key: np.array(options[key]) for key in ("M", "mu", "state")}
-        observations, _ = env.reset(seed=seeds, options={**options, **arrays})
-        if isinstance(policy, Policy):
-            metrics = rollout(env.simulation, policy, steps)
-        else:
-            act = policy.start(seeds)
-            for _ in range(steps):
-                # An environment whose episode has ended ignores its actions.
-                observations, _, terminated, truncated, _ = env.step(act(observations))
-                if (terminated | truncated).all():
-                    break
-            metrics = env.episode_metrics()
+        metrics = _run(env, policy, chosen.plants, steps)
     finally:
         env.close()
     limited = settings.get("torque_limit", TORQUE_LIMIT) == TORQUE_LIMIT
@@ -215,8 +191,44 @@ def evaluate(
     return as_episodes(chosen, metrics, training_seed=seed, shared=limited)
 
 
+def _check_env_kwargs(env_kwargs: Any, policy: Any, chosen: EvaluationSet) -> None:
+    """Checks the caller's arguments of the environment."""
+    if isinstance(policy, (str, Path, Candidate)):
+        own = "a policy's name or path or a candidate, which has its own"
+        raise TypeError(f"env_kwargs must not be given with {own}")
+    given = env_kwargs or {}
+    require(isinstance(given, Mapping), "env_kwargs", "None or a dict", given, TypeError)
+    determined = {*chosen.env_kwargs, "num_envs", "max_episode_steps", "autoreset_mode"} - {"task"}
+    for name in determined.intersection(given):
+        of_set = f"which the set {chosen.name!r} determines"
+        raise ValueError(f"env_kwargs must not contain {name!r}, {of_set}")
+
+
+def _run(
+    env: CapsuleVectorEnv, policy: AnyPolicy, plants: Sequence[PlantSpec], steps: int
+) -> dict[str, np.ndarray]:
+    """The metrics of an episode on each plant."""
+    resets = [plant.reset_options() for plant in plants]
+    options: dict[str, Any] = {key: [reset[key] for reset in resets] for key in resets[0]}
+    for key in ("M", "mu", "state"):
+        options[key] = np.array(options[key])
+    seeds = [plant.seed for plant in plants]
+    observations, _ = env.reset(seed=seeds, options=options)
+    if isinstance(policy, Policy):
+        return rollout(env.simulation, policy, steps)
+    act = policy.start(seeds)
+    for _ in range(steps):
+        # An environment whose episode has ended ignores its actions.
+        observations, _, terminated, truncated, _ = env.step(act(observations))
+        if (terminated | truncated).all():
+            break
+    return env.episode_metrics()
+
+
 def check_task(candidate: Candidate, evaluation_set: EvaluationSet) -> None:
-    """Checks that policies are for the task of a set. Scripted policies without a task fit any set.
+    """Checks that policies are for the task of a set.
+
+    Scripted policies without a task fit any set.
 
     Raises:
         ValueError: if a policy is for another task.
@@ -235,24 +247,28 @@ def as_episodes(
 ) -> list[Episode]:
     """Converts metrics by name, each of shape (plants,), to the episodes that `evaluate` returns.
 
-    `shared`: whether the policy acts under the optimum's torque limit, so that its share of the
-        optimum is defined.
+    Args:
+        evaluation_set: the set with the plants.
+        metrics: as those of `rollout`.
+        training_seed: seed of the policy's training run, if any.
+        shared: whether the policy acts under the optimum's torque limit, so that its share of the
+            optimum is defined.
     """
+    plants = evaluation_set.plants
+    undisturbed = evaluation_set.env_kwargs["disturbances"] == "none"
+    comparable = shared and undisturbed and evaluation_set.task == "speed"
+    grid = find_grid(evaluation_set.capsule or NOMINAL) if comparable else None
     # The tables of optima cover only the speed task, one start, the plants of their grids, and
     # constant plants.
-    plants, grid = evaluation_set.plants, find_grid(evaluation_set.capsule or NOMINAL)
-    covered = grid and all(
-        p.theta == START_THETA and not p.changes and (p.M, p.mu) in grid for p in plants
-    )
-    shared &= evaluation_set.task == "speed" and evaluation_set.env_kwargs["disturbances"] == "none"
+    if grid and not all(_is_covered(plant, grid) for plant in plants):
+        grid = None
     label = {} if training_seed is None else {"training_seed": training_seed}
     episodes = []
     for i, plant in enumerate(plants):
         values = {name: float(column[i]) for name, column in metrics.items()}
-        if grid and covered and shared:
-            values[SHARE_OF_OPTIMUM.name] = values["mean_speed"] / optimal_speed(
-                plant.M, plant.mu, grid
-            )
+        if grid:
+            optimum = optimal_speed(plant.M, plant.mu, grid)
+            values[SHARE_OF_OPTIMUM.name] = values["mean_speed"] / optimum
         fields = plant.to_dict()
         if not plant.changes:
             del fields["changes"]
@@ -260,18 +276,23 @@ def as_episodes(
     return episodes
 
 
+def _is_covered(plant: PlantSpec, grid: PlantGrid) -> bool:
+    return plant.theta == START_THETA and not plant.changes and (plant.M, plant.mu) in grid
+
+
 def scores(episodes: Sequence[Episode], metric: str) -> np.ndarray:
-    """The values of a metric in the episodes of one policy on one set, shape (training seeds,
-    episodes of the set).
+    """The values of a metric in one policy's episodes on one set.
 
     None, which files contain instead of infinity, becomes infinity.
+
+    Returns:
+        Shape (training seeds, episodes of the set).
     """
     runs: dict[Any, list[float]] = {}
     for episode in episodes:
         value = episode[metric]
-        runs.setdefault(episode.get("training_seed"), []).append(
-            math.inf if value is None else value
-        )
+        run = runs.setdefault(episode.get("training_seed"), [])
+        run.append(math.inf if value is None else value)
     sizes = [len(run) for run in runs.values()]
     accepted = "as many for every training seed, and at least one"
     require(len({*sizes}) == 1, "episodes", accepted, sizes)
@@ -293,19 +314,25 @@ def summarise(episodes: Sequence[Episode]) -> dict[str, Any]:
         `failures` as counts over all training seeds (a trimmed mean would hide a few failures), and
         `training_seeds`, empty for scripted policies.
     """
-    found, failed = dict[str, Any](), failures(episodes)
-    for name in (name for name in episodes[0] if name not in LABELS and name != "failed"):
+    failed = failures(episodes)
+    summary: dict[str, Any] = {}
+    for name in episodes[0]:
+        if name in LABELS or name == "failed":
+            continue
         values = scores(episodes, name)
-        value, low, high = estimate(values, mean=True).to_dict().values()
-        mean = {
-            "mean": value,
-            "mean_low": low,
-            "mean_high": high,
+        mean = estimate(values, mean=True)
+        summary[name] = estimate(values, mean=name in SHARES).to_dict()
+        summary[name] |= {
+            "mean": mean.value,
+            "mean_low": mean.low,
+            "mean_high": mean.high,
             "seeds": values.mean(axis=1).tolist(),
         }
-        found[name] = {**estimate(values, mean=name in SHARES).to_dict(), **mean}
-    seeds = list(dict.fromkeys(e["training_seed"] for e in episodes if "training_seed" in e))
-    return {**found, "episodes": len(episodes), "failures": failed, "training_seeds": seeds}
+    summary["episodes"] = len(episodes)
+    summary["failures"] = failed
+    seeds = [each["training_seed"] for each in episodes if "training_seed" in each]
+    summary["training_seeds"] = list(dict.fromkeys(seeds))
+    return summary
 
 
 def versions() -> dict[str, str]:

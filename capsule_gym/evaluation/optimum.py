@@ -19,7 +19,8 @@ from capsule_gym.tasks.task import CONTROL_DT
 
 FOLDER = Path(__file__).parents[1] / "data" / "optimum"
 # Files of the archive: an object whose list has one result a line, and the arrays.
-ARCHIVE, ARRAYS = "archive.json", "arrays.npz"
+ARCHIVE = "archive.json"
+ARRAYS = "arrays.npz"
 
 
 @dataclass(frozen=True)
@@ -65,12 +66,16 @@ class PlantGrid:
         """
 
         def along(value: float, nodes: Sequence[float]) -> tuple[int, float]:
-            cell = min(max(bisect_right(nodes, value), 1), len(nodes) - 1) - 1
-            return cell, min(max((value - nodes[cell]) / (nodes[cell + 1] - nodes[cell]), 0.0), 1.0)
+            above = min(max(bisect_right(nodes, value), 1), len(nodes) - 1)
+            cell = above - 1
+            position = (value - nodes[cell]) / (nodes[above] - nodes[cell])
+            return cell, min(max(position, 0.0), 1.0)
 
         row, along_M = along(M, self.M)
-        column, along_mu = along(float(log(max(mu, self.mu[0]))), self.log_mu)
-        corners = [i * len(self.mu) + j for i in (row, row + 1) for j in (column, column + 1)]
+        log_mu = float(log(max(mu, self.mu[0])))
+        column, along_mu = along(log_mu, self.log_mu)
+        columns = len(self.mu)
+        corners = [i * columns + j for i in (row, row + 1) for j in (column, column + 1)]
         return corners, along_M, along_mu
 
 
@@ -106,17 +111,19 @@ def set_speeds() -> dict[tuple[float, float], float]:
 def interpolated_speed(M: float, mu: float, grid: PlantGrid = GRID) -> float:
     """The mean speed in cm/s, linear in M (kg) and log(mu) between the plants of a grid."""
     corners, along_M, along_mu = grid.cell(M, mu)
+    plants = [grid.plants[corner] for corner in corners]
     speeds = grid_speeds()
-    plants = (grid.plants[corner] for corner in corners)
     a, b, c, d = (speeds[M_node, mu_node, grid.static_ratio] for M_node, mu_node in plants)
-    below, above = a + along_mu * (b - a), c + along_mu * (d - c)
+    below = a + along_mu * (b - a)
+    above = c + along_mu * (d - c)
     return below + along_M * (above - below)
 
 
 @lru_cache(maxsize=4096)
 def optimal_speed(M: float, mu: float, grid: PlantGrid = GRID) -> float:
-    """The mean speed of dynamic programming from rest over 33 s, torque within 1.5 N m every 20 ms,
-    in cm/s; M in kg.
+    """The mean speed of dynamic programming on a plant, in cm/s; M in kg.
+
+    The episode starts from rest and takes 33 s, with a torque within 1.5 N m every 20 ms.
 
     It is the speed of a computed trajectory, not an upper bound. The plants of the grid and of the
     sets `paper` and `wide` were solved themselves; for others the speed is interpolated between the
@@ -127,9 +134,8 @@ def optimal_speed(M: float, mu: float, grid: PlantGrid = GRID) -> float:
             kinetic friction.
     """
     if (M, mu) not in grid:
-        ranges = (
-            f"M must be in [{grid.M[0]}, {grid.M[-1]}] kg and mu in [{grid.mu[0]}, {grid.mu[-1]}]"
-        )
+        masses = f"M must be in [{grid.M[0]}, {grid.M[-1]}] kg"
+        ranges = f"{masses} and mu in [{grid.mu[0]}, {grid.mu[-1]}]"
         raise ValueError(f"{ranges}, got M={M!r}, mu={mu!r}")
     solved = set_speeds().get((M, mu)) if grid is GRID else None
     return interpolated_speed(M, mu, grid) if solved is None else solved

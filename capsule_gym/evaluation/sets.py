@@ -81,14 +81,9 @@ class PlantSpec:
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as plain types."""
-        given = _changed(self, ("theta", "goal", "capsule"))
-        return {
-            "M": self.M,
-            "mu": self.mu,
-            "seed": self.seed,
-            **given,
-            "changes": list(self.changes),
-        }
+        content = {"M": self.M, "mu": self.mu, "seed": self.seed}
+        content |= _changed(self, ("theta", "goal", "capsule"))
+        return content | {"changes": list(self.changes)}
 
 
 NOMINAL_PLANT = PlantSpec(M=NOMINAL.M, mu=NOMINAL.mu, seed=0)
@@ -120,16 +115,22 @@ class EvaluationSet:
         disturbances = self.disturbances
         if disturbances == "none" and any(plant.capsule for plant in self.plants):
             disturbances = Disturbances(stick_threshold=0.0, x_noise=0.0)
-        # An environment that shows M and mu bounds them by its randomization; resets replace what
-        # it draws.
-        shown = [
-            each
-            for plant in self.plants
-            for each in ({"M": plant.M, "mu": plant.mu}, *plant.changes)
-        ]
-        M, mu = (max(each[name] for each in shown) for name in ("M", "mu"))
-        own = {**EPISODE_SETTINGS, "randomization": Randomization(M=(M, M), mu=(mu, mu))}
-        return {"task": self.task, "capsule": capsule, **own, "disturbances": disturbances}
+        return {
+            "task": self.task,
+            "capsule": capsule,
+            **EPISODE_SETTINGS,
+            "randomization": self._largest_plant(),
+            "disturbances": disturbances,
+        }
+
+    def _largest_plant(self) -> Randomization:
+        """Bounds M and mu for an environment that shows them; resets replace what it draws."""
+        masses = [plant.M for plant in self.plants]
+        frictions = [plant.mu for plant in self.plants]
+        for plant in self.plants:
+            masses += [change["M"] for change in plant.changes]
+            frictions += [change["mu"] for change in plant.changes]
+        return Randomization(M=(max(masses),) * 2, mu=(max(frictions),) * 2)
 
     @property
     def horizon(self) -> float:
@@ -149,73 +150,79 @@ class EvaluationSet:
 
     def to_dict(self) -> dict[str, Any]:
         """The content of the set's file."""
+        content: dict[str, Any] = {"name": self.name}
         # Older sets and their hashes lack these fields.
-        options = _changed(self, ("task", "capsule", "disturbances"))
+        content |= _changed(self, ("task", "capsule", "disturbances"))
         if self.capsule is not None:
-            options["capsule"] = _changed(self.capsule, vars(self.capsule))
+            content["capsule"] = _changed(self.capsule, vars(self.capsule))
         if isinstance(self.disturbances, Disturbances):
-            options["disturbances"] = asdict(self.disturbances)
-        return {"name": self.name, **options, "plants": [plant.to_dict() for plant in self.plants]}
+            content["disturbances"] = asdict(self.disturbances)
+        content["plants"] = [plant.to_dict() for plant in self.plants]
+        return content
 
 
 def _changed(instance: Any, names: Iterable[str]) -> dict[str, Any]:
     """The fields of a dataclass, out of these, that differ from their defaults."""
-    return {
-        name: value
-        for name in names
-        if (value := getattr(instance, name)) != getattr(type(instance), name)
-    }
+    defaults = type(instance)
+    values = {name: getattr(instance, name) for name in names}
+    return {name: value for name, value in values.items() if value != getattr(defaults, name)}
 
 
-def _fields(
+def _check_fields(
+    where: str, value: Any, required: Sequence[str], optional: Sequence[str] = ()
+) -> None:
+    """Checks that a value is a JSON object with these fields and no others."""
+    if not isinstance(value, dict) or not set(required) <= set(value) <= {*required, *optional}:
+        names = [", ".join(names) for names in (required, optional) if names]
+        accepted = f"an object with the fields {' and optionally '.join(names)}"
+        raise ValueError(f"{where} must be {accepted}, got {short_repr(value)}")
+
+
+def _check_plant(
     where: str, value: Any, required: Sequence[str], optional: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """The JSON object, after a check that it has these fields and no others, and of M and mu where
-    it has them.
-    """
-    if not isinstance(value, dict) or not set(required) <= set(value) <= {*required, *optional}:
-        accepted = " and optionally ".join(
-            ", ".join(names) for names in (required, optional) if names
-        )
-        raise ValueError(
-            f"{where} must be an object with the fields {accepted}, got {short_repr(value)}"
-        )
-    if "M" not in required:
-        return value
+    """The JSON object after a check of its fields and of M and mu, which become floats."""
+    _check_fields(where, value, required, optional)
     try:
         NOMINAL.check_plant(value["M"], value["mu"])
     except (TypeError, ValueError) as error:
         raise ValueError(f"{where}: {error}") from None
-    return {**value, "M": float(value["M"]), "mu": float(value["mu"])}
+    return value | {"M": float(value["M"]), "mu": float(value["mu"])}
 
 
 def _parse_plant(where: str, value: Any, task: str) -> PlantSpec:
-    optional = ("theta", "changes", "capsule", *(("goal",) if task == "goal" else ()))
-    entry = _fields(where, value, ("M", "mu", "seed"), optional)
-    largest, accepted = (
-        math.nextafter(THETA_LIMIT, 0.0),
-        f"an angle in rad within {THETA_LIMIT:.4g} of 0",
-    )
-    theta = check_number(
-        f"{where}.theta", entry.get("theta", START_THETA), accepted, -largest, largest
-    )
-    seed = check_integer(f"{where}.seed", entry["seed"], "an integer in [0, 2**128)", 0, 2**128 - 1)
-    changes, accepted = [], f"a number of seconds within (0, {HORIZON:g})"
-    for name, t, change in check_timed(
-        f"{where}.changes", entry.get("changes", []), "a list of changes", CHANGE
-    ):
-        check_number(f"{name}['t']", t, accepted, 0.0, math.nextafter(HORIZON, 0.0), open_low=True)
-        changes.append({**_fields(name, change, CHANGE), "t": t})
-    goal, farthest = entry.get("goal"), LARGEST_STATE[2]
+    optional = ["theta", "changes", "capsule"]
+    if task == "goal":
+        optional.append("goal")
+    entry = _check_plant(where, value, ("M", "mu", "seed"), optional)
+    theta = entry.get("theta", START_THETA)
+    largest = math.nextafter(THETA_LIMIT, 0.0)
+    accepted = f"an angle in rad within {THETA_LIMIT:.4g} of 0"
+    theta = check_number(f"{where}.theta", theta, accepted, -largest, largest)
+    accepted = "an integer in [0, 2**128)"
+    seed = check_integer(f"{where}.seed", entry["seed"], accepted, 0, 2**128 - 1)
+    changes = _parse_changes(f"{where}.changes", entry.get("changes", []))
+    goal = entry.get("goal")
     if goal is not None:
-        goal = check_number(
-            f"{where}.goal", goal, f"a number of m within {farthest:g} of 0", -farthest, farthest
-        )
+        farthest = LARGEST_STATE[2]
+        accepted = f"a number of m within {farthest:g} of 0"
+        goal = check_number(f"{where}.goal", goal, accepted, -farthest, farthest)
     capsule = entry.get("capsule")
     if capsule is not None:
-        _fields(f"{where}.capsule", capsule, (), CONSTANTS)
-        from_fields(Capsule, f"{where}.capsule", {"M": entry["M"], "mu": entry["mu"], **capsule})
-    return PlantSpec(entry["M"], entry["mu"], seed, tuple(changes), theta, goal, capsule or None)
+        _check_fields(f"{where}.capsule", capsule, (), CONSTANTS)
+        constants = {"M": entry["M"], "mu": entry["mu"], **capsule}
+        from_fields(Capsule, f"{where}.capsule", constants)
+    return PlantSpec(entry["M"], entry["mu"], seed, changes, theta, goal, capsule or None)
+
+
+def _parse_changes(where: str, value: Any) -> tuple[dict[str, float], ...]:
+    latest = math.nextafter(HORIZON, 0.0)
+    accepted = f"a number of seconds within (0, {HORIZON:g})"
+    changes = []
+    for name, t, change in check_timed(where, value, "a list of changes", CHANGE):
+        check_number(f"{name}['t']", t, accepted, 0.0, latest, open_low=True)
+        changes.append(_check_plant(name, change, CHANGE) | {"t": t})
+    return tuple(changes)
 
 
 def parse_set(content: Any) -> EvaluationSet:
@@ -233,23 +240,20 @@ def parse_set(content: Any) -> EvaluationSet:
         ValueError: if anything else is malformed; the message names the field, its value and the
             accepted values.
     """
-    entry = _fields("set", content, ("name", "plants"), ("task", "capsule", "disturbances"))
-    task = check_choice(
-        "set.task", entry.get("task", "speed"), sorted(TASKS), f"one of {sorted(TASKS)}"
-    )
-    name, capsule, plants = entry["name"], entry.get("capsule"), entry["plants"]
-    require(
-        isinstance(name, str) and name.strip() != "", "set.name", "a string that is not empty", name
-    )
+    _check_fields("set", content, ("name", "plants"), ("task", "capsule", "disturbances"))
+    tasks = sorted(TASKS)
+    task = check_choice("set.task", content.get("task", "speed"), tasks, f"one of {tasks}")
+    name = content["name"]
+    named = isinstance(name, str) and name.strip() != ""
+    require(named, "set.name", "a string that is not empty", name)
+    capsule = content.get("capsule")
     if capsule is not None:
         capsule = check_object("set.capsule", capsule, Capsule)
-    disturbances = check_object("set.disturbances", entry.get("disturbances", "none"), Disturbances)
-    require(
-        isinstance(plants, list) and plants != [],
-        "set.plants",
-        "a list of at least one plant",
-        plants,
-    )
+    disturbances = content.get("disturbances", "none")
+    disturbances = check_object("set.disturbances", disturbances, Disturbances)
+    plants = content["plants"]
+    listed = isinstance(plants, list) and plants != []
+    require(listed, "set.plants", "a list of at least one plant", plants)
     parsed = tuple(_parse_plant(f"set.plants[{i}]", plant, task) for i, plant in enumerate(plants))
     if len({plant.goal is None for plant in parsed}) > 1:
         raise ValueError("set.plants must have a goal each, or none must have one")
@@ -271,13 +275,13 @@ def load_set(name_or_path: str | Path) -> EvaluationSet:
         ValueError: if there is no such set, or its file is malformed.
     """
     names = SET_NAMES + FURTHER_SET_NAMES + TASK_SET_NAMES
-    path = FOLDER / f"{name_or_path}.json" if name_or_path in names else Path(str(name_or_path))
+    name = str(name_or_path)
+    path = FOLDER / f"{name}.json" if name_or_path in names else Path(name)
     # Unlike the methods of Path, this function accepts names that no file can have.
     if not os.path.isfile(path):
-        raise ValueError(
-            f"set must be one of {', '.join(names)}, or the path of a JSON file, got {short_repr(str(name_or_path))}"
-            f"{nearest(str(name_or_path), names)}"
-        )
+        accepted = f"one of {', '.join(names)}, or the path of a JSON file"
+        hint = nearest(name, names)
+        raise ValueError(f"set must be {accepted}, got {short_repr(name)}{hint}")
     try:
         return parse_set(json.loads(path.read_text(encoding="utf-8")))
     except (OSError, RecursionError, TypeError, ValueError) as error:

@@ -75,16 +75,13 @@ def estimate(scores: ArrayLike, *, mean: bool = False) -> Estimate:
     """
     array = np.asarray(scores, np.float64)
     if array.ndim != 2 or 0 in array.shape:
-        raise ValueError(
-            f"scores must have the shape (training seeds >= 1, episodes >= 1), got {array.shape}"
-        )
+        accepted = "the shape (training seeds >= 1, episodes >= 1)"
+        raise ValueError(f"scores must have {accepted}, got {array.shape}")
     return _estimate(array, mean)
 
 
 def _estimate(scores: np.ndarray, mean: bool) -> Estimate:
-    """Computes `estimate` for scores with any number of axes of training runs, in front of that of
-    the episodes.
-    """
+    """Computes `estimate` for scores with any number of axes of training runs before the last."""
     # Imported here, since the import takes a tenth of a second.
     try:
         from scipy.special import stdtrit
@@ -95,32 +92,40 @@ def _estimate(scores: np.ndarray, mean: bool) -> Estimate:
     value = float(scores.mean() if mean else interquartile_mean(scores.reshape(-1)))
     if not np.isfinite(value) or scores.size == 1:
         return Estimate(value, np.nan, np.nan, kind)
-    influence = scores
-    if not mean:
-        ordered, cut = np.sort(scores, axis=None), scores.size // 4
-        # A score beyond a quartile counts as the quartile.
-        clipped = np.clip(
-            np.where(np.isnan(scores), np.inf, scores), ordered[cut], ordered[-1 - cut]
-        )
-        influence = clipped / (1.0 - 2.0 * cut / scores.size)
-    variance = fourth = 0.0
+    influence = scores if mean else _influence_on_interquartile_mean(scores)
+    variance = 0.0
+    # The denominator of Satterthwaite's degrees of freedom.
+    squares = 0.0
     for axis, count in enumerate(scores.shape):
         if count > 1:
             others = tuple(other for other in range(scores.ndim) if other != axis)
             part = float(influence.mean(axis=others).var(ddof=1)) / count
-            variance, fourth = variance + part, fourth + part * part / (count - 1)
-    half = (
-        0.0
-        if variance == 0.0
-        else float(stdtrit(variance**2 / fourth, 0.5 + 0.5 * CONFIDENCE)) * variance**0.5
-    )
-    low, high = (scores.min(), scores.max()) if mean else (-np.inf, np.inf)
-    return Estimate(value, max(value - half, float(low)), min(value + half, float(high)), kind)
+            variance += part
+            squares += part * part / (count - 1)
+    half = 0.0
+    if variance != 0.0:
+        degrees = variance**2 / squares
+        quantile = float(stdtrit(degrees, 0.5 + 0.5 * CONFIDENCE))
+        half = quantile * variance**0.5
+    low, high = value - half, value + half
+    if mean:
+        low = max(low, float(scores.min()))
+        high = min(high, float(scores.max()))
+    return Estimate(value, low, high, kind)
+
+
+def _influence_on_interquartile_mean(scores: np.ndarray) -> np.ndarray:
+    """The scores of which the interquartile mean is the mean, to first order."""
+    ordered = np.sort(scores, axis=None)
+    cut = scores.size // 4
+    # A score beyond a quartile counts as the quartile; NaN sorts as the largest score.
+    largest_last = np.where(np.isnan(scores), np.inf, scores)
+    clipped = np.clip(largest_last, ordered[cut], ordered[-1 - cut])
+    return clipped / (1.0 - 2.0 * cut / scores.size)
 
 
 def paired_difference(scores: ArrayLike, reference: ArrayLike, *, mean: bool = False) -> Estimate:
-    """The interquartile mean of the differences, episode by episode, between two policies on the
-    same episodes.
+    """The interquartile mean of the differences between two policies on the same episodes.
 
     Differences are taken between every training seed of one policy and every seed of the other. The
     interquartile mean of differences is not the difference of interquartile means.
@@ -131,15 +136,12 @@ def paired_difference(scores: ArrayLike, reference: ArrayLike, *, mean: bool = F
             ValueError.
         mean: take the mean of the differences instead, for shares.
     """
-    array, other = np.asarray(scores, np.float64), np.asarray(reference, np.float64)
-    if (
-        (array.ndim, other.ndim) != (2, 2)
-        or array.shape[1] != other.shape[1]
-        or 0 in (array.shape + other.shape)
-    ):
-        raise ValueError(
-            f"scores and reference must contain the same episodes, got {array.shape} and {other.shape}"
-        )
+    array = np.asarray(scores, np.float64)
+    other = np.asarray(reference, np.float64)
+    two_axes = array.ndim == other.ndim == 2
+    if not two_axes or array.shape[1] != other.shape[1] or 0 in array.shape + other.shape:
+        got = f"{array.shape} and {other.shape}"
+        raise ValueError(f"scores and reference must contain the same episodes, got {got}")
     # The difference of two infinite scores is NaN, without a warning.
     with np.errstate(invalid="ignore"):
         return _estimate(array[:, None, :] - other[None, :, :], mean)

@@ -39,9 +39,10 @@ def main(
     """
     if c is None and onnx is None:
         raise ValueError("at least one of --c and --onnx must be given")
+    check_output("--c", c, (".h",), overwrite=overwrite)
     test = c and c.with_name(f"{c.stem}_test.c")
-    for option, path, suffix in (("--c", c, ".h"), ("--c", test, ".c"), ("--onnx", onnx, ".onnx")):
-        check_output(option, path, (suffix,), overwrite=overwrite)
+    check_output("--c", test, (".c",), overwrite=overwrite)
+    check_output("--onnx", onnx, (".onnx",), overwrite=overwrite)
     exported = Exported(policy, law)
     if onnx is not None:
         write_atomically(onnx, exported.onnx(single=single))

@@ -1,3 +1,1 @@
-"""Policies: trained ones and their files, scripted ones, and whole episodes of a policy inside the
-core.
-"""
+"""Policies: trained ones and their files, scripted ones, and whole episodes inside the core."""

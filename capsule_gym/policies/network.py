@@ -36,10 +36,14 @@ def pack(
         Float64, aligned to 64 bytes: the header, the widths, mean, scale, and each layer's biases
         and weights.
     """
+    header = np.array([len(layers), relu, tanh_squashing, clip])
     widths = np.array([len(mean), *(len(bias) for _, bias in layers)])
-    parts = [np.array([len(layers), relu, tanh_squashing, clip]), widths, mean, scale]
+    parts = [header, widths, mean, scale]
     for weights, bias in layers:
-        parts += [bias, np.pad(weights.T, ((0, 0), (0, -len(bias) % _core.PADDING)))]
+        # A row of weights for each input, as long as the padded biases.
+        padding = -len(bias) % _core.PADDING
+        parts.append(bias)
+        parts.append(np.pad(weights.T, ((0, 0), (0, padding))))
     padded = [np.pad(part.ravel(), (0, -part.size % _core.PADDING)) for part in parts]
     packed = native.aligned_zeros((sum(part.size for part in padded),))
     return np.concatenate(padded, out=packed)

@@ -1,7 +1,6 @@
-"""Trained policies: one small file each, loaded without torch and without unpickling; actions are
-machine-independent.
+"""Trained policies: one small file each, loaded without torch and without unpickling.
 
-A file is in the safetensors format:
+Their actions do not depend on the machine. A file is in the safetensors format:
 
 | tensor | dtype | shape |
 |---|---|---|
@@ -25,7 +24,15 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from capsule_gym.checks import check_integer, check_number, nearest, require, short_repr, shortened
+from capsule_gym.checks import (
+    check_choice,
+    check_integer,
+    check_number,
+    nearest,
+    require,
+    short_repr,
+    shortened,
+)
 from capsule_gym.control.laws import LAWS
 from capsule_gym.control.lookup import is_own
 from capsule_gym.core.native import call
@@ -37,7 +44,8 @@ from capsule_gym.policies.network import Layer, pack
 POLICY = "policy.safetensors"
 # The policies that come with the package.
 FOLDER = Path(__file__).parents[1] / "data" / "policies"
-FORMAT, FORMAT_VERSION = "capsule_gym policy", "2"
+FORMAT = "capsule_gym policy"
+FORMAT_VERSION = "2"
 # The entries of a file's metadata that are plain text, and those that are JSON; `Policy` checks the
 # values.
 TEXTS = ("algorithm", "activation", "squashing", "revision")
@@ -47,7 +55,10 @@ IMITATION = "dagger"
 CHOICES = {"activation": ("tanh", "relu"), "squashing": ("clip", "tanh")}
 # Within these limits no float32 weights give a sum beyond float64, and no finite observation gives
 # a NaN.
-MOST_LAYERS, MOST_UNITS, LARGEST_CLIP = 6, 1024, 1e6
+MOST_LAYERS = 6
+MOST_UNITS = 1024
+LARGEST_CLIP = 1e6
+SMALLEST_VARIANCE = 1e-300
 # Largest file that is read, bytes: larger than any file within the limits above, many times larger
 # than usual.
 LARGEST_FILE = 32 * 2**20
@@ -57,25 +68,30 @@ ENV_ARGUMENTS = tuple(each.name for each in fields(EnvConfig) if each.name not i
 
 
 def policy_names(*, seeds: bool = False) -> list[str]:
-    """The names of the policies that come with the package, or of all their training runs
-    ("residual-ppo/seed-2").
+    """The names of the policies that come with the package.
+
+    Args:
+        seeds: give the names of all their training runs instead, such as "residual-ppo/seed-2".
     """
     return [name for name in pretrained() if ("/" in name) is seeds]
 
 
 @lru_cache(maxsize=1)
 def pretrained() -> dict[str, Path]:
-    """The files of the policies that come with the package: every run's, and under the plain name
-    the first run's.
+    """The files of the policies that come with the package, by name.
+
+    Every run has a name; the plain name means the first run.
     """
-    files = sorted(
-        FOLDER.glob(f"*/seed-*/{POLICY}"),
-        key=lambda file: (file.parts[-3], int(file.parts[-2][5:])),
-    )
+
+    def row_and_seed(file: Path) -> tuple[str, int]:
+        row, run = file.parts[-3:-1]
+        return row, int(run.removeprefix("seed-"))
+
     found: dict[str, Path] = {}
-    for file in files:
-        found.setdefault(file.parts[-3], file)
-        found["/".join(file.parts[-3:-1])] = file
+    for file in sorted(FOLDER.glob(f"*/seed-*/{POLICY}"), key=row_and_seed):
+        row, run = file.parts[-3:-1]
+        found.setdefault(row, file)
+        found[f"{row}/{run}"] = file
     return found
 
 
@@ -126,79 +142,92 @@ class Policy:
     _network: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        self._check_words_and_numbers()
+        options = self._check_env_kwargs()
+        object.__setattr__(self, "entries", len(entries_of(options)))
+        self._check_arrays()
+        network = pack(
+            self.layers,
+            self.mean,
+            1.0 / np.sqrt(self.variance + self.epsilon),
+            relu=self.activation == "relu",
+            tanh_squashing=self.squashing == "tanh",
+            clip=self.clip,
+        )
+        object.__setattr__(self, "_network", network)
+
+    def _check_words_and_numbers(self) -> None:
         for name, choices in CHOICES.items():
-            require((value := getattr(self, name)) in choices, name, f"one of {choices}", value)
+            check_choice(name, getattr(self, name), choices, f"one of {choices}")
         for name in ("algorithm", "revision"):
-            text = isinstance(value := getattr(self, name), str) and value != ""
-            require(text, name, "a string that is not empty", value, TypeError)
-        check_integer(
-            "training_seed", self.training_seed, "an integer from 0 to 2**63 - 1", 0, 2**63 - 1
-        )
-        check_number(
-            "clip",
-            self.clip,
-            f"a number in (0, {LARGEST_CLIP:g}]",
-            0.0,
-            LARGEST_CLIP,
-            open_low=True,
-        )
+            value = getattr(self, name)
+            fits = isinstance(value, str) and value != ""
+            require(fits, name, "a string that is not empty", value, TypeError)
+        accepted = "an integer from 0 to 2**63 - 1"
+        check_integer("training_seed", self.training_seed, accepted, 0, 2**63 - 1)
+        accepted = f"a number in (0, {LARGEST_CLIP:g}]"
+        check_number("clip", self.clip, accepted, 0.0, LARGEST_CLIP, open_low=True)
         check_number("epsilon", self.epsilon, "a finite number >= 0", 0.0)
+
+    def _check_env_kwargs(self) -> EnvConfig:
+        """Makes objects of the JSON in `env_kwargs`, and returns the options of the environment."""
+        kwargs = self.env_kwargs
         accepted = f"a dict with keys out of {ENV_ARGUMENTS}"
-        require(
-            isinstance(self.env_kwargs, dict), "env_kwargs", accepted, self.env_kwargs, TypeError
-        )
-        require(
-            set(self.env_kwargs) <= set(ENV_ARGUMENTS),
-            "env_kwargs",
-            accepted,
-            list(self.env_kwargs),
-        )
-        options = EnvConfig(**self.env_kwargs)
+        require(isinstance(kwargs, dict), "env_kwargs", accepted, kwargs, TypeError)
+        require(set(kwargs) <= set(ENV_ARGUMENTS), "env_kwargs", accepted, list(kwargs))
+        options = EnvConfig(**kwargs)
         # JSON contains dicts and lists instead of objects and tuples.
-        kept = {
+        parsed = {
             key: getattr(options, key) if type(value) in (dict, list) else value
-            for key, value in self.env_kwargs.items()
+            for key, value in kwargs.items()
         }
-        object.__setattr__(self, "env_kwargs", kept)
+        object.__setattr__(self, "env_kwargs", parsed)
         law, task = options.controller, options.task
         named = law is None or isinstance(law, str)
         require(named, "env_kwargs['controller']", "None or an import string", law, TypeError)
         require(isinstance(task, str), "env_kwargs['task']", "the name of a task", task, TypeError)
-        entries = len(entries_of(options))
-        for name, array in (("mean", self.mean), ("variance", self.variance)):
-            accepted = "one for each entry of the observation by env_kwargs"
-            _check_array(f"inputs.{name}", array, np.float64, (entries,), accepted)
-        width, last = entries, len(self.layers) - 1
-        require(0 <= last < MOST_LAYERS, "layers", f"1 to {MOST_LAYERS} layers", last + 1)
-        for n, (weights, bias) in enumerate(self.layers):
-            units = 1 if n == last else min(max(1, bias.size), MOST_UNITS)
-            accepted = f"with 1 to {MOST_UNITS} units in a layer, and one in the last"
-            _check_array(f"layers.{n}.bias", bias, np.float32, (units,), accepted)
-            _check_array(f"layers.{n}.weight", weights, np.float32, (units, width), accepted)
+        return options
+
+    def _check_arrays(self) -> None:
+        accepted = "one for each entry of the observation by env_kwargs"
+        for name in ("mean", "variance"):
+            array = getattr(self, name)
+            _check_array(f"inputs.{name}", array, np.float64, (self.entries,), accepted)
+        count = len(self.layers)
+        require(1 <= count <= MOST_LAYERS, "layers", f"1 to {MOST_LAYERS} layers", count)
+        accepted = f"with 1 to {MOST_UNITS} units in a layer, and one in the last"
+        width = self.entries
+        for n, (weights, bias) in enumerate(self.layers, 1):
+            units = 1 if n == count else min(max(1, bias.size), MOST_UNITS)
+            layer = f"layers.{n - 1}"
+            _check_array(f"{layer}.bias", bias, np.float32, (units,), accepted)
+            _check_array(f"{layer}.weight", weights, np.float32, (units, width), accepted)
             width = units
-        fits = (self.variance >= 0.0).all() and (self.variance + self.epsilon >= 1e-300).all()
-        require(bool(fits), "inputs.variance", ">= 0, and with epsilon > 0", self.variance)
-        scale = 1.0 / np.sqrt(self.variance + self.epsilon)
-        kinds = {"relu": self.activation == "relu", "tanh_squashing": self.squashing == "tanh"}
-        object.__setattr__(self, "entries", entries)
-        object.__setattr__(
-            self, "_network", pack(self.layers, self.mean, scale, clip=self.clip, **kinds)
-        )
+        divisible = self.variance + self.epsilon >= SMALLEST_VARIANCE
+        fits = bool((divisible & (self.variance >= 0.0)).all())
+        require(fits, "inputs.variance", ">= 0, and with epsilon > 0", self.variance)
 
     @property
     def description(self) -> str:
         """A description in one line."""
-        options, action = EnvConfig(**self.env_kwargs), "the whole torque"
+        options = EnvConfig(**self.env_kwargs)
+        action = "the whole torque"
         if options.controller is not None:
             limit = options.residual_limit or options.torque_limit
             action = f"a residual torque of up to {limit:g} N m on `{options.controller}`"
-            action += ", as total torque" if options.total_torque else ""
+            if options.total_torque:
+                action += ", as total torque"
         algorithm = "DAgger" if self.algorithm == IMITATION else self.algorithm.upper()
         return f"{algorithm}, {action}, trained with randomization {options.randomization}"
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
-        """The action, in [-1, 1], float32, for an observation of shape (entries,), or (n, 1)
-        actions for (n, entries).
+        """The action in [-1, 1] for an observation, or the actions for several.
+
+        Args:
+            observation: shape (entries,) or (n, entries).
+
+        Returns:
+            Float32, shape (1,) or (n, 1).
 
         Raises:
             ValueError: if the observation has another shape or is not finite.
@@ -206,14 +235,10 @@ class Policy:
         try:
             array = np.require(observation, np.float32, ["C", "A"])
         except (TypeError, ValueError, OverflowError) as error:
-            raise ValueError(
-                f"observation must be an array of finite numbers, got {short_repr(observation)}: {error}"
-            ) from None
-        if (
-            array.ndim not in (1, 2)
-            or array.shape[-1] != self.entries
-            or not np.isfinite(array).all()
-        ):
+            got = f"{short_repr(observation)}: {error}"
+            raise ValueError(f"observation must be an array of finite numbers, got {got}") from None
+        has_shape = array.ndim in (1, 2) and array.shape[-1] == self.entries
+        if not has_shape or not np.isfinite(array).all():
             accepted = f"finite and of shape ({self.entries},) or (n, {self.entries})"
             raise ValueError(f"observation must be {accepted}, got {short_repr(observation)}")
         rows = array.reshape(-1, self.entries)
@@ -223,8 +248,9 @@ class Policy:
         return actions if array.ndim == 2 else actions[0]
 
     def start(self, seeds: Sequence[int]) -> Callable[[np.ndarray], np.ndarray]:
-        """Begins a batch of episodes, one per seed, as for scripted policies; a trained policy
-        draws no random numbers.
+        """Begins a batch of episodes, one per seed, as for scripted policies.
+
+        A trained policy draws no random numbers.
 
         Returns:
             The function from observations (episodes, entries) to actions (episodes, 1), or from
@@ -234,10 +260,9 @@ class Policy:
 
         def act(observations: np.ndarray) -> np.ndarray:
             actions = self(observations)
-            if (rows := actions.size) != len(seeds):
-                raise ValueError(
-                    f"observations must have one row for each of {len(seeds)} episodes, got {rows} rows"
-                )
+            if actions.size != len(seeds):
+                accepted = f"one row for each of {len(seeds)} episodes"
+                raise ValueError(f"observations must have {accepted}, got {actions.size} rows")
             return actions
 
         return act
@@ -246,13 +271,12 @@ class Policy:
         """Writes the policy file atomically. The same policy gives the same bytes."""
         tensors = {"inputs.mean": self.mean, "inputs.variance": self.variance}
         for n, (weights, bias) in enumerate(self.layers):
-            tensors |= {f"layers.{n}.weight": weights, f"layers.{n}.bias": bias}
-        values = {**vars(self), "clip": float(self.clip), "epsilon": float(self.epsilon)}
-        metadata = {
-            "format": FORMAT,
-            "format_version": FORMAT_VERSION,
-            **{name: getattr(self, name) for name in TEXTS},
-        }
+            tensors[f"layers.{n}.weight"] = weights
+            tensors[f"layers.{n}.bias"] = bias
+        metadata = {"format": FORMAT, "format_version": FORMAT_VERSION}
+        for name in TEXTS:
+            metadata[name] = getattr(self, name)
+        values = vars(self) | {"clip": float(self.clip), "epsilon": float(self.epsilon)}
         for key in VALUES:
             metadata[key] = json.dumps(values[key], default=_plain, sort_keys=True, allow_nan=False)
         content = save(tensors)
@@ -261,7 +285,8 @@ class Policy:
         header = {"__metadata__": dict(sorted(metadata.items())), **json.loads(content[8:end])}
         text = json.dumps(header, separators=(",", ":")).encode()
         text += b" " * (-len(text) % 8)
-        write_atomically(Path(path), len(text).to_bytes(8, "little") + text + content[end:])
+        size = len(text).to_bytes(8, "little")
+        write_atomically(Path(path), size + text + content[end:])
 
 
 def _plain(value: Any) -> Any:
@@ -270,17 +295,17 @@ def _plain(value: Any) -> Any:
 
 
 def _law_named(name: str) -> str:
-    """The end of the message for the name of a control law, which is no trained policy."""
+    """The end of the message for the name of a control law, or an empty string."""
     law = name.replace("-", "_")
-    return (
-        f", which is a control law: gym.make(.., controller='baselines:{law}')"
-        if law in LAWS
-        else ""
-    )
+    if law not in LAWS:
+        return ""
+    return f", which is a control law: gym.make(.., controller='baselines:{law}')"
 
 
 def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool = False) -> Policy:
-    """Loads a trained policy. A policy file contains no pickled objects and no code.
+    """Loads a trained policy.
+
+    A policy file contains no pickled objects and no code.
 
     Args:
         name_or_path: a name of `policy_names()`, which is the training run with the lowest seed;
@@ -299,26 +324,16 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
     name = str(name_or_path)
     path = pretrained().get(name) if isinstance(name_or_path, str) else None
     if path is None:
-        path = Path(name_or_path)
-        # Unlike the methods of Path, these functions accept names that no file can have.
-        if os.path.isdir(path):
-            path = next(
-                (file for file in (path / "best" / POLICY, path / POLICY) if file.is_file()), path
-            )
-        if not os.path.isfile(path):
-            raise ValueError(
-                f"name_or_path must be one of {', '.join(policy_names())}, one run of it as NAME/seed-0, or the path "
-                f"of a policy file or of a run's folder, which holds best/{POLICY} or {POLICY}, got "
-                f"{short_repr(name)}{_law_named(name) or nearest(name, pretrained())}"
-            )
+        path = _find_file(name_or_path)
         folder = path.absolute().parent
-        folder = folder.parent if folder.name == "best" else folder
+        if folder.name == "best":
+            folder = folder.parent
         # As `policy_names` names a row's run.
         name = "/".join(folder.parts[-2:]) if folder.name.startswith("seed-") else folder.name
-    if (size := path.stat().st_size) > LARGEST_FILE:
-        raise ValueError(
-            f"{path} is not a policy file: it must have at most {LARGEST_FILE} bytes, got {size}"
-        )
+    size = path.stat().st_size
+    if size > LARGEST_FILE:
+        limit = f"it must have at most {LARGEST_FILE} bytes, got {size}"
+        raise ValueError(f"{path} is not a policy file: {limit}")
     try:
         policy = _read(name, path)
     except (SafetensorError, ValueError, TypeError, RecursionError, OverflowError) as error:
@@ -326,10 +341,29 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
     controller = policy.env_kwargs.get("controller")
     if not (trust_controller or is_own(controller)):
         raise ValueError(
-            f"{path} names the control law {short_repr(controller)}, which does not come with this package; an "
-            "environment made with it runs that code: load_policy(.., trust_controller=True) if you trust it"
+            f"{path} names the control law {short_repr(controller)}, which does not come with this "
+            "package; an environment made with it runs that code: "
+            "load_policy(.., trust_controller=True) if you trust it"
         )
     return policy
+
+
+def _find_file(given: str | os.PathLike[str]) -> Path:
+    """The policy file with this path, or the best one in the run's folder with this path."""
+    path = Path(given)
+    # Unlike the methods of Path, these functions accept names that no file can have.
+    if os.path.isdir(path):
+        files = (path / "best" / POLICY, path / POLICY)
+        path = next(filter(Path.is_file, files), path)
+    if not os.path.isfile(path):
+        name = str(given)
+        hint = _law_named(name) or nearest(name, pretrained())
+        raise ValueError(
+            f"name_or_path must be one of {', '.join(policy_names())}, one run of it as "
+            "NAME/seed-0, or the path of a policy file or of a run's folder, which holds "
+            f"best/{POLICY} or {POLICY}, got {short_repr(name)}{hint}"
+        )
+    return path
 
 
 def _check_array(
@@ -337,10 +371,9 @@ def _check_array(
 ) -> None:
     """Raises an error for arrays of another dtype or shape, and for numbers that are not finite."""
     if array.dtype != dtype or array.shape != shape:
+        wanted = f"{np.dtype(dtype).name} of shape {shape}, {accepted}"
         got = f"{array.dtype.name} of shape {array.shape}"
-        raise ValueError(
-            f"{name} must be {np.dtype(dtype).name} of shape {shape}, {accepted}, got {got}"
-        )
+        raise ValueError(f"{name} must be {wanted}, got {got}")
     require(bool(np.isfinite(array).all()), name, "finite", array)
 
 
@@ -348,39 +381,31 @@ def _read(name: str, path: Path) -> Policy:
     """The policy in a file that is not too large."""
     with safe_open(path, framework="numpy") as file:
         metadata: dict[str, str] = file.metadata() or {}
-        known, found = (
-            (FORMAT, FORMAT_VERSION),
-            (metadata.get("format"), metadata.get("format_version")),
-        )
+        known = (FORMAT, FORMAT_VERSION)
+        found = (metadata.get("format"), metadata.get("format_version"))
         require(found == known, "its format and format_version", str(known), found)
         # Inputs and outputs that no policy has any more.
-        for key, only in (
-            ("output", "action"),
-            ("told_energy_weight", "false"),
-            ("identifies", "false"),
-        ):
+        former = {"output": "action", "told_energy_weight": "false", "identifies": "false"}
+        for key, only in former.items():
             given = metadata.get(key, only)
             require(given == only, key, f"{only!r} in its metadata", given)
         names = set(file.keys())
         count = sum(tensor.endswith(".weight") for tensor in names)
-        layers = [
-            (f"layers.{n}.weight", f"layers.{n}.bias") for n in range(min(count, MOST_LAYERS + 1))
-        ]
+        count = min(count, MOST_LAYERS + 1)
+        layers = [(f"layers.{n}.weight", f"layers.{n}.bias") for n in range(count)]
         expected = {"inputs.mean", "inputs.variance"}.union(*layers)
         if names != expected:
-            raise ValueError(
-                f"it must contain the tensors {sorted(expected)}, got {short_repr(sorted(names))}"
-            )
+            wanted = f"it must contain the tensors {sorted(expected)}"
+            raise ValueError(f"{wanted}, got {short_repr(sorted(names))}")
         arrays = {tensor: file.get_tensor(tensor) for tensor in names}
     values: dict[str, Any] = {}
     for key in (*TEXTS, *VALUES):
         try:
             values[key] = metadata[key] if key in TEXTS else json.loads(metadata[key])
         except (KeyError, ValueError):
-            accepted = "text" if key in TEXTS else "JSON"
-            raise ValueError(
-                f"{key} must be {accepted} in its metadata, got {metadata.get(key)!r:.50}"
-            ) from None
+            accepted = f"{'text' if key in TEXTS else 'JSON'} in its metadata"
+            got = f"{metadata.get(key)!r:.50}"
+            raise ValueError(f"{key} must be {accepted}, got {got}") from None
     return Policy(
         name=name,
         layers=tuple((arrays[weights], arrays[bias]) for weights, bias in layers),

@@ -9,9 +9,9 @@ from capsule_gym.policies.policy import Policy
 
 
 def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.ndarray]:
-    """Runs a policy in every environment of a simulation after `reset`, each to the end of its
-    episode.
+    """Runs a policy in every environment of a simulation to the end of its episode.
 
+    The simulation starts from `reset`, or from where steps and rollouts have left it.
     The results are those of a batch that is stepped with the policy, bit for bit.
 
     Args:
@@ -29,14 +29,13 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
     check_count("steps", steps)
     entries = simulation.observations.shape[1]
     if policy.entries != entries:
-        raise ValueError(
-            f"policy must take the observations of the simulation, {entries} entries, got {policy.name!r}, which takes "
-            f"{policy.entries}"
-        )
+        accepted = f"the observations of the simulation, {entries} entries"
+        got = f"{policy.name!r}, which takes {policy.entries}"
+        raise ValueError(f"policy must take {accepted}, got {got}")
+
+    def run_episodes(first: int, last: int) -> int:
+        return native.call("run_episodes", simulation._fields, first, last, steps, policy._network)
+
     simulation._everyone = False
-    simulation.run(
-        lambda first, last: native.call(
-            "run_episodes", simulation._fields, first, last, steps, policy._network
-        )
-    )
+    simulation.run(run_episodes)
     return simulation.metrics(np.arange(simulation.num_envs), steps)

@@ -1,6 +1,4 @@
-"""Scripted policies: the control laws of this package with a zero residual, and those of installed
-distributions.
-"""
+"""Scripted policies: laws of this package with a zero residual, and policies of distributions."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -54,17 +52,15 @@ def _law(
     name: str = "",
     **env_kwargs: str,
 ) -> ScriptedPolicy:
-    """The policy that only runs a law of `baselines`; its name is that of the law if none is
-    given.
-    """
+    """The policy that only runs a law of `baselines`, by default under the law's name."""
     kwargs = {"controller": f"baselines:{law}", **env_kwargs}
-    return ScriptedPolicy(
-        name or law.replace("_", "-"), description, kwargs, senses=senses, told=told
-    )
+    name = name or law.replace("_", "-")
+    return ScriptedPolicy(name, description, kwargs, senses=senses, told=told)
 
 
 _NOMINAL = "nominal plant"
-_PROFILE, _FASTEST = "the paper's profile (9)", "the fastest profile (9) with 1.5 N m"
+_PROFILE = "the paper's profile (9)"
+_FASTEST = "the fastest profile (9) with 1.5 N m"
 LAW_POLICIES = {
     each.name: each
     for each in (
@@ -131,12 +127,13 @@ LAW_POLICIES = {
 
 @cache
 def registered_policies() -> dict[str, EntryPoint]:
-    """The policies that installed distributions add, by name: entry points of the group
-    `capsule_gym.policies`.
+    """The policies that installed distributions add, by name.
 
-    An entry point names a `ScriptedPolicy`. Those of this project are in `baselines.policies`.
+    An entry point of the group `capsule_gym.policies` names a `ScriptedPolicy`. Those of this
+    project are in `baselines.policies`.
     """
-    return {each.name: each for each in sorted(entry_points(group=GROUP), key=attrgetter("name"))}
+    entries = sorted(entry_points(group=GROUP), key=attrgetter("name"))
+    return {entry.name: entry for entry in entries}
 
 
 def scripted_names() -> list[str]:
@@ -146,5 +143,7 @@ def scripted_names() -> list[str]:
 
 def find_scripted(name: str) -> ScriptedPolicy | None:
     """The scripted policy with this name, or None; loads it if another module contains it."""
+    if name in LAW_POLICIES:
+        return LAW_POLICIES[name]
     entry = registered_policies().get(name)
-    return entry.load() if entry and name not in LAW_POLICIES else LAW_POLICIES.get(name)
+    return entry.load() if entry else None

@@ -14,9 +14,14 @@ SCRATCH = {
     "elapsed",
     "halt",
     "cursor",
-} | {
-    *("next_theta", "next_theta_dot", "next_x", "next_x_dot"),
-    *("theta_ddot", "x_ddot", "first_normal_force", "least_normal_force"),
+    "next_theta",
+    "next_theta_dot",
+    "next_x",
+    "next_x_dot",
+    "theta_ddot",
+    "x_ddot",
+    "first_normal_force",
+    "least_normal_force",
 }
 EPISODE_ROWS = [row for row, name in enumerate(ROW_NAMES) if name not in SCRATCH]
 
@@ -40,19 +45,18 @@ def picky_controller():
 
 def flatten(info):
     """The values of an info, also those inside dictionaries."""
-    return [
-        each
-        for value in info.values()
-        for each in (flatten(value) if isinstance(value, dict) else [value])
-    ]
+    values = []
+    for value in info.values():
+        values += flatten(value) if isinstance(value, dict) else [value]
+    return values
 
 
 def layout(info):
-    """The keys of an info with the type, dtype and shape of each value, also inside
-    dictionaries."""
-    return {
-        key: layout(value)
-        if isinstance(value, dict)
-        else (type(value), np.asarray(value).dtype, np.shape(value))
-        for key, value in info.items()
-    }
+    """The type, dtype and shape of each value of an info, also inside dictionaries."""
+    described = {}
+    for key, value in info.items():
+        if isinstance(value, dict):
+            described[key] = layout(value)
+        else:
+            described[key] = (type(value), np.asarray(value).dtype, np.shape(value))
+    return described

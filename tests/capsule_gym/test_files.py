@@ -15,18 +15,39 @@ def lowest_free_descriptor():
         return file.fileno()
 
 
-def test_a_file_replaces_what_was_there_whole_or_not_at_all(tmp_path, monkeypatch):
-    path, synchronised = tmp_path / "result.json", []
-    monkeypatch.setattr(
-        os, "fsync", lambda descriptor: synchronised.append(os.fstat(descriptor).st_ino)
-    )
+@pytest.fixture
+def synchronised(monkeypatch):
+    """The inodes that have been written to the disk."""
+    inodes = []
+    monkeypatch.setattr(os, "fsync", lambda descriptor: inodes.append(os.fstat(descriptor).st_ino))
+    return inodes
+
+
+@pytest.mark.parametrize(
+    ("content", "written"), [("one", b"one"), ("zwölf\n", b"zw\xc3\xb6lf\n"), (b"\xff", b"\xff")]
+)
+def test_a_file_replaces_what_was_there(content, written, tmp_path, synchronised):
+    path = tmp_path / "result.json"
+    path.write_text("old")
     free = lowest_free_descriptor()
-    for content, written in (("one", b"one"), ("zwölf\n", b"zw\xc3\xb6lf\n"), (b"\xff", b"\xff")):
-        write_atomically(path, content)
-        assert path.read_bytes() == written and synchronised[-1] == path.stat().st_ino
-    synchronise(tmp_path)
-    assert list(tmp_path.iterdir()) == [path] and synchronised[-1] == tmp_path.stat().st_ino
+
+    write_atomically(path, content)
+
+    assert path.read_bytes() == written
+    assert synchronised[-1] == path.stat().st_ino
+    assert list(tmp_path.iterdir()) == [path]
     assert lowest_free_descriptor() <= free
+
+
+def test_the_names_in_a_folder_are_synchronised(tmp_path, synchronised):
+    free = lowest_free_descriptor()
+    synchronise(tmp_path)
+    assert synchronised == [tmp_path.stat().st_ino]
+    assert lowest_free_descriptor() <= free
+
+
+def test_a_file_stays_as_it_was_after_an_error(tmp_path):
+    path = tmp_path / "result.json"
     write_atomically(path, "old")
     with pytest.raises(RuntimeError), replacing(path) as temporary:
         assert (temporary.suffix, temporary.parent) == (".json", tmp_path)
@@ -46,14 +67,16 @@ def test_an_error_of_the_system_names_a_file(error, named):
     assert caught.value.filename == named
 
 
-def test_json_has_null_where_a_number_is_not_finite():
-    value = {
-        "a": [1.0, math.inf, (math.nan, np.float64(-math.inf))],
-        "b": {"c": 0.1, "d": None, "e": "nan"},
-    }
-    text = to_json(value)
-    assert json.loads(text) == {
-        "a": [1.0, None, [None, None]],
-        "b": {"c": 0.1, "d": None, "e": "nan"},
-    }
-    assert text.endswith("}\n")
+@pytest.mark.parametrize(
+    ("value", "found"),
+    [
+        ([1.0, math.inf, (math.nan, np.float64(-math.inf))], [1.0, None, [None, None]]),
+        ({"c": 0.1, "d": None, "e": "nan"}, {"c": 0.1, "d": None, "e": "nan"}),
+    ],
+)
+def test_json_has_null_where_a_number_is_not_finite(value, found):
+    assert json.loads(to_json({"a": value})) == {"a": found}
+
+
+def test_json_ends_with_a_line_break():
+    assert to_json({"a": 1.0}).endswith("}\n")

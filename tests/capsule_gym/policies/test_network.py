@@ -12,13 +12,12 @@ BATCH = 64
 
 def make_layers(widths, seed=0):
     rng = np.random.default_rng(seed)
-    return [
-        tuple(
-            rng.normal(0.0, *size).astype(np.float32)
-            for size in ((1.0 / np.sqrt(i), (o, i)), (0.3, o))
-        )
-        for i, o in pairwise(widths)
-    ]
+    layers = []
+    for inputs, outputs in pairwise(widths):
+        weights = rng.normal(0.0, 1.0 / np.sqrt(inputs), (outputs, inputs))
+        bias = rng.normal(0.0, 0.3, outputs)
+        layers.append((weights.astype(np.float32), bias.astype(np.float32)))
+    return layers
 
 
 def act(packed, observations):
@@ -27,44 +26,65 @@ def act(packed, observations):
     return actions
 
 
-def expected(layers, observations, mean, scale, clip, relu, tanh_squashing):
-    """The same network in numpy, in numpy's order of operations."""
-    values = np.clip((observations.astype(np.float64) - mean) * scale, -clip, clip)
-    for n, (weights, bias) in enumerate(layers):
-        values = values @ weights.astype(np.float64).T + bias
-        if n < len(layers) - 1:
-            values = np.maximum(values, 0.0) if relu else np.tanh(values)
+def compute_in_numpy(layers, values, relu, tanh_squashing):
+    """The actions for scaled observations, in numpy's order of operations."""
+    *hidden, last = [(weights.astype(np.float64).T, bias) for weights, bias in layers]
+    for weights, bias in hidden:
+        values = values @ weights + bias
+        values = np.maximum(values, 0.0) if relu else np.tanh(values)
+    weights, bias = last
+    values = values @ weights + bias
     return np.tanh(values) if tanh_squashing else np.clip(values, -1.0, 1.0)
 
 
-@pytest.mark.parametrize("relu", [False, True], ids=["tanh", "relu"])
-@pytest.mark.parametrize("tanh_squashing", [False, True], ids=["clipped", "squashed"])
-@pytest.mark.parametrize(
-    "widths", [(10, 64, 64, 1), (12, 1), (3, 7, 1), (5, 1, 130, 3, 1)], ids=str
+every_network = pytest.mark.parametrize(
+    ("widths", "relu", "tanh_squashing"),
+    [
+        (widths, relu, tanh_squashing)
+        for widths in ((10, 64, 64, 1), (12, 1), (3, 7, 1), (5, 1, 130, 3, 1))
+        for relu in (False, True)
+        for tanh_squashing in (False, True)
+    ],
 )
-def test_it_computes_what_numpy_does(widths, relu, tanh_squashing):
+
+
+def make_network(widths, relu, tanh_squashing):
+    """A packed network, observations, and the actions of numpy."""
     rng = np.random.default_rng(1)
-    layers, mean, scale = (
-        make_layers(widths),
-        rng.normal(size=widths[0]),
-        rng.uniform(0.2, 3.0, widths[0]),
-    )
+    layers = make_layers(widths)
+    mean = rng.normal(size=widths[0])
+    scale = rng.uniform(0.2, 3.0, widths[0])
     packed = pack(layers, mean, scale, clip=2.5, relu=relu, tanh_squashing=tanh_squashing)
     observations = rng.normal(0.0, 2.0, (2 * BATCH + 5, widths[0])).astype(np.float32)
+    scaled = np.clip((observations.astype(np.float64) - mean) * scale, -2.5, 2.5)
+    return packed, observations, compute_in_numpy(layers, scaled, relu, tanh_squashing)
+
+
+@every_network
+def test_it_computes_what_numpy_does(widths, relu, tanh_squashing):
+    packed, observations, exact = make_network(widths, relu, tanh_squashing)
     actions = act(packed, observations)
-    exact = expected(layers, observations, mean, scale, 2.5, relu, tanh_squashing)
     # The errors are one rounding to float32 and those of float64.
     np.testing.assert_allclose(actions, exact, rtol=6.1e-8, atol=1e-13)
     assert np.unique(actions).size > 20
     assert (np.abs(actions) <= 1.0).all()
-    # The action of a row is the same alone and in any batch, also next to a row that is not a
-    # number.
+
+
+@every_network
+def test_the_action_of_a_row_is_the_same_alone_and_in_any_batch(widths, relu, tanh_squashing):
+    packed, observations, _ = make_network(widths, relu, tanh_squashing)
+    actions = act(packed, observations)
     for n in (1, 2, 3, 4, 5, 8, 33, BATCH - 1, BATCH, BATCH + 1):
         for first in (0, 1, 37):
-            assert (
-                act(packed, observations[first : first + n]).tobytes()
-                == actions[first : first + n].tobytes()
-            )
+            rows = slice(first, first + n)
+            assert act(packed, observations[rows]).tobytes() == actions[rows].tobytes()
+
+
+@every_network
+def test_a_row_that_is_not_a_number_changes_no_other(widths, relu, tanh_squashing):
+    packed, observations, _ = make_network(widths, relu, tanh_squashing)
+    actions = act(packed, observations)
     observations[7, 2] = np.nan
     broken = act(packed, observations)
-    assert np.isnan(broken[7]) and np.delete(broken, 7).tobytes() == np.delete(actions, 7).tobytes()
+    assert np.isnan(broken[7])
+    assert np.delete(broken, 7).tobytes() == np.delete(actions, 7).tobytes()
