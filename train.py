@@ -1,6 +1,4 @@
-"""Trains an agent and compares it with the paper's controller: `python train.py --help` lists the
-options.
-"""
+"""Trains an agent and compares it with the paper's controller: `python train.py --help`."""
 
 import secrets
 import sys
@@ -11,7 +9,7 @@ from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
 from shlex import quote
-from typing import Annotated
+from typing import Annotated, Any
 
 from agents.training.signals import INTERRUPTED, QuietExit
 
@@ -103,8 +101,7 @@ def read_args(arguments: Sequence[str] | None = None) -> Args:
     """Reads the command line.
 
     Returns:
-        The arguments; `hyperparameters` are those of the new run or, with --resume, of the resumed
-        run.
+        The arguments, with the hyperparameters of the new or, with --resume, of the resumed run.
     """
     # These options decide which other options exist.
     choice, _ = tyro.cli(
@@ -120,17 +117,13 @@ def read_args(arguments: Sequence[str] | None = None) -> Args:
     if choice.row is None:
         action_mode = choice.action_mode or ("residual" if choice.env == ENV_ID else "direct")
         settings = preset(choice.env, action_mode, choice.algo)
-        default = Args(choice.env, action_mode, choice.algo, hyperparameters=settings)
-        return parse(Args, PROG, arguments, default=default)
+        return parse(Args, PROG, arguments, default=_default(settings))
     try:
         settings = row_settings(choice.row)
     except ValueError as error:
         refuse(PROG, f"--row: {error}")
-    default = Args(
-        settings.env, settings.action_mode, settings.algo, choice.row, hyperparameters=settings
-    )
-    args = parse(Args, PROG, arguments, default=default)
-    _check_same_kind(default, args, f"--row {choice.row}")
+    args = parse(Args, PROG, arguments, default=_default(settings, row=choice.row))
+    _check_same_kind(settings, args, f"--row {choice.row}")
     return args
 
 
@@ -140,22 +133,27 @@ def _read_resumed(run: Path, arguments: Sequence[str] | None) -> Args:
         before = read_config(run)
     except RunError as error:
         refuse(PROG, str(error))
-    default = Args(before.env, before.action_mode, before.algo, None, run, hyperparameters=before)
-    args = parse(Args, PROG, arguments, default=default)
+    args = parse(Args, PROG, arguments, default=_default(before, resume=run))
     for option, given in (("--run", args.run), ("--row", args.row)):
         if given is not None:
             refuse(PROG, f"{option} must not be given with --resume, got {str(given)!r}")
-    _check_same_kind(default, args, "--resume")
-    old, new = before.to_dict(), args.hyperparameters.to_dict()
-    for name in (name for name in old if name != "total_steps" and old[name] != new[name]):
-        option = "--" + name.replace("_", "-")
-        must = f"{option} must stay {old[name]} with --resume"
-        refuse(PROG, f"{must}, got {new[name]}; only --total-steps may be changed")
-    if (code := _foreign_code(before)) and not args.trust_controller:
-        refuse(
-            PROG, f"{run / CONFIG} names code to import, {code!r}: --trust-controller if it may run"
-        )
+    _check_same_kind(before, args, "--resume")
+    changed = args.hyperparameters.to_dict()
+    for name, value in before.to_dict().items():
+        if name != "total_steps" and value != changed[name]:
+            must = f"--{name.replace('_', '-')} must stay {value} with --resume"
+            refuse(PROG, f"{must}, got {changed[name]}; only --total-steps may be changed")
+    code = _foreign_code(before)
+    if code and not args.trust_controller:
+        names = f"names code to import, {code!r}"
+        refuse(PROG, f"{run / CONFIG} {names}: --trust-controller if it may run")
     return args
+
+
+def _default(settings: Config, **options: Any) -> Args:
+    """The arguments of which the command line may change some."""
+    kind = (settings.env, settings.action_mode, settings.algo)
+    return Args(*kind, hyperparameters=settings, **options)
 
 
 def _foreign_code(config: Config) -> tuple[str, ...] | str | None:
@@ -163,19 +161,18 @@ def _foreign_code(config: Config) -> tuple[str, ...] | str | None:
     return config.wrapper or (None if is_own(config.controller) else config.controller)
 
 
-def _check_same_kind(before: Args, args: Args, chosen_by: str) -> None:
-    """Ends the command if its environment, action mode or algorithm differs from that of the
-    resumed run or the row.
-    """
+def _check_same_kind(settings: Config, args: Args, chosen_by: str) -> None:
+    """Ends the command if an option differs from the kind of the resumed run or the row."""
     for option, name in (("--env", "env"), ("--task", "action_mode"), ("--algo", "algo")):
-        was, given = getattr(before, name), getattr(args, name)
+        was, given = getattr(settings, name), getattr(args, name)
         if was != given:
             refuse(PROG, f"{option} must stay {was} with {chosen_by}, got {given}")
 
 
 def _report(failure: threading.ExceptHookArgs) -> None:
-    """Hides the traceback of an OSError in TensorBoard's thread, which raises the error again at
-    the next write.
+    """Hides the traceback of an OSError in TensorBoard's thread.
+
+    TensorBoard raises the error again at the next write.
     """
     if not isinstance(failure.exc_value, OSError):
         threading.__excepthook__(failure)
@@ -186,9 +183,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = read_args(arguments)
     if args.wandb and find_spec("wandb") is None:
         refuse(PROG, '--wandb needs wandb: pip install "capsule-gym[wandb]"')
-    before, threading.excepthook = threading.excepthook, _report
+    before = threading.excepthook
+    threading.excepthook = _report
     try:
         return _train(args)
+    except (RunError, OSError) as error:
+        print(f"{PROG}: error: {error}", file=sys.stderr)
+        return 2
     finally:
         threading.excepthook = before
 
@@ -199,10 +200,8 @@ def _can_draw() -> bool:
         with style():
             new_figure(1.0)
     except (ImportError, OSError, ValueError) as error:
-        print(
-            f"Without a comparison at the end, since figures cannot be drawn: {first_cause(error)}",
-            file=sys.stderr,
-        )
+        reason = f"since figures cannot be drawn: {first_cause(error)}"
+        print(f"Without a comparison at the end, {reason}", file=sys.stderr)
         return False
     return True
 
@@ -211,50 +210,57 @@ def _train(args: Args) -> int:
     """Trains and compares; returns the exit status."""
     # Imported after the command line is checked, since torch takes seconds to import.
     from agents.report import compare
-    from agents.training import loop
+    from agents.training.loop import train
 
-    config, run = args.hyperparameters, args.resume
+    config = args.hyperparameters
     compared = not (args.no_comparison or config.wrapper) and _can_draw()
-    try:
-        if run is not None:
-            print(f"Resuming {run} (seed {config.seed}) until {config.total_steps:,} steps.")
-        else:
-            names: list[str] = [config.action_mode, config.algo]
-            if config.env != ENV_ID:
-                names.insert(0, config.task)
-            kind = args.row or "-".join(names)
-            run = (
-                args.run
-                or RUNS
-                / f"{kind}-seed{config.seed}-{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(2)}"
-            )
-            try:
-                loop.begin(run, config)
-            except FileExistsError:
-                resume = f"--resume {quote(str(run))} resumes it"
-                raise RunError(
-                    f"--run must name a new folder, got {str(run)!r}; {resume}"
-                ) from None
-            except (TypeError, ValueError) as error:
-                raise RunError(str(error)) from error
-            what = f"{config.algo.upper()} on {config.env}, {config.action_mode} torque"
-            print(f"Training {what}, seed {config.seed}, in {run}.")
-        trust = " --trust-controller" * bool(_foreign_code(config))
-        hint = f"To resume: python train.py --resume {quote(str(run))}{trust}"
-        QUIET_EXIT.message = f"Stopped. {hint}"
-        if not loop.train(run, config.total_steps, wandb=args.wandb):
-            print(f"\nStopped; saved. {hint}")
-            return INTERRUPTED
-        print(
-            f"Trained; the best policy on validation plants is {run / BEST / (MODEL if config.wrapper else POLICY)}."
-        )
-        if compared:
-            QUIET_EXIT.message = "Stopped. The run is complete; its comparison is not."
-            compare(run)
-    except (RunError, OSError) as error:
-        print(f"{PROG}: error: {error}", file=sys.stderr)
-        return 2
+    if args.resume is None:
+        run = _begin(args)
+    else:
+        run = args.resume
+        print(f"Resuming {run} (seed {config.seed}) until {config.total_steps:,} steps.")
+    hint = f"To resume: python train.py --resume {quote(str(run))}"
+    if _foreign_code(config):
+        hint += " --trust-controller"
+    QUIET_EXIT.message = f"Stopped. {hint}"
+    if not train(run, config.total_steps, wandb=args.wandb):
+        print(f"\nStopped; saved. {hint}")
+        return INTERRUPTED
+    best = run / BEST / (MODEL if config.wrapper else POLICY)
+    print(f"Trained; the best policy on validation plants is {best}.")
+    if compared:
+        QUIET_EXIT.message = "Stopped. The run is complete; its comparison is not."
+        compare(run)
     return 0
+
+
+def _begin(args: Args) -> Path:
+    """Creates the folder of a new run, which it returns."""
+    from agents.training.loop import begin
+
+    config = args.hyperparameters
+    run = args.run or RUNS / _new_name(args)
+    try:
+        begin(run, config)
+    except FileExistsError:
+        found = f"{str(run)!r}; --resume {quote(str(run))} resumes it"
+        raise RunError(f"--run must name a new folder, got {found}") from None
+    except (TypeError, ValueError) as error:
+        raise RunError(str(error)) from error
+    what = f"{config.algo.upper()} on {config.env}, {config.action_mode} torque"
+    print(f"Training {what}, seed {config.seed}, in {run}.")
+    return run
+
+
+def _new_name(args: Args) -> str:
+    """The name of a new run's folder: its kind, its seed, the time, and a random number."""
+    config = args.hyperparameters
+    names: list[str] = [config.action_mode, config.algo]
+    if config.env != ENV_ID:
+        names.insert(0, config.task)
+    kind = args.row or "-".join(names)
+    now = time.strftime("%Y%m%d-%H%M%S")
+    return f"{kind}-seed{config.seed}-{now}-{secrets.token_hex(2)}"
 
 
 if __name__ == "__main__":

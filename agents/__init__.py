@@ -1,3 +1,1 @@
-"""Learned agents: training, evaluation, the leaderboard. Lives in the checkout and is not
-installed.
-"""
+"""Learned agents: training, evaluation, the leaderboard; in the checkout only, not installed."""

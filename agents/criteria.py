@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from capsule_gym.evaluation.candidates import BASELINE
 from capsule_gym.evaluation.episodes import TABLE_METRICS, TASK_METRICS, TableMetric
 
-_OF_TASKS = {metric.name: metric for metric in TASK_METRICS}
+_TASK_METRICS = {metric.name: metric for metric in TASK_METRICS}
 
 
 @dataclass(frozen=True)
@@ -47,37 +47,36 @@ class Criteria:
     def describe(self, values: Mapping[str, float]) -> str:
         """The metrics in `weights` as a line of text."""
         main, *shares = self.weights
-        return ", ".join(
-            [f"{values[main]:.2f} {self.unit}", *(f"{name} {values[name]:.1%}" for name in shares)]
-        )
+        texts = [f"{values[main]:.2f} {self.unit}"]
+        texts += [f"{name} {values[name]:.1%}" for name in shares]
+        return ", ".join(texts)
 
 
-CRITERIA = {
-    "speed": Criteria(
-        TABLE_METRICS["mean_speed"],
-        "cm/s",
-        "cm_s",
-        {"mean_speed": 1.0, "failed": -30.0},
-        BASELINE,
-        "paper",
-    ),
-    # A missed goal already counts as a time of 15 s; the weight of `success` adds 15 s.
-    "goal": Criteria(
-        _OF_TASKS["goal_time"],
-        "s",
-        "s",
-        {"goal_time": -1.0, "success": 15.0, "failed": -15.0},
-        "goal-pulses",
-        "goal",
-    ),
-    # A failure counts as an error of 100 %; the error of a command that never settles is large in
-    # any case.
-    "velocity": Criteria(
-        _OF_TASKS["velocity_error"],
-        "%",
-        "percent",
-        {"velocity_error": -1.0, "unsettled": -20.0, "failed": -100.0},
-        "velocity-pulses",
-        "velocity",
-    ),
-}
+_SPEED = Criteria(
+    metric=TABLE_METRICS["mean_speed"],
+    unit="cm/s",
+    suffix="cm_s",
+    weights={"mean_speed": 1.0, "failed": -30.0},
+    baseline=BASELINE,
+    ranking_set="paper",
+)
+# A missed goal already counts as a time of 15 s; the weight of `success` adds 15 s.
+_GOAL = Criteria(
+    metric=_TASK_METRICS["goal_time"],
+    unit="s",
+    suffix="s",
+    weights={"goal_time": -1.0, "success": 15.0, "failed": -15.0},
+    baseline="goal-pulses",
+    ranking_set="goal",
+)
+# A failure counts as an error of 100 %; the error of a command that never settles is large in any
+# case.
+_VELOCITY = Criteria(
+    metric=_TASK_METRICS["velocity_error"],
+    unit="%",
+    suffix="percent",
+    weights={"velocity_error": -1.0, "unsettled": -20.0, "failed": -100.0},
+    baseline="velocity-pulses",
+    ranking_set="velocity",
+)
+CRITERIA = {"speed": _SPEED, "goal": _GOAL, "velocity": _VELOCITY}

@@ -1,12 +1,10 @@
-"""Evaluates a policy on a set and compares it with a reference on the same episodes: `python -m
-agents.evaluate`.
-"""
+"""Evaluates a policy, and compares it with a reference: `python -m agents.evaluate`."""
 
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from tqdm import tqdm
 
@@ -18,6 +16,7 @@ from capsule_gym.evaluation.episodes import (
     TABLE_METRICS,
     TASK_METRICS,
     Episode,
+    TableMetric,
     check_task,
     evaluate,
     failures,
@@ -33,29 +32,33 @@ from capsule_gym.files import to_json, write_atomically
 def comparison_table(
     name: str, episodes: Sequence[Episode], reference: str, others: Sequence[Episode]
 ) -> str:
-    """A table of metrics (rows) for the policy, the reference and their paired difference on one
-    set (columns).
+    """A table for one set.
+
+    Rows are metrics; columns are the policy, the reference and their paired difference.
     """
-    rows = [["", name, reference, "difference"]]
-    of_task = [
-        metric for metric in (*TASK_METRICS, *TABLE_METRICS.values()) if metric.name in episodes[0]
-    ]
+    known = (*TASK_METRICS, *TABLE_METRICS.values())
+    metrics = [metric for metric in known if metric.name in episodes[0]]
+    headline = headline_metric(metrics)
     # The leaderboard ranks by the mean.
-    main = next(
-        metric
-        for metric in of_task
-        if metric.name in {each.metric.name for each in CRITERIA.values()}
-    )
-    for metric in (replace(main, label=f"{main.label}, mean", share=True), *of_task):
+    mean = replace(headline, label=f"{headline.label}, mean", share=True)
+    rows = [["", name, reference, "difference"]]
+    for metric in (mean, *metrics):
+        cells = [metric.label]
         both = [scores(each, metric.name) for each in (episodes, others)]
-        values = [
-            metric.with_interval(estimate(each, mean=metric.share).to_dict().values())
-            for each in both
-        ]
-        paired = paired_difference(*both, mean=metric.share).to_dict().values()
-        rows.append([metric.label, *values, metric.with_interval(paired, sign=True)])
+        for values in both:
+            interval = estimate(values, mean=metric.share).to_dict().values()
+            cells.append(metric.with_interval(interval))
+        difference = paired_difference(*both, mean=metric.share).to_dict().values()
+        cells.append(metric.with_interval(difference, sign=True))
+        rows.append(cells)
     rows.append(["failures", *(f"{failures(each)}/{len(each)}" for each in (episodes, others))])
     return text_table(rows)
+
+
+def headline_metric(metrics: Sequence[TableMetric]) -> TableMetric:
+    """The metric by which policies are ranked, of those that the episodes of a task have."""
+    ranking = {criteria.metric.name for criteria in CRITERIA.values()}
+    return next(metric for metric in metrics if metric.name in ranking)
 
 
 @command("python -m agents.evaluate", ValueError)
@@ -97,26 +100,29 @@ def main(
     candidate = find_candidate(policy, **trusted)
     evaluation_set = load_set(set or CRITERIA[candidate.task].ranking_set)
     reference = find_candidate(against or CRITERIA[evaluation_set.task].baseline, **trusted)
-    for each in (candidate, reference):
-        check_task(each, evaluation_set)
+    check_task(candidate, evaluation_set)
+    check_task(reference, evaluation_set)
     count = f"{len(evaluation_set.plants)} episodes, {evaluation_set.hash[:12]}"
     print(f"{candidate.name} on the set {evaluation_set.name} ({count})\n", flush=True)
-    seeds = tqdm(candidate.policies, unit=" seeds", disable=None, leave=False)
-    episodes = [episode for each in seeds for episode in evaluate(each, evaluation_set)]
+    episodes: list[Episode] = []
+    for each in tqdm(candidate.policies, unit=" seeds", disable=None, leave=False):
+        episodes += evaluate(each, evaluation_set)
     others = episodes if candidate.name == reference.name else evaluate(reference, evaluation_set)
-    summary = summarise(episodes)
     # Written before printing, so that a closed pipe does not lose the result.
     if json is not None:
-        result: dict[str, Any] = {
+        result = {
             "policy": candidate.name,
             "set": evaluation_set.name,
             "set_hash": evaluation_set.hash,
+            "versions": versions(),
+            "episodes": episodes,
+            "summary": summarise(episodes),
         }
-        result |= {"versions": versions(), "episodes": episodes, "summary": summary}
         write_atomically(json, to_json(result))
     print(comparison_table(candidate.name, episodes, reference.name, others))
+    runs = "other training runs and " if len(candidate.policies) > 1 else ""
     print("\nInterquartile means unless stated, of shares means; the intervals of 95 % are")
-    print(f"for {'other training runs and ' * (len(candidate.policies) > 1)}other plants.")
+    print(f"for {runs}other plants.")
     print(f"Differences to {reference.name} are taken episode by episode.")
     return 0
 

@@ -1,10 +1,7 @@
-"""The comparison at the end of a training: with the paper's controller, and with the published row
-of the same kind.
-"""
+"""The comparison of a trained agent with the paper's controller and its row of the leaderboard."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -24,6 +21,9 @@ from capsule_gym.files import replacing
 ROOT = Path(__file__).resolve().parents[1]
 # Length of the shown part of angle and torque at the end of an episode, s.
 SHOWN = 6.6
+# Distance of the middle of a swing from 0, relative to its range, above which a gait is one-sided.
+ONE_SIDED = 0.25
+SAMPLES = ("t", "theta", "theta_dot", "x", "x_dot", "torque")
 # Settings that a run shares with the row of the leaderboard to which it is compared.
 KIND = (
     "env",
@@ -40,36 +40,36 @@ KIND = (
 
 
 def compare(run: Path, set_name: str | None = None) -> None:
-    """Evaluates a run's best model and the baseline on the same frozen episodes; prints and draws
-    the comparison.
+    """Compares a run's best model with the baseline on the same frozen episodes.
 
-    Also prints the published row of the same kind, if there is one and it was evaluated on the set.
+    Prints the comparison and, if the row of the same kind was evaluated on the set, that row.
     Writes comparison.png to the run's folder. The default set is the task's ranking set.
     """
     policy = load_policy(run, trust_controller=True)
     criteria = CRITERIA[policy.env_kwargs.get("task", "speed")]
-    evaluation_set, (baseline,) = (
-        load_set(set_name or criteria.ranking_set),
-        find_candidate(criteria.baseline).policies,
-    )
-    own, theirs = (evaluate(each, evaluation_set) for each in (policy, baseline))
+    evaluation_set = load_set(set_name or criteria.ranking_set)
+    (baseline,) = find_candidate(criteria.baseline).policies
+    own = evaluate(policy, evaluation_set)
+    theirs = evaluate(baseline, evaluation_set)
     episodes = f"{len(own)} episodes of {evaluation_set.horizon:g} s, the same for both"
     print(f"\nOn the set {evaluation_set.name} ({episodes}):\n")
     print(comparison_table("agent", own, criteria.baseline, theirs) + "\n", flush=True)
     plant = NOMINAL_PLANT if evaluation_set.task == "speed" else evaluation_set.plants[0]
-    names = {criteria.baseline: baseline, "agent": policy}
-    recordings = {name: run_episode(each, plant, evaluation_set) for name, each in names.items()}
+    recordings = {
+        criteria.baseline: run_episode(baseline, plant, evaluation_set),
+        "agent": run_episode(policy, plant, evaluation_set),
+    }
     if text := compare_to_row(run, own, evaluation_set, recordings["agent"]["theta"]):
         print(text + "\n", flush=True)
-    draw_comparison(recordings, run / "comparison.png", plant)
-    print(f"Figure: {run / 'comparison.png'}")
+    figure = run / "comparison.png"
+    draw_comparison(recordings, figure, plant)
+    print(f"Figure: {figure}")
 
 
 def compare_to_row(
     run: Path, own: Sequence[Episode], evaluation_set: EvaluationSet, theta: np.ndarray
 ) -> str:
-    """Compares a run with the row of the leaderboard of the same kind; names one likely reason if
-    the run is worse.
+    """Compares a run with the row of the same kind; names one likely reason if it is worse.
 
     Args:
         run: the run's folder.
@@ -80,58 +80,69 @@ def compare_to_row(
     Returns:
         The comparison; empty if there is no such row, or the row was not evaluated on the set.
     """
-    config, criteria = read_config(run), CRITERIA[evaluation_set.task]
-    name = next(
-        (row for row, settings in TRAINED_ROWS.items() if _kind(settings) == _kind(config)), None
-    )
+    config = read_config(run)
+    name = _row_of_kind(config)
+    if name is None:
+        return ""
     try:
         row = load_row(ROOT / RESULTS / f"{name}.npz")
         row.check_set(evaluation_set)
     except ValueError:
         return ""
-    published = {
-        each: row.score(evaluation_set.name, each).mean(axis=-1) for each in criteria.weights
-    }
+    criteria = CRITERIA[evaluation_set.task]
+    metric = criteria.metric.name
+    sign = -1.0 if criteria.ascending else 1.0
+    seeds = {each: row.score(evaluation_set.name, each).mean(axis=-1) for each in criteria.weights}
+    worst_seed = int(np.argmin(sign * seeds[metric]))
+    worst = {each: float(means[worst_seed]) for each, means in seeds.items()}
+    mean = {each: float(means.mean()) for each, means in seeds.items()}
     found = {each: float(scores(own, each).mean()) for each in criteria.weights}
-    metric, sign = criteria.metric.name, -1.0 if criteria.ascending else 1.0
-    seed = int(np.argmin(sign * published[metric]))
-    worst = {each: float(values[seed]) for each, values in published.items()}
-    mean = {each: float(values.mean()) for each, values in published.items()}
-    text = f"Published row {name}: mean of {len(published[metric])} seeds {criteria.describe(mean)}; worst seed "
-    text += f"{criteria.describe(worst)}. This run: {criteria.describe(found)}."
+    text = (
+        f"Published row {name}: mean of {len(seeds[metric])} seeds {criteria.describe(mean)}; "
+        f"worst seed {criteria.describe(worst)}. This run: {criteria.describe(found)}."
+    )
     if sign * found[metric] >= sign * worst[metric]:
         return text
-    more_failures = found["failed"] > published["failed"].max()
-    reason = _likely_reason(
-        config, TRAINED_ROWS[str(name)], run, theta, more_failures=more_failures
-    )
+    more_failures = found["failed"] > seeds["failed"].max()
+    reason = _likely_reason(config, TRAINED_ROWS[name], run, theta, more_failures=more_failures)
     return f"{text}\nThis run is worse than the row's worst seed. A likely reason: {reason}."
 
 
-def _kind(config: Config) -> list[Any]:
-    """The settings that a run shares with the row to which it is compared."""
-    return [getattr(config, name) for name in KIND]
+def _row_of_kind(config: Config) -> str | None:
+    """The name of the row that shares a run's `KIND`, if any."""
+    for name, row in TRAINED_ROWS.items():
+        if all(getattr(row, each) == getattr(config, each) for each in KIND):
+            return name
+    return None
 
 
 def _likely_reason(
     config: Config, row: Config, run: Path, theta: np.ndarray, *, more_failures: bool
 ) -> str:
     """One likely reason for a run that is worse than its row."""
-    given, tuned = config.to_dict(), row.to_dict()
-    changed = [name for name in tuned if name != "seed" and given.get(name) != tuned[name]]
+    given = config.to_dict()
+    changed = []
+    for name, value in row.to_dict().items():
+        if name != "seed" and given.get(name) != value:
+            changed.append(f"{name} {given.get(name)!r}")
     if changed:
-        return f"other settings than the row, {', '.join(f'{each} {given.get(each)!r}' for each in changed)}"
+        return f"other settings than the row, {', '.join(changed)}"
+    # The gait of the second half, after the start.
     theta = theta[len(theta) // 2 :]
     middle = 0.5 * (theta.max() + theta.min())
-    if config.task == "speed" and abs(middle) > 0.25 * np.ptp(theta):
-        return f"a one-sided gait about {np.degrees(middle):.0f} degrees, a local optimum that another --seed may avoid"
+    one_sided = abs(middle) > ONE_SIDED * np.ptp(theta)
+    if config.task == "speed" and one_sided:
+        gait = f"a one-sided gait about {np.degrees(middle):.0f} degrees"
+        return f"{gait}, a local optimum that another --seed may avoid"
     if more_failures:
-        return "more failures than in any run of the row, so that the policy is close to a limit of the plant"
+        excess = "more failures than in any run of the row"
+        return f"{excess}, so that the policy is close to a limit of the plant"
     steps, values = read_evaluations(run / EVALUATIONS, config.task)
     best = np.argmin(values) if CRITERIA[config.task].ascending else np.argmax(values)
     if best == len(steps) - 1:
         return "the last evaluation was the best, so that more --total-steps may help"
-    return "the spread of seeds; rounding errors of another processor or version of torch act as another seed"
+    other = "another processor or version of torch"
+    return f"the spread of seeds; rounding errors of {other} act as another seed"
 
 
 def run_episode(
@@ -144,15 +155,16 @@ def run_episode(
         (m), x_dot (m/s) and torque (N m).
     """
     env = CapsuleEnv(**{**policy.env_kwargs, **evaluation_set.env_kwargs})
-    act, dt, ended = policy.start([plant.seed]), env.simulation.options.control_dt, False
+    control_dt = env.simulation.options.control_dt
+    act = policy.start([plant.seed])
     observation, info = env.reset(seed=plant.seed, options=plant.reset_options())
     samples = [(0.0, *info["state"], info["torque"])]
-    while not ended and len(samples) <= round(evaluation_set.horizon / dt):
-        observation, _, ended, _, info = env.step(act(observation[None])[0])
-        samples.append((len(samples) * dt, *info["state"], info["torque"]))
-    return dict(
-        zip(("t", "theta", "theta_dot", "x", "x_dot", "torque"), np.array(samples).T, strict=True)
-    )
+    for step in range(1, round(evaluation_set.horizon / control_dt) + 1):
+        observation, _, terminated, _, info = env.step(act(observation[None])[0])
+        samples.append((step * control_dt, *info["state"], info["torque"]))
+        if terminated:
+            break
+    return dict(zip(SAMPLES, np.array(samples).T, strict=True))
 
 
 def draw_comparison(
@@ -166,24 +178,24 @@ def draw_comparison(
         path: the PNG; written atomically.
         plant: the plant.
     """
-    title = f"{'Nominal plant' if plant == NOMINAL_PLANT else 'Plant'} (M = {plant.M:g} kg, μ = {plant.mu:g})"
+    name = "Nominal plant" if plant == NOMINAL_PLANT else "Plant"
+    title = f"{name} (M = {plant.M:g} kg, μ = {plant.mu:g})"
     end = max(each["t"][-1] for each in recordings.values())
     with style():
         figure = new_figure(5.5)
         displacement, angle, torque = figure.subplots(3)
         for (name, each), colour in zip(recordings.items(), (MUTED, BLUE), strict=True):
-            speed = 100.0 * (each["x"][-1] - each["x"][0]) / each["t"][-1]
-            displacement.plot(
-                each["t"], 100.0 * each["x"], color=colour, label=f"{name}: {speed:.2f} cm/s"
-            )
-            angle.plot(each["t"], np.degrees(each["theta"]), color=colour)
-            torque.step(each["t"], each["torque"], color=colour)
+            t, x = each["t"], each["x"]
+            speed = 100.0 * (x[-1] - x[0]) / t[-1]
+            displacement.plot(t, 100.0 * x, color=colour, label=f"{name}: {speed:.2f} cm/s")
+            angle.plot(t, np.degrees(each["theta"]), color=colour)
+            torque.step(t, each["torque"], color=colour)
         if plant.goal is not None:
             displacement.axhline(100.0 * plant.goal, color=MUTED, linestyle=":", label="goal")
         displacement.set(title=title, ylabel="displacement x (cm)", xlim=(0.0, end))
         displacement.legend(loc="upper left")
-        window: dict[str, Any] = {"xlim": (max(0.0, end - SHOWN), end)}
-        angle.set(ylabel="angle θ (deg)", **window)
-        torque.set(xlabel="time (s)", ylabel="torque u (N m)", **window)
+        last_seconds = (max(0.0, end - SHOWN), end)
+        angle.set(ylabel="angle θ (deg)", xlim=last_seconds)
+        torque.set(xlabel="time (s)", ylabel="torque u (N m)", xlim=last_seconds)
         with replacing(path) as temporary:
             figure.savefig(temporary, dpi=DPI)

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from importlib.util import find_spec
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -36,8 +37,12 @@ FINISHED = "finished"
 
 @dataclass(frozen=True)
 class Job:
-    """One run of a study: row of the leaderboard, its settings with the training seed, and the
-    run's folder.
+    """One run of a study.
+
+    Attributes:
+        row: row of the leaderboard.
+        config: settings of the row, with the training seed.
+        run: folder of the run.
     """
 
     row: str
@@ -56,48 +61,48 @@ class Job:
 
 
 def plan(rows: Sequence[str], seeds: Sequence[int], folder: Path) -> list[Job]:
-    """Lists the runs of a study, each once: the first seed of every row, then the second, and so
-    on.
+    """Lists the runs of a study, each once: the first seed of every row, then the second, ..
 
     Raises:
         RunError: if a run's folder exists and holds no run, or a run with other settings.
         ValueError: if a row does not exist, or a seed is out of range.
     """
-    jobs = [
-        Job(row, dataclasses.replace(row_settings(row), seed=seed), folder / row / f"seed-{seed}")
-        for seed in dict.fromkeys(seeds)
-        for row in dict.fromkeys(rows)
-    ]
+    jobs = []
+    for seed, row in product(dict.fromkeys(seeds), dict.fromkeys(rows)):
+        config = dataclasses.replace(row_settings(row), seed=seed)
+        jobs.append(Job(row, config, folder / row / f"seed-{seed}"))
     for job in jobs:
         job.config.check()
         if job.run.exists():
-            begun, now = read_config(job.run).to_dict(), job.config.to_dict()
-            changed = [
-                f"{name} was {begun.get(name)!r} and is {now[name]!r}"
-                for name in now
-                if begun.get(name) != now[name]
-            ]
-            if changed:
-                raise RunError(
-                    f"{job.run} contains a run with other settings ({', '.join(changed)}): move it"
-                )
+            _check_settings(job)
     return jobs
 
 
+def _check_settings(job: Job) -> None:
+    """Raises a RunError for a run that has begun with other settings."""
+    begun = read_config(job.run).to_dict()
+    changed = []
+    for name, now in job.config.to_dict().items():
+        if begun.get(name) != now:
+            changed.append(f"{name} was {begun.get(name)!r} and is {now!r}")
+    if changed:
+        reason = f"contains a run with other settings ({', '.join(changed)})"
+        raise RunError(f"{job.run} {reason}: move it")
+
+
 def train_job(job: Job) -> str:
-    """Trains or resumes a run, with its output in seed-N.log next to its folder; returns the reason
-    for a failure.
+    """Trains or resumes a run, with its output in seed-N.log next to its folder.
+
+    Returns:
+        The reason for a failure; empty if the run is complete.
     """
     # Imported here, since torch takes seconds to import and only workers need it.
     from agents.training.loop import begin, train
 
     path = job.run.with_name(f"{job.run.name}.log")
     path.parent.mkdir(parents=True, exist_ok=True)
-    with (
-        path.open("a", encoding="utf-8", buffering=1) as log,
-        redirect_stdout(log),
-        redirect_stderr(log),
-    ):
+    log = path.open("a", encoding="utf-8", buffering=1)
+    with log, redirect_stdout(log), redirect_stderr(log):
         try:
             if not job.run.exists():
                 begin(job.run, job.config)
@@ -113,8 +118,10 @@ def train_job(job: Job) -> str:
 def train_all(
     jobs: Sequence[Job], parallel: int | None = None, backend: str = "loky"
 ) -> dict[Job, str]:
-    """Trains or resumes the unfinished runs, `parallel` at a time; returns the reasons for failures
-    by run.
+    """Trains or resumes the unfinished runs, `parallel` at a time.
+
+    Returns:
+        The reasons for failures by run.
     """
     # Imported here, since it takes long.
     from joblib import Parallel, delayed
@@ -122,28 +129,35 @@ def train_all(
     waiting = [job for job in jobs if not job.finished]
     try:
         if backend == "ray" and waiting:
-            found = _train_on_ray(
-                [dataclasses.replace(job, run=job.run.resolve()) for job in waiting]
-            )
+            reasons = _train_on_ray(waiting)
         else:
-            # One run per batch, since joblib would otherwise put several short runs into one.
-            # Workers get the terminal's Ctrl-C themselves; those without a run must not die of it.
-            idle = {"initializer": signal.signal, "initargs": (signal.SIGINT, signal.SIG_IGN)}
-            work = Parallel(parallel or -1, verbose=10, batch_size=1, pre_dispatch="n_jobs", **idle)
+            work = Parallel(
+                parallel or -1,
+                verbose=10,
+                # joblib would otherwise put several short runs into one batch.
+                batch_size=1,
+                pre_dispatch="n_jobs",
+                # Workers get the terminal's Ctrl-C themselves; those without a run must not die of
+                # it.
+                initializer=signal.signal,
+                initargs=(signal.SIGINT, signal.SIG_IGN),
+            )
             with Stop(signal.SIGINT) as stop:
-                found = work(delayed(train_job)(job) for job in waiting if not stop.requested)
+                reasons = work(delayed(train_job)(job) for job in waiting if not stop.requested)
             if stop.requested:
                 raise KeyboardInterrupt
     except Exception as error:
         # `train_job` does not raise: a worker was killed.
-        reason = f"{type(error).__name__}: {str(error).partition(chr(10))[0]}; --resume continues"
-        found = ["" if job.finished else reason for job in waiting]
-    return {job: reason for job, reason in zip(waiting, found, strict=True) if reason}
+        message = str(error).partition("\n")[0]
+        reason = f"{type(error).__name__}: {message}; --resume continues"
+        reasons = ["" if job.finished else reason for job in waiting]
+    return {job: reason for job, reason in zip(waiting, reasons, strict=True) if reason}
 
 
 def _train_on_ray(jobs: Sequence[Job]) -> list[str]:
-    """Trains or resumes runs on the Ray cluster that RAY_ADDRESS names, or a new one; returns
-    reasons for failures.
+    """Trains or resumes runs on the Ray cluster that RAY_ADDRESS names, or a new one.
+
+    Returns the reasons for failures, as `train_job`.
 
     All machines need the checkout and the runs at the same paths. Ray resumes the runs of a lost
     machine on another one; joblib's backend for Ray would wait forever for it, whose actor holds
@@ -152,13 +166,16 @@ def _train_on_ray(jobs: Sequence[Job]) -> list[str]:
     import ray
 
     root = str(Path(__file__).resolve().parents[1])
-    ray.init(
-        runtime_env={"env_vars": {"PYTHONPATH": root}}, log_to_driver=False, logging_level="error"
-    )
+    environment = {"env_vars": {"PYTHONPATH": root}}
+    ray.init(runtime_env=environment, log_to_driver=False, logging_level="error")
     try:
         # Ray starts as many as it has processors.
         train_remotely = ray.remote(num_cpus=1, max_retries=-1)(train_job)
-        references = running = [train_remotely.remote(job) for job in jobs]
+        references = []
+        for job in jobs:
+            absolute = dataclasses.replace(job, run=job.run.resolve())
+            references.append(train_remotely.remote(absolute))
+        running = references
         for _ in tqdm(jobs, unit=" runs", disable=None):
             _, running = ray.wait(running)
         found: list[str] = ray.get(references)
@@ -171,40 +188,38 @@ def results_table(jobs: Sequence[Job]) -> str:
     """The runs that have begun as a table, each with the evaluation of its best policy so far."""
     rows = [["run", "steps", "best at", "best"]]
     for job in jobs:
-        if not (path := job.run / EVALUATIONS).is_file():
+        path = job.run / EVALUATIONS
+        if not path.is_file():
             continue
-        with path.open(newline="", encoding="utf-8") as file:
-            lines = [
-                {name: float(value) for name, value in row.items()} for row in csv.DictReader(file)
-            ]
+        lines = list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
         criteria = CRITERIA[job.config.task]
-        chosen = max(lines, key=lambda line: line[f"score_{criteria.suffix}"])
-        best = criteria.describe(chosen | {criteria.metric.name: chosen[criteria.column]})
-        rows.append([job.name, *(f"{line['steps']:,.0f}" for line in (lines[-1], chosen)), best])
+        best = max(lines, key=lambda line: float(line[f"score_{criteria.suffix}"]))
+        values = {name: float(best[name]) for name in criteria.weights if name in best}
+        values[criteria.metric.name] = float(best[criteria.column])
+        steps = [f"{int(line['steps']):,}" for line in (lines[-1], best)]
+        rows.append([job.name, *steps, criteria.describe(values)])
     return text_table(rows, left=1)
 
 
 def check_committed(job: Job) -> None:
-    """Raises a RunError for a run that has begun, or would begin now, with code that is not
-    committed.
-    """
+    """Raises a RunError for a run that has begun, or would begin now, with uncommitted code."""
     # Imported here, since it needs torch.
     from agents.training.checkpoint import git_revision
 
-    path, revision = job.run / CONFIG, git_revision(Path(__file__).parent)
+    path = job.run / CONFIG
+    revision = git_revision(Path(__file__).parent)
     if path.exists():
         revision = json.loads(path.read_text(encoding="utf-8")).get("revision")
     if not re.fullmatch(r"[0-9a-f]+", str(revision)):
-        raise RunError(
-            f"--publish needs runs of committed code, got the revision {revision!r} of {job.run}"
-        )
+        found = f"the revision {revision!r} of {job.run}"
+        raise RunError(f"--publish needs runs of committed code, got {found}")
 
 
 def copy_policy(job: Job, checkpoints: Path = CHECKPOINTS) -> Path:
-    """Copies a run's best policy and its evaluations into the folder of its row and seed, which it
-    returns.
+    """Copies a run's best policy and its evaluations into the folder of its row and seed.
 
-    The run's configuration replaces that of the row, whose runs differ in their seeds only.
+    Returns that folder. The run's configuration replaces that of the row, whose runs differ in
+    their seeds only.
 
     Raises:
         RunError: if the run is not finished, or its code was not committed.
@@ -266,10 +281,8 @@ def main(
     planned = plan(rows, seeds, runs)
     for job in planned:
         if job.run.exists() and not job.finished and not resume:
-            raise ValueError(
-                f"{job.run} contains an unfinished run: --resume continues what is your own, reading the pickles of "
-                "its checkpoints"
-            )
+            hint = "--resume continues what is your own, reading the pickles of its checkpoints"
+            raise ValueError(f"{job.run} contains an unfinished run: {hint}")
         if publish and not job.finished:
             check_committed(job)
     try:
@@ -278,17 +291,26 @@ def main(
         print("\nStopped; --resume continues.")
         return INTERRUPTED
     print(results_table(planned))
-    print(
-        "Mean speed and failures of the best evaluation on the run's validation plants, never on a frozen set."
-    )
+    plants = "the run's validation plants, never on a frozen set"
+    print(f"Mean speed and failures of the best evaluation on {plants}.")
     problems = [f"{job.name} failed: {reason}" for job, reason in failures.items()]
-    for job in (job for job in planned if publish and job.finished):
-        try:
-            print(f"Published: {copy_policy(job)}")
-        except (RunError, OSError) as error:
-            problems.append(f"{job.name} is not published: {error}")
-    print(*problems, sep="\n", end="\n" if problems else "", file=sys.stderr)
+    if publish:
+        problems += _publish(planned)
+    for problem in problems:
+        print(problem, file=sys.stderr)
     return 1 if problems else 0
+
+
+def _publish(jobs: Sequence[Job]) -> list[str]:
+    """Publishes finished runs; returns the reasons why some are not."""
+    problems = []
+    for job in jobs:
+        if job.finished:
+            try:
+                print(f"Published: {copy_policy(job)}")
+            except (RunError, OSError) as error:
+                problems.append(f"{job.name} is not published: {error}")
+    return problems
 
 
 if __name__ == "__main__":

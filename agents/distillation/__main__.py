@@ -35,14 +35,11 @@ def main(
     from agents.distillation.dagger import FINISHED, distil
 
     folders = {seed: runs / name / f"seed-{seed}" for seed in seeds}
-    waiting = {
-        seed: folder for seed, folder in folders.items() if not (folder / FINISHED).is_file()
-    }
-    if started := [str(folder) for folder in waiting.values() if folder.exists()]:
-        refuse(
-            PROG,
-            f"{', '.join(started)} is an unfinished run: remove it, or choose another folder with --runs",
-        )
+    waiting = {seed: run for seed, run in folders.items() if not (run / FINISHED).is_file()}
+    started = [str(folder) for folder in waiting.values() if folder.exists()]
+    if started:
+        reason = "is an unfinished run: remove it, or choose another folder with --runs"
+        refuse(PROG, f"{', '.join(started)} {reason}")
     try:
         for seed, folder in waiting.items():
             distil(name, STUDENTS[name], seed, folder)

@@ -1,6 +1,4 @@
-"""The students of the optimum: what each observes, the episodes it is trained on, and the size of
-its training.
-"""
+"""The students of the optimum: their observations, training episodes, and size of training."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -12,8 +10,9 @@ from capsule_gym.parameters import NOMINAL
 
 @dataclass(frozen=True)
 class Student:
-    """The training episodes of a student, and the size of its training. It observes online
-    estimates of M and mu.
+    """The training episodes of a student, and the size of its training.
+
+    A student observes online estimates of M and mu.
 
     Attributes:
         randomization: the distribution of M and mu.
@@ -59,41 +58,41 @@ class Student:
     @property
     def env_kwargs(self) -> dict[str, Any]:
         """The arguments of the student's environment."""
-        own = {"capsule": self.grid.capsule} if self.grid.capsule != NOMINAL else {}
-        return {
+        kwargs: dict[str, Any] = {
             "randomization": self.randomization,
             "observe_estimates": True,
             "observe_parameters": False,
-            **own,
         }
+        if self.grid.capsule != NOMINAL:
+            kwargs["capsule"] = self.grid.capsule
+        return kwargs
 
 
+_WIDE = Student(
+    randomization="broad",
+    grid=GRID,
+    change_rate=0.2,
+    margin=0.5,
+    deviations=2.0,
+    max_regret=60.0,
+    num_envs=96,
+    steps=800,
+    final_updates=60_000,
+    evaluation_episodes=128,
+    failure_cost=-CRITERIA["speed"].weights["failed"],
+)
+_STICKY = Student(
+    randomization="sticky",
+    grid=STICKY_GRID,
+    change_rate=0.0,
+    margin=1.0,
+    deviations=1.0,
+    max_regret=100.0,
+    num_envs=320,
+    steps=250,
+    final_updates=12_000,
+    evaluation_episodes=512,
+    failure_cost=1000.0,
+)
 # Keys are names of rows on the leaderboard.
-STUDENTS = {
-    "dp-distilled-wide": Student(
-        randomization="broad",
-        grid=GRID,
-        change_rate=0.2,
-        margin=0.5,
-        deviations=2.0,
-        max_regret=60.0,
-        num_envs=96,
-        steps=800,
-        final_updates=60_000,
-        evaluation_episodes=128,
-        failure_cost=-CRITERIA["speed"].weights["failed"],
-    ),
-    "sticky": Student(
-        randomization="sticky",
-        grid=STICKY_GRID,
-        change_rate=0.0,
-        margin=1.0,
-        deviations=1.0,
-        max_regret=100.0,
-        num_envs=320,
-        steps=250,
-        final_updates=12_000,
-        evaluation_episodes=512,
-        failure_cost=1000.0,
-    ),
-}
+STUDENTS = {"dp-distilled-wide": _WIDE, "sticky": _STICKY}

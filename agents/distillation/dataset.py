@@ -1,5 +1,4 @@
-"""The data of distillation: states that expert and student visit, and the regret of every torque in
-these states.
+"""The data of distillation: the states that expert and student visit, and regrets of torques.
 
 The expert is the optimum of the episode's plant, `baselines.dynamic_programming.policy.Oracle`. It
 observes M and mu. From a student, M and mu are hidden: it observes online estimates, and learns the
@@ -19,8 +18,10 @@ from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
 from capsule_gym.policies.scripted import Act
 from capsule_gym.tasks.task import CONTROL_DT
 
-# Probabilities per step that the acting policy is drawn again, and that the action is random.
-SWITCH_PROBABILITY, EXPLORATION_PROBABILITY = 0.02, 0.01
+# Probability per step that the acting policy is drawn again.
+SWITCH_PROBABILITY = 0.02
+# Probability per step that the action is random.
+EXPLORATION_PROBABILITY = 0.01
 
 
 class Dataset(NamedTuple):
@@ -39,42 +40,36 @@ class Dataset(NamedTuple):
 def collect(
     student: Student, rng: np.random.Generator, expert_share: float, act: Act | None
 ) -> Dataset:
-    """Runs a batch of episodes in which the expert acts for `expert_share` of the time, and the
-    student's `act` else.
+    """Runs a batch of episodes in which the expert acts for `expert_share` of the time.
 
-    `rng` draws the plants, the acting policy and the exploration. If `act` is None, only the expert
-    acts.
+    The student's `act` acts in the remaining time; if it is None, only the expert acts. `rng` draws
+    the plants, the acting policy and the exploration.
     """
-    count, none = student.num_envs, AutoresetMode.DISABLED
-    env = CapsuleVectorEnv(
-        num_envs=count, autoreset_mode=none, **{**student.env_kwargs, "observe_parameters": True}
-    )
+    count = student.num_envs
+    env_kwargs = student.env_kwargs | {"observe_parameters": True}
+    env = CapsuleVectorEnv(num_envs=count, autoreset_mode=AutoresetMode.DISABLED, **env_kwargs)
+    entries = list(env.simulation.entries)
+    M, mu = entries.index("M"), entries.index("mu")
     expert = Oracle(count, student.grid)
-    # The expert observes M and mu, but no estimates; the student estimates, but neither M nor mu.
-    names = list(env.simulation.entries)
-    plant, deviation = names.index("M"), names.index("M_deviation")
     seeds = rng.integers(2**31, size=count).tolist()
     observations, _ = env.reset(seed=seeds, options=_plant_changes(student, rng))
-    running, expert_acts = np.ones(count, bool), rng.random(count) < expert_share
+    running = np.ones(count, bool)
+    expert_acts = rng.random(count) < expert_share
     inputs, regrets = [], []
     for _ in range(student.steps):
-        given = np.delete(observations, [plant, plant + 1], axis=1)
-        scores = expert.scores(observations[:, : plant + 2])
-        margins = (
-            np.full((count, 1), student.margin)
-            + student.deviations * NOMINAL.g * observations[:, [deviation]]
-        )
-        scores -= student.max_regret * np.clip(1.0 - expert.normal_force / margins, 0.0, 1.0)
-        regret = np.minimum(scores.max(axis=1, keepdims=True) - scores, student.max_regret).astype(
-            np.float32
-        )
-        inputs.append(given[running])
+        # The expert observes M and mu, but no estimates; the student estimates, but neither M nor
+        # mu.
+        observed = np.delete(observations, [M, mu], axis=1)
+        scores = expert.scores(observations[:, : mu + 1])
+        M_deviation = observations[:, [entries.index("M_deviation")]]
+        regret = _regret(student, scores, expert.normal_force, M_deviation)
+        inputs.append(observed[running])
         regrets.append(regret[running])
         actions = TORQUES[regret.argmin(axis=1)]
         if act is not None:
             switch = rng.random(count) < SWITCH_PROBABILITY
             expert_acts = np.where(switch, rng.random(count) < expert_share, expert_acts)
-            actions = np.where(expert_acts, actions, act(given)[:, 0])
+            actions = np.where(expert_acts, actions, act(observed)[:, 0])
         explore = rng.random(count) < EXPLORATION_PROBABILITY
         actions = np.where(explore, rng.uniform(-1.0, 1.0, count), actions)
         observations, _, terminated, truncated, _ = env.step(actions[:, None].astype(np.float32))
@@ -84,17 +79,32 @@ def collect(
     return Dataset(np.concatenate(inputs), np.concatenate(regrets))
 
 
-def _plant_changes(student: Student, rng: np.random.Generator) -> dict[str, Any]:
-    """The options of a reset: the times at which M and mu change within an episode, and their new
-    values.
+def _regret(
+    student: Student, scores: np.ndarray, normal_force: np.ndarray, M_deviation: np.ndarray
+) -> np.ndarray:
+    """The regret of every torque, cm, shape (episodes, NUM_TORQUES).
+
+    Args:
+        student: the student, whose margin makes torques with little normal force more costly.
+        scores: the expert's scores of the torques, cm, shape (episodes, NUM_TORQUES).
+        normal_force: least normal force after each torque, N, of the same shape.
+        M_deviation: standard deviation of the estimate of M, kg, shape (episodes, 1).
     """
-    seconds, changes = student.steps * CONTROL_DT, []
+    weight_deviations = student.deviations * NOMINAL.g * M_deviation
+    margins = student.margin + weight_deviations.astype(np.float64)
+    scores = scores - student.max_regret * np.clip(1.0 - normal_force / margins, 0.0, 1.0)
+    regret = scores.max(axis=1, keepdims=True) - scores
+    return np.minimum(regret, student.max_regret).astype(np.float32)
+
+
+def _plant_changes(student: Student, rng: np.random.Generator) -> dict[str, Any]:
+    """The options of a reset: when M and mu change within an episode, and their new values."""
+    seconds = student.steps * CONTROL_DT
+    changes: list[list[dict[str, float]]] = []
     for _ in range(student.num_envs):
-        times = np.sort(
-            rng.uniform(0.0, seconds, rng.poisson(student.change_rate * seconds))
-        ).tolist()
-        plants = [draw_plant(RANDOMIZATIONS["wide"], NOMINAL, rng) for _ in times]
-        changes.append(
-            [{"t": t, "M": M, "mu": mu} for t, (M, mu) in zip(times, plants, strict=True)]
-        )
+        count = rng.poisson(student.change_rate * seconds)
+        changes.append([])
+        for t in sorted(rng.uniform(0.0, seconds, count).tolist()):
+            M, mu = draw_plant(RANDOMIZATIONS["wide"], NOMINAL, rng)
+            changes[-1].append({"t": t, "M": M, "mu": mu})
     return {"changes": changes}

@@ -1,8 +1,7 @@
-"""Writes and checks the leaderboard, every policy on every frozen set: `python -m
-agents.leaderboard`.
+"""Writes and checks the leaderboard: `python -m agents.leaderboard`.
 
-The episodes of all policies are written to agents/leaderboard/results; leaderboard.json, the pages
-and the chart depend only on these files.
+The leaderboard has every policy on every frozen set. The episodes of all policies are written to
+agents/leaderboard/results; leaderboard.json, the pages and the chart depend only on these files.
 
 The check compares headers, pages and every bit of every episode with the results, but not the
 versions of packages.
@@ -49,47 +48,52 @@ SETS = SET_NAMES + FURTHER_SET_NAMES + TASK_SET_NAMES
 
 def uncommitted(candidates: Sequence[Candidate]) -> list[str]:
     """The policies that cannot be trained again, since their training code was not committed."""
-    policies = [
-        (f"{each.name}/seed-{p.training_seed}", p.revision)
-        for each in candidates
-        for p in each.trained
-    ]
-    return [
-        f"{name}: the revision {revision} is not committed"
-        for name, revision in policies
-        if "+" in revision
-    ]
+    found = []
+    for candidate in candidates:
+        for policy in candidate.trained:
+            if "+" in policy.revision:
+                name = f"{candidate.name}/seed-{policy.training_seed}"
+                found.append(f"{name}: the revision {policy.revision} is not committed")
+    return found
 
 
 def find_stale(
     root: Path, candidates: Sequence[Candidate], sets: Sequence[EvaluationSet]
 ) -> Iterator[str]:
-    """Lists what is stale in the project's folder without an evaluation: headers of rows, the
-    pages, the chart.
+    """Lists what is stale without an evaluation: headers of rows, the pages, the chart.
 
     Raises:
         ValueError: if results are missing, or are those of other sets.
     """
     names = [candidate.name for candidate in candidates]
-    extra = [path.stem for path in sorted((root / RESULTS).glob("*.npz")) if path.stem not in names]
-    yield from (f"{name}: has results and does not exist" for name in extra)
+    for path in sorted((root / RESULTS).glob("*.npz")):
+        if path.stem not in names:
+            yield f"{path.stem}: has results and does not exist"
     yield from uncommitted(candidates)
     rows = load_rows(root / RESULTS, names)
     for row, candidate in zip(rows, candidates, strict=True):
-        hashes = {each.name: each.hash for each in sets if each.task == candidate.task}
-        for field, now in {**static_header(candidate), "sets": hashes}.items():
+        header = static_header(candidate)
+        header["sets"] = {each.name: each.hash for each in sets if each.task == candidate.task}
+        for field, now in header.items():
             if row.header[field] != now:
                 yield f"{row.name}: {field} differs from its results"
     board = build(rows, sets)
-    for name, text in {**files(root, board), CHART: digest(board)}.items():
-        found = (root / name).read_text(encoding="utf-8") if (root / name).is_file() else ""
-        if text not in found or (name != CHART and text != found):
+    for name, text in files(root, board).items():
+        if _read_if_any(root / name) != text:
             yield f"{name} differs from the results"
+    if digest(board) not in _read_if_any(root / CHART):
+        yield f"{CHART} differs from the results"
+
+
+def _read_if_any(path: Path) -> str:
+    """A file's text; empty if it does not exist."""
+    return path.read_text(encoding="utf-8") if path.is_file() else ""
 
 
 def check_episodes(root: Path, rows: Iterable[LeaderboardRow]) -> Iterator[str]:
-    """Compares every bit of rows with the first episodes of the results; lists the first difference
-    on each set.
+    """Compares rows with the first episodes of the results, bit for bit.
+
+    Lists the first difference on each set.
     """
     for row in rows:
         recorded = load_row(root / RESULTS / f"{row.name}.npz")
@@ -97,13 +101,13 @@ def check_episodes(root: Path, rows: Iterable[LeaderboardRow]) -> Iterator[str]:
             before = recorded.scores[set_name][:, :, : now.shape[2]]
             differs = np.argwhere(before.view(np.uint64) != now.view(np.uint64))
             if differs.size:
-                metric, run, episode = first = tuple(differs[0].tolist())
+                metric, run, episode = differs[0].tolist()
+                was, value = (each[metric, run, episode].item() for each in (before, now))
+                name = row.header["metrics"][metric]
                 seed = f"training seed {row.header['training_seeds'][run]}, " if row.trained else ""
-                numbers = (
-                    f"is {before[first].item()!r} in its results and {now[first].item()!r} now"
-                )
-                where = f"({seed}episode {episode}; {len(differs)} of {now.size} differ)"
-                yield f"{row.name} on {set_name}: {row.header['metrics'][metric]} {numbers} {where}"
+                where = f"{seed}episode {episode}; {len(differs)} of {now.size} differ"
+                numbers = f"{was!r} in its results and {value!r} now"
+                yield f"{row.name} on {set_name}: {name} is {numbers} ({where})"
 
 
 @command(COMMAND, ValueError)
@@ -129,35 +133,25 @@ def main(
         plants: With --check, number of plants per set that are evaluated again; all by default.
         jobs: Processes.
     """
-    candidates, sets = (
-        [each for task in TASKS for each in all_candidates(task)],
-        [load_set(name) for name in SETS],
-    )
+    candidates = [each for task in TASKS for each in all_candidates(task)]
+    sets = [load_set(name) for name in SETS]
     known = [candidate.name for candidate in candidates]
-    chosen = [] if from_results else [each for each in candidates if each.name in (names or known)]
     check_count("--jobs", jobs)
-    require(
-        plants is None or (plants >= 1 and check),
-        "--plants",
-        "an integer >= 1, with --check",
-        plants,
-    )
+    if plants is not None:
+        require(plants >= 1 and check, "--plants", "an integer >= 1, with --check", plants)
     require(not (names and from_results), "--from-results", "given without names", " ".join(names))
     for name in names:
         if name not in known:
-            raise ValueError(
-                f"names must be among {', '.join(known)}, got {name}{nearest(name, known)}"
-            )
+            accepted = f"among {', '.join(known)}"
+            raise ValueError(f"names must be {accepted}, got {name}{nearest(name, known)}")
+    chosen = [] if from_results else [each for each in candidates if each.name in (names or known)]
     if check:
-        stale = [*find_stale(ROOT, candidates, sets)]
+        stale = list(find_stale(ROOT, candidates, sets))
         if not stale:
             sets = [replace(each, plants=each.plants[:plants]) for each in sets]
             stale += check_episodes(ROOT, evaluate(chosen, sets, jobs=jobs))
-        print(
-            "The leaderboard is stale:" if stale else "The leaderboard is up to date.",
-            *stale,
-            sep="\n- ",
-        )
+        result = "The leaderboard is stale:" if stale else "The leaderboard is up to date."
+        print(result, *stale, sep="\n- ")
         return int(bool(stale))
     for line in uncommitted(chosen):
         raise ValueError(line)
@@ -168,7 +162,9 @@ def main(
         print(f"Stopped. The rows that were finished are kept in {ROOT / RESULTS}.")
         return INTERRUPTED
     board = build(load_rows(ROOT / RESULTS, known), sets)
-    for path, text in {**files(ROOT, board), CHART: draw(board)}.items():
+    texts = files(ROOT, board)
+    texts[CHART] = draw(board)
+    for path, text in texts.items():
         write_atomically(ROOT / path, text)
     print(f"Written: {len(candidates)} policies on {len(sets)} sets, to {ROOT / 'LEADERBOARD.md'}")
     return 0

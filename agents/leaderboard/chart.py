@@ -1,6 +1,4 @@
-"""The chart of the main table: bars of the mean speeds on `paper` and `real`, with shares of failed
-episodes.
-"""
+"""The chart of the main table: mean speeds and shares of failed episodes on `paper` and `real`."""
 
 import io
 import textwrap
@@ -16,71 +14,72 @@ BARS = {
     RANKING_SET: (BLUE, "paper: perfect sensors, the plants that models assume"),
     REAL: (VERMILION, "real: noise, bias and latency of sensors, lag and friction of the motor"),
 }
-WIDTH, LINE, BAR, LABEL_COLUMNS = 5.0, 0.19, 0.38, 22
+# Width of the figure and height of a line, in.
+WIDTH = 5.0
+LINE_HEIGHT = 0.19
+# Thickness of a bar, in lines.
+BAR = 0.38
+LABEL_COLUMNS = 22
+# Distance of a mark from its bar, cm/s.
+MARK_DISTANCE = 0.15
 # Smallest share of failed episodes that is marked.
 MARKED = 0.005
+CROSS = "\N{MULTIPLICATION SIGN}"
 
 
-def contents(board: Mapping[str, Any]) -> list[tuple[str, list[list[float]]]]:
-    """The lines of the chart: titles of groups, and policies with mean speed (cm/s) and share of
-    failures by set.
+def contents(board: Mapping[str, Any]) -> list[tuple[str, list[tuple[float, float]]]]:
+    """The lines of the chart: titles of groups, and policies with their bars.
+
+    A bar is the mean speed (cm/s) and the share of failed episodes on a set.
     """
-    found: list[tuple[str, list[list[float]]]] = []
+    found: list[tuple[str, list[tuple[float, float]]]] = []
     for title, rows in grouped(board).items():
         found.append((title, []))
         for row in rows:
-            results = [row["results"][name] for name in BARS]
-            bars = [
-                [each[SPEED.name]["mean"], each["failures"] / each["episodes"]] for each in results
-            ]
+            bars = []
+            for set_name in BARS:
+                result = row["results"][set_name]
+                failed = result["failures"] / result["episodes"]
+                bars.append((result[SPEED.name]["mean"], failed))
             found.append((row["policy"], bars))
     return found
 
 
 def digest(board: Mapping[str, Any]) -> str:
-    """The hash of what the chart shows, which its file contains: outlines differ between versions
-    of matplotlib.
+    """The hash of what the chart shows, which its file contains.
+
+    The file's outlines differ between versions of matplotlib.
     """
     return canonical_hash(contents(board))
 
 
 def draw(board: Mapping[str, Any]) -> str:
-    """The chart as SVG; the same numbers give the same bytes with the same version of
-    matplotlib.
-    """
-    lines, content = contents(board), io.StringIO()
+    """The chart as SVG; equal numbers give equal bytes with the same version of matplotlib."""
+    lines = contents(board)
     with style():
-        figure = new_figure(0.75 + LINE * len(lines), WIDTH)
+        figure = new_figure(0.75 + LINE_HEIGHT * len(lines), WIDTH)
         axes = figure.subplots()
         for n, (colour, label) in enumerate(BARS.values()):
-            bars = [(y + (n - 0.5) * BAR, *bars[n]) for y, (_, bars) in enumerate(lines) if bars]
-            axes.barh(
-                [y for y, *_ in bars],
-                [speed for _, speed, _ in bars],
-                BAR,
-                color=colour,
-                label=label,
-            )
-            for y, speed, failed in (bar for bar in bars if bar[2] >= MARKED):
-                text = f"\N{MULTIPLICATION SIGN} {100.0 * failed:.0f} %"
-                axes.annotate(
-                    text, (max(speed, 0.0) + 0.15, y), va="center_baseline", fontsize="small"
-                )
-        axes.set_yticks(
-            range(len(lines)), [textwrap.fill(label, LABEL_COLUMNS) for label, _ in lines]
-        )
+            # The bar of the first set is above the middle of its line, the other one below.
+            offset = (n - 0.5) * BAR
+            bars = {y + offset: bars[n] for y, (_, bars) in enumerate(lines) if bars}
+            speeds = [speed for speed, _ in bars.values()]
+            axes.barh(list(bars), speeds, BAR, color=colour, label=label)
+            for y, (speed, failed) in bars.items():
+                if failed >= MARKED:
+                    text = f"{CROSS} {100.0 * failed:.0f} %"
+                    place = (max(speed, 0.0) + MARK_DISTANCE, y)
+                    axes.annotate(text, place, va="center_baseline", fontsize="small")
+        names = [textwrap.fill(label, LABEL_COLUMNS) for label, _ in lines]
+        axes.set_yticks(range(len(lines)), names)
         for tick, (_, shown) in zip(axes.get_yticklabels(), lines, strict=True):
             tick.set_fontweight("normal" if shown else "bold")
-        axes.set(
-            xlabel="mean speed (cm/s); \N{MULTIPLICATION SIGN} failed episodes",
-            ylim=(len(lines) - 0.4, -0.4),
-        )
+        axes.set_xlabel(f"mean speed (cm/s); {CROSS} failed episodes")
         axes.set_xlim(left=0.0)
+        axes.set_ylim(len(lines) - 0.4, -0.4)
         axes.grid(visible=False, axis="y")
         figure.legend(loc="outside upper left")
-        figure.savefig(
-            content,
-            format="svg",
-            metadata={"Date": None, "Creator": None, "Description": digest(board)},
-        )
+        content = io.StringIO()
+        metadata = {"Date": None, "Creator": None, "Description": digest(board)}
+        figure.savefig(content, format="svg", metadata=metadata)
     return content.getvalue()

@@ -38,8 +38,9 @@ COLUMNS = tuple(name for name in METRICS if name not in ("distance", "energy"))
 
 @dataclass(frozen=True, eq=False)
 class LeaderboardRow:
-    """All episodes of one policy: the header, and the arrays by the set's name; a scripted policy
-    has one run.
+    """All episodes of one policy: the header, and the arrays by the set's name.
+
+    A scripted policy has one run.
     """
 
     header: dict[str, Any]
@@ -62,8 +63,8 @@ class LeaderboardRow:
 
     def score(self, set_name: str, metric: str) -> np.ndarray:
         """The values of a metric in all episodes of a set, shape (runs, episodes)."""
-        found: np.ndarray = self.scores[set_name][self.header["metrics"].index(metric)]
-        return found
+        column = self.header["metrics"].index(metric)
+        return np.asarray(self.scores[set_name][column])
 
     def episodes(self, evaluation_set: EvaluationSet) -> list[Episode]:
         """The episodes as `capsule_gym.evaluate` returns them, without the omitted metrics.
@@ -72,11 +73,10 @@ class LeaderboardRow:
             ValueError: if the row was evaluated on another set of this name, or on none.
         """
         self.check_set(evaluation_set)
+        values = self.scores[evaluation_set.name]
         found = []
-        for i, seed in enumerate(self.header["training_seeds"] or [None]):
-            metrics = dict(
-                zip(self.header["metrics"], self.scores[evaluation_set.name][:, i], strict=True)
-            )
+        for run, seed in enumerate(self.header["training_seeds"] or [None]):
+            metrics = dict(zip(self.header["metrics"], values[:, run], strict=True))
             found += as_episodes(evaluation_set, metrics, training_seed=seed)
         return found
 
@@ -85,27 +85,25 @@ class LeaderboardRow:
         recorded = self.header["sets"].get(evaluation_set.name)
         if recorded != evaluation_set.hash:
             raise ValueError(
-                f"{self.name}: the hash of the set {evaluation_set.name} is {recorded} in its results and "
-                f"{evaluation_set.hash} now"
+                f"{self.name}: the hash of the set {evaluation_set.name} is {recorded} in its "
+                f"results and {evaluation_set.hash} now"
             )
 
 
 def static_header(candidate: Candidate) -> dict[str, Any]:
     """The fields of a row's header that do not require an evaluation."""
-    trained, folder = candidate.trained, candidate.folder
-    files = (
-        {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob(POLICY))}
-        if folder
-        else {}
-    )
+    revisions = dict.fromkeys(policy.revision for policy in candidate.trained)
+    hashes = {}
+    if candidate.folder is not None:
+        for path in sorted(candidate.folder.rglob(POLICY)):
+            name = path.relative_to(candidate.folder).as_posix()
+            hashes[name] = hashlib.sha256(path.read_bytes()).hexdigest()
     return {
         "policy": candidate.name,
         "description": candidate.description,
-        "training_seeds": [policy.training_seed for policy in trained],
-        "revision": ", ".join(dict.fromkeys(policy.revision for policy in trained)) or None,
-        "files": {
-            name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()
-        },
+        "training_seeds": [policy.training_seed for policy in candidate.trained],
+        "revision": ", ".join(revisions) or None,
+        "files": hashes,
         "base": candidate.base,
     }
 
@@ -115,16 +113,15 @@ def columns(task: str) -> list[str]:
     return [*COLUMNS, *find_task(task).metrics]
 
 
-def _work(
+def _evaluate_run(
     policy: AnyPolicy, sets: Sequence[EvaluationSet], horizon: float | None
 ) -> dict[str, np.ndarray]:
     """The metrics of one run by the set's name, each of shape (metrics, episodes)."""
     found = {}
     for each in sets:
         episodes = evaluate_policy(policy, each, horizon=horizon)
-        found[each.name] = np.array(
-            [[episode[name] for episode in episodes] for name in columns(each.task)]
-        )
+        names = columns(each.task)
+        found[each.name] = np.array([[episode[name] for episode in episodes] for name in names])
     return found
 
 
@@ -135,47 +132,38 @@ def evaluate(
     jobs: int = 1,
     horizon: float | None = None,
 ) -> Iterator[LeaderboardRow]:
-    """Evaluates policies on the sets of their task, with a progress bar; yields each row as soon as
-    it is finished.
+    """Evaluates policies on the sets of their task; yields each row as soon as it is finished.
 
     `jobs` is the number of processes, `horizon` the length of an episode in s.
     """
     # Imported here, since the import is slow and --help does not need it.
     from joblib import Parallel, delayed
 
-    own = {
-        candidate.name: [each for each in sets if each.task == candidate.task]
-        for candidate in candidates
-    }
-    work = [(policy, candidate) for candidate in candidates for policy in candidate.policies]
+    sets_of: dict[str, list[EvaluationSet]] = {}
+    work = []
+    for candidate in candidates:
+        own_sets = sets_of[candidate.name] = [each for each in sets if each.task == candidate.task]
+        for policy in candidate.policies:
+            work.append(delayed(_evaluate_run)(policy, own_sets, horizon))
     if not work:
         return
-    results = Parallel(jobs, return_as="generator")(
-        delayed(_work)(policy, own[candidate.name], horizon) for policy, candidate in work
-    )
-    found = iter(tqdm(results, "evaluating", len(work), file=sys.stderr, disable=None))
+    results = Parallel(jobs, return_as="generator")(work)
+    bar = iter(tqdm(results, "evaluating", len(work), file=sys.stderr, disable=None))
     for candidate in candidates:
-        runs = [next(found) for _ in candidate.policies]
-        header = {
-            **static_header(candidate),
-            "metrics": columns(candidate.task),
-            "sets": {each.name: each.hash for each in own[candidate.name]},
-            "versions": versions(),
-        }
-        yield LeaderboardRow(
-            header, {name: np.stack([run[name] for run in runs], axis=1) for name in header["sets"]}
-        )
+        runs = [next(bar) for _ in candidate.policies]
+        hashes = {each.name: each.hash for each in sets_of[candidate.name]}
+        scores = {name: np.stack([run[name] for run in runs], axis=1) for name in hashes}
+        header = static_header(candidate)
+        header |= {"metrics": columns(candidate.task), "sets": hashes, "versions": versions()}
+        yield LeaderboardRow(header, scores)
 
 
 def save_row(folder: Path, row: LeaderboardRow) -> None:
     """Writes a row's file atomically; the same row gives the same bytes."""
     folder.mkdir(parents=True, exist_ok=True)
-    arrays: dict[str, Any] = {
-        "header": np.frombuffer(json.dumps(row.header).encode(), np.uint8),
-        **row.scores,
-    }
+    header: Any = np.frombuffer(json.dumps(row.header).encode(), np.uint8)
     content = io.BytesIO()
-    np.savez_compressed(content, **arrays)
+    np.savez_compressed(content, header=header, **row.scores)  # type: ignore[arg-type]
     write_atomically(folder / f"{row.name}.npz", content.getvalue())
 
 
@@ -186,24 +174,21 @@ def load_row(path: Path) -> LeaderboardRow:
         ValueError: if the file does not exist, or was not written by `save_row`.
     """
     if not path.is_file():
-        raise ValueError(
-            f"{path.stem}: no results in {path.name}; `python -m agents.leaderboard NAME` writes them"
-        )
+        hint = "`python -m agents.leaderboard NAME` writes them"
+        raise ValueError(f"{path.stem}: no results in {path.name}; {hint}")
     try:
         # Read from memory, since numpy does not close an invalid file.
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
             header = json.loads(archive["header"].tobytes().decode())
             scores = {name: archive[name] for name in header["sets"]}
-        shape = (len(header["metrics"]), max(1, len(header["training_seeds"])))
-        fits = all(
-            values.dtype == np.float64 and values.shape[:2] == shape for values in scores.values()
-        )
+        runs = max(1, len(header["training_seeds"]))
+        expected = (np.float64, (len(header["metrics"]), runs))
+        fits = all((each.dtype, each.shape[:2]) == expected for each in scores.values())
         if header["policy"] != path.stem or not fits:
             raise ValueError("its header does not match its name or arrays")
     except UNREADABLE as error:
-        raise ValueError(
-            f"{path.stem}: {path.name} contains no results: {type(error).__name__}: {error}"
-        ) from error
+        reason = f"{type(error).__name__}: {error}"
+        raise ValueError(f"{path.stem}: {path.name} contains no results: {reason}") from error
     return LeaderboardRow(header, scores)
 
 

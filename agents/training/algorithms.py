@@ -1,5 +1,4 @@
-"""Creates the environments and the agent of a run from its configuration, with Stable-Baselines3's
-own classes.
+"""Creates the environments and the agent of a run, with Stable-Baselines3's own classes.
 
 To train with another algorithm, pass it the environments that `make_env(config, seed)` returns.
 """
@@ -46,9 +45,7 @@ CLASSES: dict[Algorithm, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "td3": 
 
 
 class EpisodeMetrics(gym.Wrapper[Any, Any, Any, Any]):
-    """Adds the episode's "metrics" (`capsule_gym.tasks.task.METRICS`) to the info of the last
-    step.
-    """
+    """Adds the episode's "metrics" (`capsule_gym.tasks.task.METRICS`) to the last step's info."""
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Steps the environment."""
@@ -73,9 +70,8 @@ def wrapped_env(config: Config, env_kwargs: Mapping[str, Any], steps: int) -> gy
         RunError: if a wrapper is not a subclass of `gymnasium.Wrapper` that takes only an
             environment.
     """
-    env: Any = gym.make(
-        f"capsule_gym:{config.env}", max_episode_steps=steps, disable_env_checker=True, **env_kwargs
-    )
+    name = f"capsule_gym:{config.env}"
+    env: Any = gym.make(name, max_episode_steps=steps, disable_env_checker=True, **env_kwargs)
     for name in config.wrapper:
         try:
             kind: Any = pkgutil.resolve_name(name)
@@ -91,8 +87,9 @@ def wrapped_env(config: Config, env_kwargs: Mapping[str, Any], steps: int) -> gy
 
 
 def make_env(config: Config, seed: int, **changes: Any) -> VecNormalize:
-    """Creates the training environments with normalised observations and, for PPO, normalised
-    rewards.
+    """Creates the training environments.
+
+    Observations are normalised and, for PPO, rewards.
 
     Args:
         config: the configuration.
@@ -101,9 +98,29 @@ def make_env(config: Config, seed: int, **changes: Any) -> VecNormalize:
 
     A wrong argument of the environment raises a TypeError or ValueError that names it.
     """
-    kwargs = {**config.env_kwargs(), **changes}
-    # Only for training: policies are selected with `residual_limit`, and the task's commands and
-    # sensors.
+    kwargs = _training_kwargs(config) | changes
+    steps = max(1, round((config.episode_seconds or config.horizon) / config.control_dt))
+    venv = _make_venv(config, seed, kwargs, steps)
+    if isinstance(config, PPOConfig):
+        env = VecNormalize(venv, gamma=config.gamma, clip_reward=config.clip_reward)
+    else:
+        env = VecNormalize(venv, gamma=config.gamma, norm_reward=False)
+    if config.observation_scale is not None:
+        statistics: Any = env.obs_rms
+        observed = statistics["policy"] if config.asymmetric else statistics
+        names = list(entries_of(EnvConfig(**kwargs)))
+        fixed: Any = FixedScale(_factors(config.observation_scale, names, observed.mean.shape))
+        env.obs_rms = {**statistics, "policy": fixed} if config.asymmetric else fixed
+    return env
+
+
+def _training_kwargs(config: Config) -> dict[str, Any]:
+    """The arguments of the training environments.
+
+    `training_limit` and the ranges of commands and latencies are only for training, not for the
+    selection of policies.
+    """
+    kwargs = config.env_kwargs()
     if config.training_limit is not None:
         kwargs["residual_limit"] = config.training_limit
     if config.command_range:
@@ -114,39 +131,44 @@ def make_env(config: Config, seed: int, **changes: Any) -> VecNormalize:
     if config.latency_range is not None:
         disturbances = Disturbances.named(config.disturbances) or Disturbances()
         kwargs["disturbances"] = dataclasses.replace(disturbances, latency=config.latency_range)
-    steps = max(1, round((config.episode_seconds or config.horizon) / config.control_dt))
-    venv: VecEnv
-    if config.wrapper:
-        venv = DummyVecEnv([lambda: wrapped_env(config, kwargs, steps)] * config.num_envs)
-        spaces = venv.observation_space, venv.action_space
-        if not all(isinstance(space, gym.spaces.Box) for space in spaces):
-            raise RunError(
-                f"--wrapper must leave observations and actions Box, got {spaces[0]} and {spaces[1]}"
-            )
-        venv.seed(seed)
-    else:
-        venv = CapsuleSB3VecEnv(
+    return kwargs
+
+
+def _make_venv(config: Config, seed: int, kwargs: dict[str, Any], steps: int) -> VecEnv:
+    """Creates the environments without normalisation, with the run's wrappers."""
+    if not config.wrapper:
+        return CapsuleSB3VecEnv(
             config.num_envs, seed, privileged=config.asymmetric, max_episode_steps=steps, **kwargs
         )
-    rewards = (
-        {"clip_reward": config.clip_reward}
-        if isinstance(config, PPOConfig)
-        else {"norm_reward": False}
-    )
-    env = VecNormalize(venv, gamma=config.gamma, **rewards)
-    if config.observation_scale is not None:
-        statistics: Any = env.obs_rms
-        observed = statistics["policy"] if config.asymmetric else statistics
-        factors = np.ones(observed.mean.shape)
-        of = dict(zip(("theta", "theta_dot", "x_dot"), config.observation_scale, strict=True))
-        of |= {"theta_d": of["theta"], "theta_d_dot": of["theta_dot"]}
-        # Wrappers may add entries, or remove some; the names of stacked observations end with a
-        # number.
-        for i, name in zip(range(len(factors)), entries_of(EnvConfig(**kwargs)), strict=False):
-            factors[i] = of.get(name.partition(" ")[0], 1.0)
-        fixed: Any = FixedScale(factors)
-        env.obs_rms = {**statistics, "policy": fixed} if config.asymmetric else fixed
-    return env
+    venv = DummyVecEnv([lambda: wrapped_env(config, kwargs, steps)] * config.num_envs)
+    spaces = (venv.observation_space, venv.action_space)
+    if not all(isinstance(space, gym.spaces.Box) for space in spaces):
+        found = f"{venv.observation_space} and {venv.action_space}"
+        raise RunError(f"--wrapper must leave observations and actions Box, got {found}")
+    venv.seed(seed)
+    return venv
+
+
+def _factors(
+    scale: tuple[float, float, float], names: list[str], shape: tuple[int, ...]
+) -> np.ndarray:
+    """The factors of an observation's entries, of this shape; `names` are those without wrappers.
+
+    Wrappers may add entries, or remove some.
+    """
+    theta, theta_dot, x_dot = scale
+    factor_of = {
+        "theta": theta,
+        "theta_d": theta,
+        "theta_dot": theta_dot,
+        "theta_d_dot": theta_dot,
+        "x_dot": x_dot,
+    }
+    factors = np.ones(shape)
+    for i, name in enumerate(names[: len(factors)]):
+        # The names of stacked observations end with a number.
+        factors[i] = factor_of.get(name.partition(" ")[0], 1.0)
+    return factors
 
 
 def schedule(config: Config) -> LinearSchedule:
@@ -156,39 +178,48 @@ def schedule(config: Config) -> LinearSchedule:
 
 def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
     """Creates an untrained agent in the environments of `make_env`."""
-    network: dict[str, Any] = {"net_arch": [config.hidden, config.hidden]}
-    network["activation_fn"] = {"tanh": nn.Tanh, "relu": nn.ReLU}[config.activation]
-    kwargs: dict[str, Any] = {"learning_rate": schedule(config), "device": "cpu"}
-    names: tuple[str, ...] = ("batch_size", "gamma", "seed")
-    policy: Any = "MlpPolicy"
+    network: dict[str, Any] = {
+        "net_arch": [config.hidden, config.hidden],
+        "activation_fn": {"tanh": nn.Tanh, "relu": nn.ReLU}[config.activation],
+    }
+    names = ["batch_size", "gamma", "seed"]
+    kwargs: dict[str, Any] = {}
     if isinstance(config, PPOConfig):
         network["log_std_init"] = config.log_std_init
-        names += ("n_steps", "n_epochs", "gae_lambda", "ent_coef")
+        names += ["n_steps", "n_epochs", "gae_lambda", "ent_coef"]
     else:
         assert isinstance(config, OffPolicyConfig)
+        names += ["buffer_size", "learning_starts", "gradient_steps", "tau"]
         kwargs["train_freq"] = 1
-        names += ("buffer_size", "learning_starts", "gradient_steps", "tau")
         if config.action_noise > 0.0:
             kwargs["action_noise"] = make_noise(config)
         if config.n_steps > 1:
             # Equivalent to SB3's argument n_steps, which causes a warning when a model is loaded.
             kwargs["replay_buffer_class"] = NStepReplayBuffer
             kwargs["replay_buffer_kwargs"] = {"n_steps": config.n_steps, "gamma": config.gamma}
-        names += ("target_entropy",) if isinstance(config, SACConfig) else ()
-    kwargs |= {name: getattr(config, name) for name in names}
-    if config.asymmetric:
-        policy = AsymmetricPolicy
-    elif isinstance(config, TQCConfig):
+    if isinstance(config, SACConfig):
+        names.append("target_entropy")
+    if isinstance(config, TQCConfig):
         kwargs["top_quantiles_to_drop_per_net"] = config.dropped_quantiles
         network["n_quantiles"] = config.quantiles
-    return CLASSES[config.algo](policy, env, policy_kwargs=network, **kwargs)
+    for name in names:
+        kwargs[name] = getattr(config, name)
+    return CLASSES[config.algo](
+        AsymmetricPolicy if config.asymmetric else "MlpPolicy",
+        env,
+        learning_rate=schedule(config),
+        policy_kwargs=network,
+        device="cpu",
+        **kwargs,
+    )
 
 
 def make_noise(config: OffPolicyConfig) -> ActionNoise:
     """Creates the noise on the actions in training."""
-    mean, deviation, time = np.zeros(1), config.action_noise, config.noise_time
-    if time == 0.0:
-        return NormalActionNoise(mean, np.full(1, deviation))
-    # The stationary standard deviation of the process is `deviation`.
-    sigma = np.full(1, deviation * math.sqrt(2.0 / time))
-    return OrnsteinUhlenbeckActionNoise(mean, sigma, theta=1.0 / time, dt=config.control_dt)
+    mean = np.zeros(1)
+    if config.noise_time == 0.0:
+        return NormalActionNoise(mean, np.full(1, config.action_noise))
+    # The stationary standard deviation of the process is `action_noise`.
+    sigma = np.full(1, config.action_noise * math.sqrt(2.0 / config.noise_time))
+    theta = 1.0 / config.noise_time
+    return OrnsteinUhlenbeckActionNoise(mean, sigma, theta, dt=config.control_dt)

@@ -3,7 +3,7 @@
 import copy
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +30,7 @@ from capsule_gym.evaluation.statistics import interquartile_mean
 from capsule_gym.files import write_atomically
 from capsule_gym.tasks.registry import find_task
 
-# Far from the seeds 0, 1, .. of training runs and evaluation sets, so that no other plants select
-# models.
+# Far from the seeds 0, 1, .. of training runs and evaluation sets.
 SELECTION_SEED = 1_000_000
 # Agent steps between two lines of the log of off-policy algorithms; on-policy algorithms log every
 # rollout.
@@ -43,14 +42,20 @@ class Stopped(Exception):  # noqa: N818 (it is no error)
 
 
 def validation_plants(config: Config) -> EvaluationSet:
-    """The plants that select a run's best model: from its training ranges, with seeds that are used
-    only for this.
+    """The plants that select a run's best model, from its training ranges.
+
+    Their seeds are used only for this.
     """
-    first = SELECTION_SEED + config.seed * config.evaluation_episodes
     options = EnvConfig(**config.env_kwargs())
-    name, count = f"validation plants from {config.randomization}", config.evaluation_episodes
-    own = options.capsule, config.task, options.disturbances
-    return validation_set(options.randomization, name, first, count, *own)
+    return validation_set(
+        options.randomization,
+        f"validation plants from {config.randomization}",
+        SELECTION_SEED + config.seed * config.evaluation_episodes,
+        config.evaluation_episodes,
+        options.capsule,
+        config.task,
+        options.disturbances,
+    )
 
 
 class TrainingCallback(BaseCallback):
@@ -71,19 +76,17 @@ class TrainingCallback(BaseCallback):
         revision: str,
     ) -> None:
         super().__init__()
-        self.run, self.config, self.revision = run, config, revision
-        self.progress, self.latest, self.stop, self.restore_streams = (
-            progress,
-            latest,
-            stop,
-            restore_streams,
-        )
+        self.run = run
+        self.config = config
+        self.revision = revision
+        self.progress = progress
+        self.latest = latest
+        self.stop = stop
+        self.restore_streams = restore_streams
         self.plants = validation_plants(config)
         self.criteria = CRITERIA[config.task]
         baseline = evaluate(self.criteria.baseline, self.plants)
-        self.baseline_value = float(
-            interquartile_mean(scores(baseline, self.criteria.metric.name))[0]
-        )
+        self.baseline_value = _interquartile_mean(baseline, self.criteria.metric.name)
         self.evaluated_at = int(progress.evaluations[-1]["steps"]) if progress.evaluations else 0
         self.core_began = time.process_time() - progress.core_seconds
         # The bar is shown only on a terminal; evaluations are always printed.
@@ -119,101 +122,89 @@ class TrainingCallback(BaseCallback):
             self._record_episodes()
         # SB3 logs off-policy algorithms at the ends of episodes, and all episodes end at the same
         # time.
-        made = self.num_timesteps - self.training_env.num_envs
-        if (
-            isinstance(self.model, OffPolicyAlgorithm)
-            and made // LOG_EVERY < self.num_timesteps // LOG_EVERY
-        ):
-            self.model.dump_logs()
+        if isinstance(self.model, OffPolicyAlgorithm):
+            before = self.num_timesteps - self.training_env.num_envs
+            if before // LOG_EVERY < self.num_timesteps // LOG_EVERY:
+                self.model.dump_logs()
 
     def _record_episodes(self) -> None:
         """Records the last episodes in the log and on the progress bar."""
-        assert self.model.ep_info_buffer is not None
-        config, task, criteria = self.config, find_task(self.config.task), self.criteria
-        names = (
-            "r",
-            "distance",
-            "energy",
-            "cost_of_transport",
-            "stuck_fraction",
-            *criteria.weights,
-        )
-        of = {
-            name: np.array([episode[name] for episode in self.model.ep_info_buffer])
-            for name in names
-        }
-        # The terms of the reward; progress is the rest.
-        failure = -config.termination_penalty * of["failed"]
-        energy = -config.energy_weight * of["energy"]
-        progress = of["r"] - energy - failure
-        of |= dict(zip(task.reward_terms, (progress, energy, failure), strict=True))
-        means = {name: float(of[name].mean()) for name in criteria.weights}
+        episodes: Any = self.model.ep_info_buffer
+
+        def values(name: str) -> np.ndarray:
+            return np.array([episode[name] for episode in episodes])
+
+        means = {name: float(values(name).mean()) for name in self.criteria.weights}
         for name, mean in means.items():
             self.logger.record(f"episodes/{name}", mean)
+        # The terms of the reward; progress is the rest.
+        failure = -self.config.termination_penalty * values("failed")
+        energy = -self.config.energy_weight * values("energy")
+        progress = values("r") - energy - failure
+        names = find_task(self.config.task).reward_terms
+        shown = {name: values(name) for name in ("cost_of_transport", "stuck_fraction")}
+        shown |= zip(names, (progress, energy, failure), strict=True)
         # Medians, since a single episode without progress has an infinite cost.
-        for name in ("cost_of_transport", "stuck_fraction", *task.reward_terms):
-            if math.isfinite(median := float(np.median(of[name]))):
+        for name, column in shown.items():
+            median = float(np.median(column))
+            if math.isfinite(median):
                 self.logger.record(f"episodes/{name}", median)
-        self.bar.set_postfix_str(criteria.describe(means), refresh=False)
+        self.bar.set_postfix_str(self.criteria.describe(means), refresh=False)
 
     def _on_training_end(self) -> None:
         self.evaluate()
 
     def policy(self) -> Policy | None:
         """The current deterministic policy of the agent; None under wrappers."""
-        return (
-            None
-            if self.config.wrapper
-            else export(self.run.name, self.model, self.config, self.revision)
-        )
+        if self.config.wrapper:
+            return None
+        return export(self.run.name, self.model, self.config, self.revision)
 
     def evaluate(self) -> None:
-        """Evaluates the deterministic policy; writes a line, a checkpoint, and the model if it is
-        the best so far.
+        """Evaluates the deterministic policy.
+
+        Writes a line, a checkpoint, and the model if it is the best so far.
         """
-        policy, criteria, plants = self.policy(), self.criteria, self.plants
-        episodes = (
-            evaluate(policy, plants)
-            if policy
-            else evaluate_wrapped(self.model, self.config, plants)
-        )
-        names = (*criteria.weights, "energy", "stuck_fraction")
-        means = {name: float(scores(episodes, name).mean()) for name in names}
-        score = (
-            criteria.score(means)
-            - self.config.energy_weight * means.pop("energy") / self.config.horizon
-        )
-        value, cost = (
-            float(interquartile_mean(scores(episodes, name))[0])
-            for name in (criteria.metric.name, "cost_of_transport")
-        )
-        values = means | {criteria.metric.name: value}
-        for name, logged in (values | {"score": score, "cost_of_transport": cost}).items():
-            if math.isfinite(logged):
-                self.logger.record(f"evaluation/{name}", logged)
+        policy = self.policy()
+        if policy is None:
+            episodes = evaluate_wrapped(self.model, self.config, self.plants)
+        else:
+            episodes = evaluate(policy, self.plants)
         self.evaluated_at = self.num_timesteps
-        shares = {name: values[name] for name in criteria.weights if name != criteria.metric.name}
-        line = {
-            "steps": self.num_timesteps,
-            "core_seconds": round(time.process_time() - self.core_began, 1),
-        }
-        line |= {
-            criteria.column: round(value, 4),
-            **shares,
-            f"score_{criteria.suffix}": round(score, 4),
-        }
-        line[f"baseline_{criteria.column}"] = round(self.baseline_value, 4)
-        self.progress.evaluations.append(line)
-        lines = [",".join(map(str, line.values())) for line in self.progress.evaluations]
-        write_atomically(
-            self.run / EVALUATIONS, "\n".join([",".join(self.progress.evaluations[0]), *lines, ""])
-        )
+        criteria = self.criteria
+        values = {name: _mean(episodes, name) for name in (*criteria.weights, "stuck_fraction")}
+        energy = self.config.energy_weight * _mean(episodes, "energy")
+        score = criteria.score(values) - energy / self.config.horizon
+        values[criteria.metric.name] = _interquartile_mean(episodes, criteria.metric.name)
+        cost = _interquartile_mean(episodes, "cost_of_transport")
+        for name, value in {**values, "score": score, "cost_of_transport": cost}.items():
+            if math.isfinite(value):
+                self.logger.record(f"evaluation/{name}", value)
+        self._write_line(values, score)
         reference = f"{criteria.baseline} {self.baseline_value:.2f} {criteria.unit}"
         self.bar.write(f"{self.num_timesteps:12,} steps: {criteria.describe(values)} ({reference})")
         if score > self.progress.best_score:
             self.progress.best_score = score
             save(self.run / BEST, self.model, policy)
         self.checkpoint()
+
+    def _write_line(self, values: Mapping[str, float], score: float) -> None:
+        """Adds a line to evaluations.csv."""
+        criteria = self.criteria
+        line: dict[str, float] = {
+            "steps": self.num_timesteps,
+            "core_seconds": round(time.process_time() - self.core_began, 1),
+            criteria.column: round(values[criteria.metric.name], 4),
+        }
+        for name in criteria.weights:
+            if name != criteria.metric.name:
+                line[name] = values[name]
+        line[f"score_{criteria.suffix}"] = round(score, 4)
+        line[f"baseline_{criteria.column}"] = round(self.baseline_value, 4)
+        self.progress.evaluations.append(line)
+        lines = [",".join(line)]
+        lines += [",".join(map(str, each.values())) for each in self.progress.evaluations]
+        write_atomically(self.run / EVALUATIONS, "\n".join([*lines, ""]))
 
     def checkpoint(self) -> None:
         """Writes a checkpoint, unless one exists for this step."""
@@ -223,14 +214,24 @@ class TrainingCallback(BaseCallback):
         self.latest = checkpoint.write(self.run, self.model, self.progress, before=self.latest)
 
 
+def _mean(episodes: list[Episode], metric: str) -> float:
+    """The mean of a metric."""
+    return float(scores(episodes, metric).mean())
+
+
+def _interquartile_mean(episodes: list[Episode], metric: str) -> float:
+    """The interquartile mean of a metric."""
+    return float(interquartile_mean(scores(episodes, metric))[0])
+
+
 def evaluate_wrapped(model: BaseAlgorithm, config: Config, plants: EvaluationSet) -> list[Episode]:
-    """Runs an episode from rest on every plant, with the run's wrappers; returns the episodes as
-    `evaluate` does.
+    """Runs an episode from rest on every plant, with the run's wrappers.
+
+    Returns:
+        The episodes as `evaluate` does.
     """
-    settings, steps = (
-        {**config.env_kwargs(), **plants.env_kwargs},
-        round(config.horizon / config.control_dt),
-    )
+    settings = {**config.env_kwargs(), **plants.env_kwargs}
+    steps = round(config.horizon / config.control_dt)
     venv = DummyVecEnv([lambda: wrapped_env(config, settings, steps)] * len(plants.plants))
     venv.seed(plants.plants[0].seed)
     venv.set_options([plant.reset_options() for plant in plants.plants])
@@ -238,15 +239,12 @@ def evaluate_wrapped(model: BaseAlgorithm, config: Config, plants: EvaluationSet
     env = copy.copy(normalisation(model))
     env.set_venv(venv)
     env.training = False
-    found: dict[int, Episode] = {}
+    episodes = [{"M": plant.M, "mu": plant.mu, "seed": plant.seed} for plant in plants.plants]
 
     def keep(step: dict[str, Any], _: Any) -> None:
         if step["done"]:
-            found[step["i"]] = step["info"]["metrics"]
+            episodes[step["i"]] |= step["info"]["metrics"]
 
     evaluate_policy(model, env, len(plants.plants), callback=keep, warn=False)
     env.close()
-    return [
-        {"M": each.M, "mu": each.mu, "seed": each.seed, **found[i]}
-        for i, each in enumerate(plants.plants)
-    ]
+    return episodes

@@ -23,6 +23,7 @@ import filelock
 import numpy as np
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
@@ -35,10 +36,8 @@ LOCK = "lock"
 CHECKPOINTS = "checkpoint-" + 12 * "[0-9]"
 # Names, without suffix, of the files that the process with the lock replaces; temporary files
 # shorten them.
-WRITTEN = (
-    "checkpoint-*",
-    *(Path(name).stem for name in (CONFIG, EVALUATIONS, MODEL, NORMALISATION, POLICY)),
-)
+WRITTEN = ["checkpoint-*"]
+WRITTEN += [Path(name).stem for name in (CONFIG, EVALUATIONS, MODEL, NORMALISATION, POLICY)]
 DIGEST_SIZE = hashlib.sha256().digest_size
 
 
@@ -54,8 +53,9 @@ class Progress:
 
 @contextmanager
 def locked(run: Path) -> Iterator[None]:
-    """Locks a run's folder for this process. The system releases the lock when the process ends,
-    also in a crash.
+    """Locks a run's folder for this process.
+
+    The system releases the lock when the process ends, also in a crash.
 
     Raises:
         RunError: if another process holds the lock.
@@ -69,10 +69,8 @@ def locked(run: Path) -> Iterator[None]:
     except OSError as error:
         if error.errno not in (errno.ENOLCK, errno.EOPNOTSUPP):
             raise
-        print(
-            f"{run}: this file system has no locks; make sure that no second process trains it",
-            file=sys.stderr,
-        )
+        warning = "this file system has no locks; make sure that no second process trains it"
+        print(f"{run}: {warning}", file=sys.stderr)
     try:
         yield
     finally:
@@ -80,21 +78,14 @@ def locked(run: Path) -> Iterator[None]:
 
 
 def git_revision(folder: Path) -> str:
-    """The short git revision of a checkout, with "+" for uncommitted changes; "unknown" outside a
-    checkout.
+    """The short git revision of a checkout, with "+" for uncommitted changes.
+
+    "unknown" outside a checkout.
     """
-    command = [
-        "git",
-        "-C",
-        str(folder),
-        "describe",
-        "--always",
-        "--exclude=*",
-        "--abbrev=12",
-        "--dirty=+",
-    ]
+    command = "git describe --always --exclude=* --abbrev=12 --dirty=+".split()
     try:
-        return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+        result = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True)
+        return result.stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
 
@@ -132,34 +123,34 @@ def is_whole(checkpoint: Path) -> bool:
 
 
 def write(run: Path, model: BaseAlgorithm, progress: Progress, before: Path | None) -> Path:
-    """Writes a checkpoint between two updates, deletes all others but `before`, and returns its
-    path.
+    """Writes a checkpoint between two updates, and deletes all others but `before`.
+
+    Returns:
+        The path of the checkpoint.
 
     Raises:
         OSError: if the checkpoint cannot be written; the older ones are unchanged.
     """
-    env, log = normalisation(model), model.logger
-    content = pickle.dumps(
-        {
-            "model": archive(model),
-            "progress": progress,
-            "replay_buffer": model.replay_buffer if isinstance(model, OffPolicyAlgorithm) else None,
-            # VecNormalize pickles itself without its environments.
-            "normalize": env,
-            "venv": env.venv,
-            # Discounted sums, from which the scale of the rewards is measured; VecNormalize leaves
-            # them out.
-            "returns": env.returns,
-            "torch": torch.get_rng_state(),
-            "numpy": np.random.get_state(),
-            "python": random.getstate(),
-            "actions": model.action_space.np_random.bit_generator.state,
-            # SB3 resets the noise when training continues.
-            "action_noise": getattr(model, "action_noise", None),
-            # Values that the log has not written yet.
-            "log": (dict(log.name_to_value), dict(log.name_to_count), dict(log.name_to_excluded)),
-        }
-    )
+    env = normalisation(model)
+    state = {
+        "model": archive(model),
+        "progress": progress,
+        "replay_buffer": getattr(model, "replay_buffer", None),
+        # VecNormalize pickles itself without its environments.
+        "normalize": env,
+        "venv": env.venv,
+        # Discounted sums, from which the scale of the rewards is measured; VecNormalize leaves them
+        # out.
+        "returns": env.returns,
+        "torch": torch.get_rng_state(),
+        "numpy": np.random.get_state(),
+        "python": random.getstate(),
+        "actions": model.action_space.np_random.bit_generator.state,
+        # SB3 resets the noise when training continues.
+        "action_noise": getattr(model, "action_noise", None),
+        "log": [dict(values) for values in _unwritten(model.logger)],
+    }
+    content = pickle.dumps(state)
     path = path_of(run, model.num_timesteps)
     write_atomically(path, hashlib.sha256(content).digest() + content)
     synchronise(run)
@@ -169,14 +160,19 @@ def write(run: Path, model: BaseAlgorithm, progress: Progress, before: Path | No
     return path
 
 
+def _unwritten(log: Logger) -> tuple[dict[str, Any], ...]:
+    """The values that a log has not written yet, with their counts and excluded formats."""
+    return log.name_to_value, log.name_to_count, log.name_to_excluded
+
+
 def restore(
     checkpoint: Path, kind: type[BaseAlgorithm], env: VecNormalize
 ) -> tuple[BaseAlgorithm, Progress, Callable[[], None]]:
-    """Unpickles the agent and the progress of an undamaged, trusted checkpoint, whose environments
-    replace `env`.
+    """Unpickles an undamaged, trusted checkpoint, whose environments replace `env`.
 
-    Also returns a function that restores the random streams and the log, to be called when the
-    agent begins to learn.
+    Returns:
+        The agent, the progress, and a function that restores the random streams and the log, to be
+        called when the agent begins to learn.
 
     Raises:
         RunError: if the checkpoint cannot be read, for example because other versions wrote it.
@@ -202,13 +198,7 @@ def restore(
         np.random.set_state(state["numpy"])
         random.setstate(state["python"])
         model.action_space.np_random.bit_generator.state = state["actions"]
-        log = model.logger
-        kept: tuple[dict[str, Any], ...] = (
-            log.name_to_value,
-            log.name_to_count,
-            log.name_to_excluded,
-        )
-        for present, saved in zip(kept, state["log"], strict=True):
+        for present, saved in zip(_unwritten(model.logger), state["log"], strict=True):
             present.update(saved)
 
     return model, state["progress"], restore_streams

@@ -1,5 +1,4 @@
-"""The hyperparameters of a run: a dataclass per algorithm, whose fields are the options of
-train.py.
+"""The hyperparameters of a run: a dataclass per algorithm, with the options of train.py as fields.
 
 The docstring of a field is its help text. This module does not import torch.
 """
@@ -27,8 +26,12 @@ from capsule_gym.tasks.task import CONTROL_DT
 # Largest seed of numpy's legacy generator, which SB3 seeds.
 LARGEST_SEED = 2**32 - 1
 # Files of a run; docs/training.md describes its folder.
-CONFIG, MODEL, NORMALISATION, BEST = "config.json", "model.zip", "vecnormalize.pkl", "best"
-LOGS, EVALUATIONS = "logs", "evaluations.csv"
+CONFIG = "config.json"
+MODEL = "model.zip"
+NORMALISATION = "vecnormalize.pkl"
+BEST = "best"
+LOGS = "logs"
+EVALUATIONS = "evaluations.csv"
 
 # The action: a torque in addition to that of a control law, or the motor torque. The command line
 # and config.json call the mode "task"; in Python, the task is that of the environment.
@@ -39,9 +42,18 @@ Algorithm = Literal["ppo", "sac", "td3", "tqc"]
 
 def _option(name: str, more: str = "") -> Any:
     """The help text of an environment's option."""
-    return tyro.conf.arg(help=f"{DOCS[name][0].upper()}{DOCS[name][1:]}{more}.")
+    text = DOCS[name]
+    return tyro.conf.arg(help=f"{text[0].upper()}{text[1:]}{more}.")
 
 
+# Options that older policies do not contain.
+LATER_OPTIONS = (
+    "total_torque",
+    "disturbances",
+    "observe_estimates",
+    "stack_size",
+    "initial_range",
+)
 # Smallest values of the counts; 1 for all others.
 LEAST = {"seed": 0, "batch_size": 2, "learning_starts": 0, "dropped_quantiles": 0}
 # Ranges of the other numbers: description, lower and upper end, and whether the lower end is
@@ -51,21 +63,27 @@ NONNEGATIVE = ("a finite number >= 0", 0.0, math.inf, False)
 SHARE = ("a number in [0, 1]", 0.0, 1.0, False)
 MOST = {"seed": LARGEST_SEED, "hidden": MOST_UNITS}
 RANGES: dict[str, tuple[str, float, float, bool]] = {
-    **dict.fromkeys(
-        ("learning_rate", "episode_seconds", "training_limit", "observation_scale"), POSITIVE
-    ),
-    **dict.fromkeys(("final_learning_rate", "ent_coef", "action_noise", "noise_time"), NONNEGATIVE),
-    **dict.fromkeys(("gamma", "gae_lambda"), SHARE),
+    "learning_rate": POSITIVE,
+    "episode_seconds": POSITIVE,
+    "training_limit": POSITIVE,
+    "observation_scale": POSITIVE,
+    "clip_reward": POSITIVE,
+    "final_learning_rate": NONNEGATIVE,
+    "ent_coef": NONNEGATIVE,
+    "action_noise": NONNEGATIVE,
+    "noise_time": NONNEGATIVE,
+    "gamma": SHARE,
+    "gae_lambda": SHARE,
     "log_std_init": ("a number in [-20, 2]", -20.0, 2.0, False),
     "tau": ("a number in (0, 1]", 0.0, 1.0, True),
     "target_entropy": ("a finite number", -math.inf, math.inf, True),
-    "clip_reward": POSITIVE,
 }
 
 
 class RunError(ValueError):
-    """Raised if a run cannot be started or resumed; the message names the option or the file, and
-    the reason.
+    """Raised if a run cannot be started or resumed.
+
+    The message names the option or the file, and the reason.
     """
 
 
@@ -146,34 +164,26 @@ class Config:
 
     def env_kwargs(self) -> dict[str, Any]:
         """The arguments of the training environment."""
-        names = [name for name in DOCS if name != "task" and hasattr(self, name)]
-        kwargs = {name: getattr(self, name) for name in names}
+        fields = {field.name for field in dataclasses.fields(self)}
+        kwargs: dict[str, Any] = {name: getattr(self, name) for name in DOCS if name in fields}
         if self.task != "speed":
             kwargs["task"] = self.task
         if self.randomization == "default":
             del kwargs["randomization"]
-        # Policies that are older than these options do not contain them.
-        for name in (
-            "total_torque",
-            "disturbances",
-            "observe_estimates",
-            "stack_size",
-            "initial_range",
-        ):
+        for name in LATER_OPTIONS:
             if kwargs[name] == getattr(EnvConfig, name):
                 del kwargs[name]
         if self.static_ratio is not None:
             kwargs["capsule"] = Capsule(static_ratio=self.static_ratio)
         if self.mass_range or self.friction_range:
             distribution = Randomization.named(EnvConfig(**kwargs).randomization)
-            M, mu = self.mass_range or distribution.M, self.friction_range or distribution.mu
+            M = self.mass_range or distribution.M
+            mu = self.friction_range or distribution.mu
             with prefix_errors("mass_range and friction_range"):
                 kwargs["randomization"] = dataclasses.replace(distribution, M=M, mu=mu)
         if self.action_mode == "direct":
-            kwargs |= {
-                "controller": None,
-                "residual_limit": min(self.residual_limit, self.torque_limit),
-            }
+            kwargs["controller"] = None
+            kwargs["residual_limit"] = min(self.residual_limit, self.torque_limit)
         return kwargs
 
     @property
@@ -204,11 +214,14 @@ class Config:
         if self.action_mode == "direct" and self.controller is not None:
             raise ValueError(f"controller must be None with direct torque, got {self.controller!r}")
         for field in dataclasses.fields(self):
-            name, value = field.name, getattr(self, field.name)
+            name = field.name
+            value = getattr(self, name)
             if field.type == Count:
-                least, most = LEAST.get(name, 1), MOST.get(name, sys.maxsize)
-                accepted = f"an integer >= {least}" + (f" and <= {most}" if name in MOST else "")
-                check_integer(name, value, accepted, least, most)
+                least = LEAST.get(name, 1)
+                accepted = f"an integer >= {least}"
+                if name in MOST:
+                    accepted += f" and <= {MOST[name]}"
+                check_integer(name, value, accepted, least, MOST.get(name, sys.maxsize))
             elif name in RANGES and value is not None:
                 accepted, low, high, open_low = RANGES[name]
                 for number in value if isinstance(value, tuple) else (value,):
@@ -293,8 +306,9 @@ class TQCConfig(SACConfig):
         """Also checks that at least one quantile remains in the target."""
         super().check()
         if self.dropped_quantiles >= self.quantiles:
+            accepted = f"an integer < {self.quantiles}"
             raise ValueError(
-                f"dropped_quantiles must be an integer < {self.quantiles}, got {self.dropped_quantiles!r}"
+                f"dropped_quantiles must be {accepted}, got {self.dropped_quantiles!r}"
             )
 
 
@@ -321,11 +335,9 @@ def read_config(run: Path) -> Config:
         config = ALGORITHMS[content["algo"]](action_mode=action_mode, **given)
         config.check()
     except FileNotFoundError:
-        raise RunError(
-            f"--resume must name the folder of a run, got {str(run)!r}, which has no {CONFIG}"
-        ) from None
+        found = f"{str(run)!r}, which has no {CONFIG}"
+        raise RunError(f"--resume must name the folder of a run, got {found}") from None
     except (OSError, AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
-        raise RunError(
-            f"{path} is not the configuration of a run: {type(error).__name__}: {error}"
-        ) from error
+        reason = f"{type(error).__name__}: {error}"
+        raise RunError(f"{path} is not the configuration of a run: {reason}") from error
     return config

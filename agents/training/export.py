@@ -1,12 +1,12 @@
-"""An agent's files: Stable-Baselines3's archive, the normalisation of observations, and the policy
-file.
-"""
+"""An agent's files: Stable-Baselines3's archive, the normalisation, and the policy file."""
 
 import io
 import pickle
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from stable_baselines3 import PPO, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
@@ -19,8 +19,9 @@ from capsule_gym.policies.policy import POLICY
 
 
 def archive(model: BaseAlgorithm) -> bytes:
-    """SB3's archive of an agent, written to memory since SB3's writer hides the OSError of a full
-    disk.
+    """SB3's archive of an agent.
+
+    Written to memory, since SB3's writer hides the OSError of a full disk.
     """
     content = io.BytesIO()
     model.save(content)
@@ -43,6 +44,17 @@ def save(folder: Path, model: BaseAlgorithm, policy: Policy | None) -> None:
         policy.save(folder / POLICY)
 
 
+def weights_and_biases(modules: Iterable[nn.Module]) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    """Copies of the weights and biases of the linear layers, for a policy file."""
+    layers = []
+    for module in modules:
+        if isinstance(module, nn.Linear):
+            parameters = (module.weight, module.bias)
+            weights, bias = (each.detach().numpy().copy() for each in parameters)
+            layers.append((weights, bias))
+    return tuple(layers)
+
+
 def export(name: str, model: BaseAlgorithm, config: Config, revision: str) -> Policy:
     """The deterministic policy of an agent."""
     squashing = "tanh"
@@ -54,18 +66,13 @@ def export(name: str, model: BaseAlgorithm, config: Config, revision: str) -> Po
     else:
         actor: Any = model.policy.actor
         modules = [*actor.latent_pi, actor.mu]
-    layers = [module for module in modules if isinstance(module, nn.Linear)]
-    arrays = (
-        (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy())
-        for layer in layers
-    )
     env = normalisation(model)
     # With a privileged critic, the observations are dicts.
     rms: Any = env.obs_rms["policy"] if isinstance(env.obs_rms, dict) else env.obs_rms
     return Policy(
         name=name,
         algorithm=config.algo,
-        layers=tuple(arrays),
+        layers=weights_and_biases(modules),
         activation=config.activation,
         squashing=squashing,
         mean=rms.mean.copy(),

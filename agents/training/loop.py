@@ -5,11 +5,12 @@ import json
 import pickle
 import sys
 import warnings
-from itertools import product
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import Logger, make_output_format
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
@@ -25,8 +26,7 @@ from capsule_gym.files import add_name_to_errors, canonical_hash, to_json, write
 
 
 def begin(run: Path, config: Config) -> None:
-    """Creates the folder of a new run, after the environments and the agent have accepted its
-    configuration.
+    """Creates the folder of a new run, if the environments and the agent accept its configuration.
 
     Raises:
         FileExistsError: if the folder exists and is not empty; of two processes that begin a run
@@ -38,31 +38,13 @@ def begin(run: Path, config: Config) -> None:
     """
     check_unused(run)
     config.check()
-    # Raises an agent's errors before the folder is created. `train` creates the agent again and
-    # shows its warnings.
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        env = make_env(config, config.seed)
-        try:
-            make_model(config, env)
-        except Exception as error:
-            reason = str(error).partition("\n")[0]
-            raise RunError(
-                f"these hyperparameters are invalid: {type(error).__name__}: {reason}"
-            ) from error
-        try:
-            pickle.dumps(env.venv)
-        except Exception as error:
-            raise RunError(
-                f"--wrapper must be picklable, for checkpoints, got {config.wrapper}: {error}"
-            ) from error
-        finally:
-            env.close()
+    _check_agent(config)
+    env_kwargs = json.dumps(config.env_kwargs(), default=dataclasses.asdict)
     content = {
         "algo": config.algo,
         "task": config.action_mode,
         "seed": config.seed,
-        "env": json.loads(json.dumps(config.env_kwargs(), default=dataclasses.asdict)),
+        "env": json.loads(env_kwargs),
         "hyperparameters": config.to_dict(),
         "versions": versions(),
         "revision": git_revision(Path(__file__).parent),
@@ -74,6 +56,35 @@ def begin(run: Path, config: Config) -> None:
         write_atomically(run / CONFIG, to_json(content))
 
 
+def _check_agent(config: Config) -> None:
+    """Raises the errors of an agent before a run's folder is created.
+
+    `train` creates the agent again and shows its warnings.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        env = make_env(config, config.seed)
+        try:
+            make_model(config, env)
+        except Exception as error:
+            raise RunError(f"these hyperparameters are invalid: {_reason(error)}") from error
+        try:
+            pickle.dumps(env.venv)
+        except Exception as error:
+            accepted = "picklable, for checkpoints"
+            raise RunError(
+                f"--wrapper must be {accepted}, got {config.wrapper}: {error}"
+            ) from error
+        finally:
+            env.close()
+
+
+def _reason(error: Exception) -> str:
+    """The type of an error and the first line of its message."""
+    message = str(error).partition("\n")[0]
+    return f"{type(error).__name__}: {message}"
+
+
 def check_unused(run: Path) -> None:
     """Raises a FileExistsError for a folder that contains anything but a lock."""
     if run.exists() and any(path.name != LOCK for path in run.iterdir()):
@@ -81,8 +92,9 @@ def check_unused(run: Path) -> None:
 
 
 def train(run: Path, total_steps: int | None = None, *, wandb: bool = False) -> bool:
-    """Trains a run, or resumes it from its last undamaged checkpoint, until its total_steps, Ctrl-C
-    or SIGTERM.
+    """Trains a run until its total_steps, Ctrl-C or SIGTERM.
+
+    Resumes it from its last undamaged checkpoint, if any.
 
     Args:
         run: the run's folder, from `begin`.
@@ -99,82 +111,28 @@ def train(run: Path, total_steps: int | None = None, *, wandb: bool = False) -> 
     """
     with add_name_to_errors(run), locked(run):
         torch.set_num_threads(1)
-        # Left by a process that was killed while writing; only the holder of the lock writes files
-        # of these names.
-        for folder, name in product((run, run / BEST), checkpoint.WRITTEN):
-            for file in folder.glob(f".{name}.*.tmp*"):
-                file.unlink()
+        _remove_partial_files(run)
         latest = checkpoint.newest_whole(run)
-        config, revision = _read(
-            run, total_steps, 1 if latest is None else checkpoint.steps_of(latest)
-        )
+        least = 1 if latest is None else checkpoint.steps_of(latest)
+        config, revision = _read(run, total_steps, least)
         if latest is None and (run / MODEL).exists():
             raise RunError(f"{run} has a trained agent, {MODEL}, but no checkpoint to resume from")
-        settings = {
-            name: value for name, value in config.to_dict().items() if name != "total_steps"
-        }
-        try:
-            env = make_env(config, config.seed)
-            if latest is None:
-                model, progress, restore_streams = (
-                    make_model(config, env),
-                    Progress(settings),
-                    lambda: None,
-                )
-            else:
-                model, progress, restore_streams = checkpoint.restore(
-                    latest, CLASSES[config.algo], env
-                )
-        except RunError:
-            raise
-        except Exception as error:
-            reason = str(error).partition("\n")[0]
-            raise RunError(
-                f"{run / CONFIG} is invalid: {type(error).__name__}: {reason}"
-            ) from error
-        if latest is not None:
-            for name, value in progress.settings.items():
-                if settings[name] != value:
-                    was = f"{value!r} as in {latest.name}"
-                    raise RunError(
-                        f"{run / CONFIG}: {name} must stay {was}, got {settings[name]!r}"
-                    )
-            # The end of the schedule differs if total_steps has changed.
-            model.learning_rate = schedule(config)
-            model._setup_lr_schedule()
+        model, progress, restore_streams = _load(run, config, latest)
         stop = Stop()
         callback = TrainingCallback(run, config, progress, latest, restore_streams, stop, revision)
         online = start_wandb(run, config) if wandb else None
-        (run / LOGS).mkdir(exist_ok=True)
-        # SB3's writer overwrites its file, so that every process writes its own file, named by its
-        # first step.
-        table = make_output_format("csv", str(run / LOGS), f"-{model.num_timesteps:012d}")
-        model.set_logger(
-            Logger(str(run / LOGS), [table, make_output_format("tensorboard", str(run / LOGS))])
-        )
+        _log_to(run / LOGS, model)
         try:
             with stop:
-                remaining = config.total_steps - model.num_timesteps
-                if remaining > 0:
-                    # SB3 logs every rollout of on-policy algorithms; the callback logs off-policy
-                    # algorithms.
-                    interval: Any = None if isinstance(model, OffPolicyAlgorithm) else 1
-                    fresh = model.num_timesteps == 0
-                    model.learn(
-                        remaining,
-                        callback=callback,
-                        log_interval=interval,
-                        reset_num_timesteps=fresh,
-                    )
+                _learn(model, config, callback)
         except Stopped:
             callback.checkpoint()
         except ValueError as error:
             if all(weights.isfinite().all() for weights in model.policy.parameters()):
                 raise
+            diverged = f"the training of {run} diverged, its weights are not finite"
             causes = "learning_rate is too large, or a wrapper's reward is not finite"
-            raise RunError(
-                f"the training of {run} diverged, its weights are not finite: {causes}"
-            ) from error
+            raise RunError(f"{diverged}: {causes}") from error
         finally:
             callback.bar.close()
             model.logger.close()
@@ -186,6 +144,74 @@ def train(run: Path, total_steps: int | None = None, *, wandb: bool = False) -> 
         return not stop.requested
 
 
+def _remove_partial_files(run: Path) -> None:
+    """Removes the temporary files of a process that was killed while writing.
+
+    Only the holder of the lock writes files of these names.
+    """
+    for folder in (run, run / BEST):
+        for name in checkpoint.WRITTEN:
+            for file in folder.glob(f".{name}.*.tmp*"):
+                file.unlink()
+
+
+def _load(
+    run: Path, config: Config, latest: Path | None
+) -> tuple[BaseAlgorithm, Progress, Callable[[], None]]:
+    """Creates the agent of a run, or reads it from its last checkpoint.
+
+    Returns:
+        As `checkpoint.restore`.
+
+    Raises:
+        RunError: if the agent cannot be created, or the settings differ from the checkpoint's.
+    """
+    settings = config.to_dict()
+    # The only setting that may change.
+    del settings["total_steps"]
+    try:
+        env = make_env(config, config.seed)
+        if latest is None:
+            return make_model(config, env), Progress(settings), lambda: None
+        model, progress, restore_streams = checkpoint.restore(latest, CLASSES[config.algo], env)
+    except RunError:
+        raise
+    except Exception as error:
+        raise RunError(f"{run / CONFIG} is invalid: {_reason(error)}") from error
+    for name, value in progress.settings.items():
+        if settings[name] != value:
+            accepted = f"{value!r} as in {latest.name}"
+            raise RunError(f"{run / CONFIG}: {name} must stay {accepted}, got {settings[name]!r}")
+    # The end of the schedule differs if total_steps has changed.
+    model.learning_rate = schedule(config)
+    model._setup_lr_schedule()
+    return model, progress, restore_streams
+
+
+def _log_to(folder: Path, model: BaseAlgorithm) -> None:
+    """Sets the log of an agent: a table and a file of TensorBoard."""
+    folder.mkdir(exist_ok=True)
+    # SB3's writer overwrites its file, so that every process writes its own file, named by its
+    # first step.
+    table = make_output_format("csv", str(folder), f"-{model.num_timesteps:012d}")
+    tensorboard = make_output_format("tensorboard", str(folder))
+    model.set_logger(Logger(str(folder), [table, tensorboard]))
+
+
+def _learn(model: BaseAlgorithm, config: Config, callback: TrainingCallback) -> None:
+    """Trains an agent until the run's total_steps."""
+    remaining = config.total_steps - model.num_timesteps
+    if remaining > 0:
+        # SB3 logs every rollout of on-policy algorithms; the callback logs off-policy algorithms.
+        interval: Any = None if isinstance(model, OffPolicyAlgorithm) else 1
+        model.learn(
+            remaining,
+            callback=callback,
+            log_interval=interval,
+            reset_num_timesteps=model.num_timesteps == 0,
+        )
+
+
 def start_wandb(run: Path, config: Config) -> Any:
     """Starts a run of Weights & Biases, which follows TensorBoard's log.
 
@@ -195,44 +221,48 @@ def start_wandb(run: Path, config: Config) -> Any:
     import wandb
 
     # The same folder with the same settings resumes the same run.
-    identity = canonical_hash([str(run.resolve()), {**config.to_dict(), "total_steps": None}])[:16]
-    options: dict[str, Any] = {
-        "project": "capsule_gym",
-        "resume": "allow",
-        "sync_tensorboard": True,
-    }
+    settings = {**config.to_dict(), "total_steps": None}
+    identity = canonical_hash([str(run.resolve()), settings])[:16]
     try:
-        return wandb.init(name=run.name, id=identity, config=config.to_dict(), dir=run, **options)
+        return wandb.init(
+            project="capsule_gym",
+            name=run.name,
+            id=identity,
+            config=config.to_dict(),
+            dir=run,
+            resume="allow",
+            sync_tensorboard=True,
+        )
     except wandb.errors.Error as error:
         raise RunError(f"--wandb: {error}") from error
 
 
 def _read(run: Path, total_steps: int | None, least: int) -> tuple[Config, str]:
-    """Reads the configuration of a run and the git revision of its start; prints what has changed
-    since.
+    """Reads the configuration of a run and the git revision of its start.
+
+    Prints what has changed since.
 
     Raises:
         RunError: if config.json cannot be read, or `total_steps` differs from it and is below
             `least`.
     """
-    begun = read_config(run)
-    config = begun if total_steps is None else dataclasses.replace(begun, total_steps=total_steps)
-    if config != begun and config.total_steps < least:
-        raise RunError(
-            f"total_steps must be an integer >= {least}, the steps of the run, got {config.total_steps}"
-        )
+    config = read_config(run)
     content = json.loads((run / CONFIG).read_text(encoding="utf-8"))
+    changed = total_steps is not None and total_steps != config.total_steps
+    if total_steps is not None and changed:
+        if total_steps < least:
+            accepted = f"an integer >= {least}, the steps of the run"
+            raise RunError(f"total_steps must be {accepted}, got {total_steps}")
+        config = dataclasses.replace(config, total_steps=total_steps)
     present = versions()
     for name, number in content.get("versions", {}).items():
-        if number != (now := present.get(name, number)):
-            print(
-                f"warning: not the same run to the last bit, since {name} {number} is now {now}",
-                file=sys.stderr,
-            )
-    if begun != config:
-        print(
-            f"The learning rate now falls until {config.total_steps:,} steps: this is another run than before."
-        )
+        now = present.get(name, number)
+        if number != now:
+            change = f"{name} {number} is now {now}"
+            print(f"warning: not the same run to the last bit, since {change}", file=sys.stderr)
+    if changed:
+        end = f"{config.total_steps:,} steps"
+        print(f"The learning rate now falls until {end}: this is another run than before.")
         content["hyperparameters"]["total_steps"] = config.total_steps
         write_atomically(run / CONFIG, to_json(content))
     return config, str(content.get("revision") or "unknown")

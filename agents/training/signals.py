@@ -1,7 +1,7 @@
-"""Handlers of Ctrl-C and SIGTERM: exit at once if no progress is lost, else stop after the current
-update.
+"""Handlers of Ctrl-C and SIGTERM: exit at once, or stop after the current update.
 
-Imports only the standard library, so that train.py can handle signals before its slow imports.
+A process exits at once if no progress is lost. This module imports only the standard library, so
+that train.py can handle signals before its slow imports.
 """
 
 import contextlib
@@ -47,11 +47,10 @@ class QuietExit:
 
 
 class Stop:
-    """A context in which the first signal sets `requested` and a second signal has its previous
-    effect.
+    """A context in which the first signal sets `requested`.
 
-    An outer context is told of the first one, too. Outside the main thread, which alone may handle
-    signals, it has no effect.
+    A second signal has its previous effect. The first signal also sets `requested` of an outer
+    context. Outside the main thread, which alone may handle signals, a context has no effect.
     """
 
     def __init__(self, *signals: signal.Signals) -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from agents.leaderboard import page
 from agents.leaderboard.chart import contents, draw
-from agents.leaderboard.page import _section, grouped, message
+from agents.leaderboard.page import grouped, message
 from baselines.drawing import BLUE, VERMILION
 from capsule_gym.evaluation.candidates import Candidate
 from tests import ROOT
@@ -17,70 +17,109 @@ def row_of(board, name):
     return next(row for row in board["rows"] if row["policy"] == name)
 
 
-def clearly(board, faster, slower, on):
-    """Whether a mean exceeds another one, possibly of another set, by twice the half widths of both
-    intervals."""
-    first, second = (row_of(board, name)["results"][on]["mean_speed"] for name in (faster, slower))
-    widths = sum(each["mean_high"] - each["mean_low"] for each in (first, second))
-    return first["mean"] - second["mean"] >= widths
+def speed_of(board, name, set_name):
+    return row_of(board, name)["results"][set_name]["mean_speed"]
 
 
-def test_the_committed_board_has_a_place_for_every_row_and_the_pages_and_the_message_are_true_of_it():
-    board = read(ROOT)
-    assert list(grouped(board)) == list(page.GROUPS)
-    for name, text in page.files(ROOT, board).items():
+def clearly(board, faster, slower, set_name):
+    """Whether a mean exceeds another one by twice the half widths of both intervals."""
+    speeds = [speed_of(board, name, set_name) for name in (faster, slower)]
+    widths = sum(each["mean_high"] - each["mean_low"] for each in speeds)
+    return speeds[0]["mean"] - speeds[1]["mean"] >= widths
+
+
+@pytest.fixture(scope="module")
+def committed():
+    return read(ROOT)
+
+
+def test_every_committed_row_has_a_group(committed):
+    assert list(grouped(committed)) == list(page.GROUPS)
+
+
+def test_the_committed_pages_are_those_of_the_board(committed):
+    for name, text in page.files(ROOT, committed).items():
         assert (ROOT / name).read_text(encoding="utf-8") == text, name
-    assert clearly(board, "open-loop", "adaptive", "paper") and clearly(
-        board, "pd", "open-loop", "paper"
-    )
-    assert all(clearly(board, name, "pd", "paper") for name in page.PERFECT)
-    # With real sensors all of these but LQR fall below the PD.
-    assert [name for name in page.PERFECT if not clearly(board, "pd", name, "real")] == ["lqr"]
-    assert all(clearly(board, name, "pd", "real") for name in page.KEPT)
+
+
+def test_the_message_is_true_of_perfect_sensors(committed):
+    assert clearly(committed, "open-loop", "adaptive", "paper")
+    assert clearly(committed, "pd", "open-loop", "paper")
+    assert all(clearly(committed, name, "pd", "paper") for name in page.PERFECT)
+
+
+def test_the_message_is_true_of_real_sensors(committed):
+    # All of these but LQR fall below the PD.
+    faster = [name for name in page.PERFECT if not clearly(committed, "pd", name, "real")]
+    assert faster == ["lqr"]
+    assert all(clearly(committed, name, "pd", "real") for name in page.KEPT)
+
+
+def test_the_message_is_true_of_learning(committed):
     # The seeds of direct-real differ more: of the least gain of learning, the interval is above the
     # PD's.
-    pd, *learned = (
-        row_of(board, name)["results"]["real"]["mean_speed"] for name in ("pd", *page.LEARNED)
-    )
-    assert all(each["mean_low"] > pd["mean_high"] for each in learned)
-    numbers = [float(number) for number in re.findall(r"\d+(?:\.\d)?", message(board))]
-    assert len(numbers) == 9 and np.isfinite(numbers).all()
+    pd = speed_of(committed, "pd", "real")
+    for name in page.LEARNED:
+        assert speed_of(committed, name, "real")["mean_low"] > pd["mean_high"]
 
 
-def test_ranking_is_by_the_mean_with_the_worst_seed_and_the_difference_to_the_base(
-    written, monkeypatch
-):
+def test_the_message_has_finite_numbers(committed):
+    numbers = [float(number) for number in re.findall(r"\d+(?:\.\d)?", message(committed))]
+    assert len(numbers) == 9
+    assert np.isfinite(numbers).all()
+
+
+@pytest.fixture
+def with_a_failure(written, monkeypatch):
+    """The world after a failure in an episode of the second seed of `learnt`, whose base is `pd`.
+
+    It changes the mean, but not the interquartile mean of the set.
+    """
+
     def fail_once(row):
-        row.header.update(base="pd")
-        # A single bad seed in 3 episodes changes the mean, but not the interquartile mean of the
-        # set.
-        row.scores["paper"][0] = [[9.0, 9.0, 9.0], [9.0, 9.0, -60.0]]
-        row.scores["paper"][row.header["metrics"].index("failed")] = [
-            [0.0, 0.0, 0.0],
-            [0.0, 0.0, 1.0],
-        ]
+        row.header["base"] = "pd"
+        failed = row.header["metrics"].index("failed")
+        scores = row.scores["paper"]
+        scores[0] = 9.0
+        scores[failed] = 0.0
+        scores[0, 1, 2] = -60.0
+        scores[failed, 1, 2] = 1.0
 
     monkeypatch.setattr(Candidate, "base", property(lambda self: "pd" if self.trained else None))
     edit_row(written, "learnt", fail_once)
-    board = read(written)
-    speed = row_of(board, "learnt")["results"]["paper"]["mean_speed"]
-    assert speed["iqm"] == 9.0 and speed["mean"] == -2.5 and speed["seeds"] == [9.0, -14.0]
+    return written
+
+
+def columns_of(text, title):
+    """The cells of every row of a table by column."""
+    header, _, *lines = table(text, title)
+    return {line[0]: dict(zip(header, line, strict=True)) for line in lines}
+
+
+def test_ranking_is_by_the_mean(with_a_failure):
+    board = read(with_a_failure)
+    speed = speed_of(board, "learnt", "paper")
+    assert (speed["iqm"], speed["mean"], speed["seeds"]) == (9.0, -2.5, [9.0, -14.0])
     means = [row["results"]["paper"]["mean_speed"]["mean"] for row in board["rows"]]
-    assert means == sorted(means, reverse=True) and board["rows"][-1]["policy"] == "learnt"
-    text = (written / "LEADERBOARD.md").read_text()
+    assert means == sorted(means, reverse=True)
+    assert board["rows"][-1]["policy"] == "learnt"
+
+
+def test_tables_show_failures_and_the_worst_seed(with_a_failure):
+    text = (with_a_failure / "LEADERBOARD.md").read_text()
     assert [line[1] for line in table(text) if line[0] == "learnt"] == ["-2.50 (1/6)"]
-    header, _, *lines = table(text, "On the set `paper`")
-    (line,) = (line for line in lines if line[0] == "learnt")
-    assert (line[header.index("worst seed (cm/s)")], line[header.index("failed")]) == (
-        "-14.00",
-        "1/6",
-    )
-    rows = [row_of(board, name) for name in ("learnt", "pd")]
-    speeds = [row["results"]["real"]["mean_speed"]["mean"] for row in rows]
-    assert rows[0]["minus_base"]["real"]["mean"] == pytest.approx(speeds[0] - speeds[1], abs=1e-4)
-    header, _, *lines = table(text, "On the set `real`")
-    column = header.index("difference to base law on `real`")
-    assert [line[0] for line in lines if line[column] != "-"] == ["learnt"]
+    cells = columns_of(text, "On the set `paper`")["learnt"]
+    assert (cells["worst seed (cm/s)"], cells["failed"]) == ("-14.00", "1/6")
+
+
+def test_tables_show_the_difference_to_the_base_law(with_a_failure):
+    board = read(with_a_failure)
+    own, base = (speed_of(board, name, "real")["mean"] for name in ("learnt", "pd"))
+    difference = row_of(board, "learnt")["minus_base"]["real"]["mean"]
+    assert difference == pytest.approx(own - base, abs=1e-4)
+    lines = columns_of((with_a_failure / "LEADERBOARD.md").read_text(), "On the set `real`")
+    column = "difference to base law on `real`"
+    assert [name for name, cells in lines.items() if cells[column] != "-"] == ["learnt"]
 
 
 def test_rows_without_a_group_are_shown_as_others(written):
@@ -88,50 +127,88 @@ def test_rows_without_a_group_are_shown_as_others(written):
     assert {row["policy"] for row in grouped(board)["Others"]} == {"wild", "rocking", "learnt"}
     shown = [label for label, bars in contents(board) if bars]
     assert shown == [row["policy"] for rows in grouped(board).values() for row in rows]
-    # Rows of other pages are in their tables.
+
+
+def test_rows_of_other_pages_are_in_their_tables(written):
     tables = (written / page.TABLES).read_text()
     for name, (names, _) in page.SECTIONS.items():
-        assert {line[0] for line in table(tables, f"start:{name}]")[2:]} == set(names)
+        assert set(columns_of(tables, f"start:{name}]")) == set(names)
 
 
-def test_a_readme_without_a_marker_raises_an_error(written):
-    whole = (written / "README.md").read_text()
-    start, end = _section("message", "").split("\n\n")
-    for text in (
-        "",
-        whole.replace(start, ""),
-        whole.replace(end, ""),
-        end + whole.replace(end, ""),
-    ):
-        (written / "README.md").write_text(text)
-        with pytest.raises(
-            ValueError, match=r"README\.md must contain <!-- --8<-- \[start:message\] --> and then"
-        ):
-            checked(written)
+START, END = page._markers("message")
 
 
-def test_the_chart_has_a_bar_for_every_mean_and_marks_failures(written, saved_figures):
-    board = read(written)
+@pytest.mark.parametrize("missing", [(START, END), (START,), (END,)])
+def test_a_readme_without_a_marker_raises_an_error(written, missing):
+    readme = written / "README.md"
+    text = readme.read_text()
+    for marker in missing:
+        text = text.replace(marker, "")
+    readme.write_text(text)
+    with pytest.raises(ValueError, match=re.escape(f"README.md must contain {START} and then")):
+        checked(written)
+
+
+def test_a_readme_with_markers_in_another_order_raises_an_error(written):
+    readme = written / "README.md"
+    readme.write_text(END + readme.read_text().replace(END, ""))
+    with pytest.raises(ValueError, match=re.escape(f"README.md must contain {START} and then")):
+        checked(written)
+
+
+@pytest.fixture
+def board(written):
+    return read(written)
+
+
+@pytest.fixture
+def axes(board, saved_figures):
+    """The panel of the chart."""
     draw(board)
-    (axes,) = saved_figures[0].axes
-    ticks, bars, marks = axes.get_yticklabels(), [], []
-    for on, colour, side in (("paper", BLUE, -0.19), ("real", VERMILION, 0.19)):
-        for y, tick in enumerate(ticks):
-            if tick.get_fontweight() == "normal":
-                found = row_of(board, tick.get_text().replace("\n", ""))["results"][on]
-                # From top to bottom, with the bar of `paper` above that of `real`.
-                bars.append((y + side, found["mean_speed"]["mean"], colour))
-                if share := found["failures"] / found["episodes"]:
-                    marks.append(
-                        (f"\u00d7 {100.0 * share:.0f} %", max(bars[-1][1], 0.0) + 0.15, y + side)
-                    )
+    return saved_figures[0].axes[0]
+
+
+# Distances from the middle of a line, in lines: the bar of `paper` is above that of `real`.
+SIDES = {"paper": -0.19, "real": 0.19}
+
+
+def drawn_results(axes, board, set_name):
+    """The middles of the bars of a set, from top to bottom, and the results that they show."""
+    for y, tick in enumerate(axes.get_yticklabels()):
+        if tick.get_fontweight() == "normal":
+            name = tick.get_text().replace("\n", "")
+            yield y + SIDES[set_name], row_of(board, name)["results"][set_name]
+
+
+def test_the_chart_has_a_bar_for_every_mean(axes, board):
+    bars = []
+    for set_name, colour in (("paper", BLUE), ("real", VERMILION)):
+        for y, result in drawn_results(axes, board, set_name):
+            bars.append((y, result["mean_speed"]["mean"], colour))
     assert_bars(axes, *bars)
     assert {round(bar.get_height(), 9) for bar in axes.patches} == {0.38}
-    assert [(text.get_text(), *text.xy) for text in axes.texts] == marks and len(marks) > 1
-    assert texts(tick for tick in ticks if tick.get_fontweight() == "bold") == list(grouped(board))
-    low, high = axes.get_ylim()
-    assert low > len(ticks) - 1.0 + 0.38 and high < -0.38 and axes.get_xlim()[0] == 0.0
-    assert [name.partition(":")[0] for name in texts(saved_figures[0].legends[0].texts)] == [
-        "paper",
-        "real",
-    ]
+
+
+def test_the_chart_marks_failures(axes, board):
+    marks = []
+    for set_name in SIDES:
+        for y, result in drawn_results(axes, board, set_name):
+            if share := result["failures"] / result["episodes"]:
+                x = max(result["mean_speed"]["mean"], 0.0) + 0.15
+                marks.append((f"\u00d7 {100.0 * share:.0f} %", x, y))
+    assert [(text.get_text(), *text.xy) for text in axes.texts] == marks
+    assert len(marks) > 1
+
+
+def test_the_chart_names_its_groups_and_sets(axes, board):
+    titles = (tick for tick in axes.get_yticklabels() if tick.get_fontweight() == "bold")
+    assert texts(titles) == list(grouped(board))
+    labels = texts(axes.figure.legends[0].texts)
+    assert [label.partition(":")[0] for label in labels] == ["paper", "real"]
+
+
+def test_the_chart_shows_whole_bars(axes):
+    lowest, highest = axes.get_ylim()
+    assert lowest > len(axes.get_yticks()) - 1.0 + 0.38
+    assert highest < -0.38
+    assert axes.get_xlim()[0] == 0.0

@@ -7,55 +7,96 @@ import pytest
 from agents.leaderboard.rows import evaluate, load_row, load_rows, save_row, static_header
 from capsule_gym.evaluation import episodes
 from capsule_gym.evaluation.candidates import find_candidate
-from tests.agents.leaderboard.world import HORIZON, SETS, make_set
+from tests.agents.leaderboard.world import HORIZON, PAPER, SETS, make_set
 
 
-def test_a_row_holds_every_number_of_its_episodes_and_a_malformed_file_raises_an_error(world):
-    (row,) = evaluate([find_candidate("learnt")], SETS, horizon=HORIZON)
-    folder, path = world / "results", world / "results" / "learnt.npz"
-    save_row(folder, row)
-    found, whole = load_row(path), path.read_bytes()
-    assert found.header == row.header and found.trained
+@pytest.fixture
+def row(world):
+    (found,) = evaluate([find_candidate("learnt")], SETS, horizon=HORIZON)
+    return found
+
+
+@pytest.fixture
+def path(row, tmp_path):
+    """The row's file."""
+    save_row(tmp_path / "results", row)
+    return tmp_path / "results" / "learnt.npz"
+
+
+def test_a_file_holds_the_header_of_a_row(path, row):
+    found = load_row(path)
+    assert found.header == row.header
+    assert found.trained
     assert set(found.header["versions"]) >= {"capsule_gym", "python", "numpy"}
-    for each in SETS:
-        expected = episodes.evaluate("learnt", each, horizon=HORIZON)
-        for episode in expected:
-            del episode["distance"], episode["energy"]
-        assert found.episodes(each) == expected
-        assert found.score(each.name, "mean_speed").ravel().tolist() == [
-            e["mean_speed"] for e in expected
-        ]
-    with pytest.raises(
-        ValueError, match=f"learnt: the hash of the set paper is {SETS[1].hash} in its results and "
-    ):
-        found.episodes(make_set("paper", (0.5, 0.02)))
+
+
+@pytest.mark.parametrize("evaluation_set", SETS, ids=lambda each: each.name)
+def test_a_file_holds_every_number_of_its_episodes(path, evaluation_set):
+    found = load_row(path)
+    expected = episodes.evaluate("learnt", evaluation_set, horizon=HORIZON)
+    for episode in expected:
+        del episode["distance"], episode["energy"]
+    assert found.episodes(evaluation_set) == expected
+    speeds = found.score(evaluation_set.name, "mean_speed").ravel().tolist()
+    assert speeds == [episode["mean_speed"] for episode in expected]
+
+
+def test_episodes_of_another_set_raise_an_error(row):
+    message = f"learnt: the hash of the set paper is {PAPER.hash} in its results and "
+    with pytest.raises(ValueError, match=message):
+        row.episodes(make_set("paper", (0.5, 0.02)))
+
+
+def huge_array():
+    """An archive whose array would take 8 PiB."""
     array = io.BytesIO()
-    np.lib.format.write_array_header_1_0(
-        array, {"descr": "<f8", "fortran_order": False, "shape": (2**50,)}
-    )
-    with zipfile.ZipFile(path, "w") as archive:
+    header = {"descr": "<f8", "fortran_order": False, "shape": (2**50,)}
+    np.lib.format.write_array_header_1_0(array, header)
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as archive:
         archive.writestr("header.npy", array.getvalue())
-    for content in (path.read_bytes(), b"", b"PK", whole[:-40], whole[: len(whole) // 2]):
-        path.write_bytes(content)
-        with pytest.raises(ValueError, match=r"^learnt: learnt\.npz contains no results: "):
-            load_row(path)
+    return content.getvalue()
+
+
+DAMAGES = {
+    "huge": lambda whole: huge_array(),
+    "empty": lambda whole: b"",
+    "only a magic number": lambda whole: b"PK",
+    "without its end": lambda whole: whole[:-40],
+    "half": lambda whole: whole[: len(whole) // 2],
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_a_malformed_file_raises_an_error(path, damage):
+    path.write_bytes(damage(path.read_bytes()))
+    with pytest.raises(ValueError, match=r"^learnt: learnt\.npz contains no results: "):
+        load_row(path)
+
+
+def test_a_header_that_does_not_match_its_arrays_raises_an_error(path, row):
     row.header["training_seeds"] = [0]
-    save_row(folder, row)
+    save_row(path.parent, row)
     with pytest.raises(ValueError, match="does not match its name or arrays"):
         load_row(path)
-    path.unlink()
+
+
+def test_a_missing_file_raises_an_error(tmp_path):
     with pytest.raises(ValueError, match=r"^learnt: no results in learnt\.npz"):
-        load_rows(folder, ["learnt"])
+        load_rows(tmp_path, ["learnt"])
 
 
-def test_the_base_of_a_residual_is_the_policy_of_its_law():
-    bases = {
-        "adaptive": None,
-        "residual-ppo": "adaptive",
-        "residual-real": "gait-predictive",
-        "direct-ppo": None,
-    }
-    assert {name: static_header(find_candidate(name))["base"] for name in bases} == bases
+@pytest.mark.parametrize(
+    ("name", "base"),
+    [
+        ("adaptive", None),
+        ("residual-ppo", "adaptive"),
+        ("residual-real", "gait-predictive"),
+        ("direct-ppo", None),
+    ],
+)
+def test_the_base_of_a_residual_is_the_policy_of_its_law(name, base):
+    assert static_header(find_candidate(name))["base"] == base
 
 
 def test_processes_give_the_same_bits():
@@ -65,6 +106,5 @@ def test_processes_give_the_same_bits():
     assert [row.name for row in alone] == ["adaptive", "direct-ppo"]
     for one, other in zip(alone, shared, strict=True):
         assert one.header == other.header
-        assert all(
-            values.tobytes() == other.scores[name].tobytes() for name, values in one.scores.items()
-        )
+        for name, values in one.scores.items():
+            assert values.tobytes() == other.scores[name].tobytes()

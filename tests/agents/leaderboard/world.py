@@ -2,6 +2,7 @@
 and change rows."""
 
 import dataclasses
+import itertools
 import json
 
 from agents.leaderboard.__main__ import check_episodes, find_stale
@@ -15,18 +16,13 @@ HORIZON = 0.6
 
 
 def make_set(name, *plants):
-    return parse_set(
-        {
-            "name": name,
-            "plants": [{"M": M, "mu": mu, "seed": i} for i, (M, mu) in enumerate(plants)],
-        }
-    )
+    fields = [{"M": M, "mu": mu, "seed": seed} for seed, (M, mu) in enumerate(plants)]
+    return parse_set({"name": name, "plants": fields})
 
 
-PLANTS = dict.fromkeys(("nominal", *MAIN_SETS), ((0.5, 0.01),)) | {
-    "paper": ((0.5, 0.01), (0.55, 0.011), (0.45, 0.009))
-}
-SETS = [make_set(name, *plants) for name, plants in PLANTS.items()]
+PAPER = make_set("paper", (0.5, 0.01), (0.55, 0.011), (0.45, 0.009))
+SETS = [make_set(name, (0.5, 0.01)) for name in ("nominal", *MAIN_SETS) if name != "paper"]
+SETS.insert(1, PAPER)
 
 
 def write_all(root):
@@ -37,8 +33,10 @@ def write_all(root):
 
 
 def write_pages(root):
-    board = build(load_rows(root / RESULTS, [each.name for each in all_candidates()]), SETS)
-    for name, text in {**files(root, board), CHART: draw(board)}.items():
+    rows = load_rows(root / RESULTS, [each.name for each in all_candidates()])
+    board = build(rows, SETS)
+    (root / CHART).write_text(draw(board))
+    for name, text in files(root, board).items():
         (root / name).write_text(text)
 
 
@@ -58,9 +56,6 @@ def read(root):
 def edit_row(root, name, change):
     """Changes a row's results, and writes the files that depend on them."""
     row = load_row(root / RESULTS / f"{name}.npz")
-    row = dataclasses.replace(
-        row, scores={name: values.copy() for name, values in row.scores.items()}
-    )
     change(row)
     save_row(root / RESULTS, row)
     write_pages(root)
@@ -68,7 +63,7 @@ def edit_row(root, name, change):
 
 def table(page, title=""):
     """The cells of the first Markdown table below a title, header and rule included."""
-    lines = page[page.index(title) :].splitlines()
-    first = next(i for i, line in enumerate(lines) if line.startswith("|"))
-    last = next((i for i in range(first, len(lines)) if not lines[i].startswith("|")), len(lines))
-    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[first:last]]
+    lines = iter(page[page.index(title) :].splitlines())
+    below = itertools.dropwhile(lambda line: not line.startswith("|"), lines)
+    rows = itertools.takewhile(lambda line: line.startswith("|"), below)
+    return [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
