@@ -109,7 +109,7 @@ def test_command_prints_every_published_number(made, monkeypatch, capsys, tmp_pa
     )
     # Every fastest profile is limited by a demand, but not by one that it need not satisfy.
     for optimum in made["optimal_profiles"]:
-        binding = report._optimum(optimum)["binding"]
+        binding = report.optimum_row(optimum)["binding"]
         assert binding and not (
             "without Principle 4" in optimum.problem.label and "principle_4_force" in binding
         )
