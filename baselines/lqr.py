@@ -76,7 +76,8 @@ def linearise(
         ends, rewards, _ = transitions.step(points[:3], points[3] / TORQUE_LIMIT)
         states.append(ends[:, 0])
         distance += rewards[0]
-        derivatives[n] = (ends[:, 1:5] - ends[:, 5:]) / (2.0 * DIFFERENCES)
+        _, forwards, backwards = np.split(ends, [1, 5], axis=1)
+        derivatives[n] = (forwards - backwards) / (2.0 * DIFFERENCES)
     return np.array(states), distance, derivatives[..., :3], derivatives[..., 3]
 
 
@@ -117,8 +118,10 @@ def riccati_gains(A: np.ndarray, B: np.ndarray, torque_deviation: float) -> np.n
     K = np.empty_like(B)
     for _ in range(RICCATI_CYCLES):
         for n in reversed(range(len(B))):
-            K[n] = B[n] @ P @ A[n] / (R + B[n] @ P @ B[n])
-            P = Q + A[n].T @ P @ (A[n] - np.outer(B[n], K[n]))
+            cost = B[n] @ P
+            K[n] = cost @ A[n] / (R + cost @ B[n])
+            closed = A[n] - np.outer(B[n], K[n])
+            P = Q + A[n].T @ P @ closed
     return K
 
 
@@ -193,15 +196,14 @@ def start(seeds: Sequence[int], regulator: np.ndarray | None = None) -> Act:
         nonlocal phase, offsets
         z = observations[:, :3].T.astype(np.float64)
         near = (phase + offsets) % phases
-        a, b, c = ((z[n][:, None] - z_d[n, near]) / SCALES[n] for n in range(3))
+        a, b, c = (z[..., None] - z_d[:, near]) / SCALES[:, None, None]
         nearest = (a * a + b * b + c * c).argmin(axis=1)
         phase = np.take_along_axis(near, nearest[:, None], axis=1)
         offsets = SUBPHASES + np.arange(-WINDOW, WINDOW + 1)
         i = phase[:, 0]
-        e = z - z_d[:, i]
-        gains = K[:, i]
-        feedback = gains[0] * e[0] + gains[1] * e[1] + gains[2] * e[2]
-        torque = u_d[0, i] - feedback
-        return np.clip(torque / TORQUE_LIMIT, -1.0, 1.0).astype(np.float32)[:, None]
+        a, b, c = K[:, i] * (z - z_d[:, i])
+        torque = u_d[0, i] - (a + b + c)
+        action = np.clip(torque / TORQUE_LIMIT, -1.0, 1.0)
+        return action.astype(np.float32)[:, None]
 
     return act

@@ -41,7 +41,8 @@ def start(seeds: Sequence[int]) -> Act:
         first, last = rng.uniform(-1.0, 1.0, (2, PLANS, 1))
         disturbances = AMPLITUDES * (first + share * (last - first))
         plans = np.clip(previous + disturbances, -1.0, 1.0)
-        states = np.repeat(observations[:, :3].T.astype(np.float64), PLANS, axis=1)
+        observed = observations[:, :3].T.astype(np.float64)
+        states = np.repeat(observed, PLANS, axis=1)
         scores = np.zeros(count * PLANS)
         failed = np.zeros(count * PLANS, bool)
         for torques in plans.reshape(-1, INTERVALS).T:

@@ -78,4 +78,5 @@ def printed_below(value: float, digits: int) -> str:
     >>> printed_below(0.8477, 2)
     '0.84'
     """
-    return str(Decimal(value).quantize(Decimal(1).scaleb(-digits), ROUND_FLOOR))
+    last = Decimal(1).scaleb(-digits)
+    return str(Decimal(value).quantize(last, ROUND_FLOOR))

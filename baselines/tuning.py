@@ -42,9 +42,10 @@ VALIDATION_PLANTS = 1024
 FAILURE = 10.0
 PAPER = {"randomization": "paper"}
 REAL = {"randomization": "real", "disturbances": "real"}
+Make = Callable[[Sequence[float]], Controller]
 # The functions of the laws, and the plants and disturbances on which they are tuned. `gains.TUNED`
 # contains, by name, the parameters with which a search starts and their scales in the search.
-PROBLEMS: dict[str, tuple[Callable[[Sequence[float]], Controller], Mapping[str, Any]]] = {
+PROBLEMS: dict[str, tuple[Make, Mapping[str, Any]]] = {
     "open-loop": (periodic.open_loop, PAPER),
     "open-loop-real": (periodic.open_loop, REAL),
     "pd": (periodic.pd, REAL),
@@ -115,7 +116,8 @@ def tune(name: str, generations: int, seed: int, step: float) -> None:
         if generation % INTERVAL > 0 and generation < generations:
             continue
         # As on file.
-        mean = np.array([float(f"{value:.9g}") for value in strategy.mean * units])
+        rounded = [float(f"{value:.9g}") for value in strategy.mean * units]
+        mean = np.array(rounded)
         reached, metrics = _validate(name, mean)
         progress = f"generation {generation}: score {reached:.3f}, on file {best:.3f}"
         print(f"{progress}; {metrics}", flush=True)

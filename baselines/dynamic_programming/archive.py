@@ -23,6 +23,7 @@ from baselines.dynamic_programming.problem import (
     ENERGY_WEIGHTS,
     Problem,
     Trajectory,
+    corner_weights,
     plant_problems,
     repeat,
     run_episodes,
@@ -104,11 +105,12 @@ class Archive:
         runs = [trajectory for _, trajectory in solved]
         best = max(runs, key=lambda run: _reward(problem, run))
         self.arrays[f"{problem.key} torques"] = best.choices[:, 0]
+        steady = [run.steady_speed(problem.control_dt) for run in runs]
         self.results[problem.key] = Result(
             **asdict(problem),
             grids=[list(solution.grid.shape) for solution in solutions],
             gains=[round(solution.gain, 4) for solution in solutions],
-            steady=[round(run.steady_speed(problem.control_dt), 4) for run in runs],
+            steady=[round(speed, 4) for speed in steady],
             **_performance(best),
         )
 
@@ -171,13 +173,13 @@ class Archive:
             return
         plants = self.arrays["plants"]
         torques = self.arrays["plants torques"]
-        run = run_episodes(
-            Problem(),
-            np.full(len(plants), START_THETA),
-            torques.shape[1],
-            lambda step, states: torques[:, step],
-            plants[:, :2],
-        )
+        count, steps = torques.shape
+        starts = np.full(count, START_THETA)
+
+        def choose(step: int, states: np.ndarray) -> np.ndarray:
+            return torques[:, step]
+
+        run = run_episodes(Problem(), starts, steps, choose, plants[:, :2])
         yield from zip(plants.tolist(), run.metrics["mean_speed"].tolist(), strict=True)
 
     def save(self, folder: Path = FOLDER) -> None:
@@ -253,7 +255,7 @@ def solve_plant(
     """
     corners, along_M, along_mu = GRID.cell(problem.M, problem.mu)
     near = [archive.solution(plant_problems(GRID)[corner]) for corner in corners]
-    weights = np.outer([1.0 - along_M, along_M], [1.0 - along_mu, along_mu]).ravel()
+    weights = corner_weights(along_M, along_mu)
     y = _union([solution.grid.y for solution in near])
     w = _union([solution.grid.w for solution in near])
     grid = Grid(solver.divide_nodes(shape, y, w), y, w, problem.M)
@@ -298,8 +300,8 @@ def optimal_front() -> list[tuple[float, float]]:
 def extrapolated(result: Result) -> str:
     """The limit of the gains on ever finer grids, cm/s, for errors of second and of first order."""
     before, last = result.gains[-2:]
-    coarse, fine = (nodes[0] - 1 for nodes in result.grids[-2:])
-    ratio = fine / coarse
+    coarse, fine = result.grids[-2:]
+    ratio = (fine[0] - 1) / (coarse[0] - 1)
     second = last + (last - before) / (ratio**2 - 1.0)
     first = last + (last - before) / (ratio - 1.0)
     return f"{second:.2f} to {first:.2f}"

@@ -29,6 +29,11 @@ FAILED = -1.0  # position of a failed state and of a state off the grid
 MAX_NODE_RATE = 40.0  # rad/s: of nodes near +-pi/2, where no motion reaches the platform's velocity
 
 
+def q_of(M: Any) -> Any:
+    """m l / (M + m) in m, of masses in kg."""
+    return NOMINAL.m * NOMINAL.l / (M + NOMINAL.m)
+
+
 def stretched(y: np.ndarray) -> np.ndarray:
     """The coordinate s of y."""
     return y / (STRETCH + abs(y))
@@ -107,7 +112,7 @@ class Grid:
     @property
     def q(self) -> float:
         """m l / (M + m), m."""
-        return NOMINAL.m * NOMINAL.l / (self.M + NOMINAL.m)
+        return float(q_of(self.M))
 
     @property
     def axes(self) -> np.ndarray:
@@ -131,7 +136,8 @@ class Grid:
         s[np.abs(s).argmin()] = 0.0
         theta, s, w = (axis.ravel() for axis in np.meshgrid(theta, s, w, indexing="ij"))
         _, cos = sincos(theta)
-        rate = np.maximum(cos, MIN_COSINE) * STRETCH * s / (1.0 - np.abs(s))
+        y_cosine = np.maximum(cos, MIN_COSINE)
+        rate = y_cosine * STRETCH * s / (1.0 - np.abs(s))
         theta_dot = (rate - w) / np.maximum(cos, 1e-9)
         theta_dot = np.clip(theta_dot, -MAX_NODE_RATE, MAX_NODE_RATE)
         return np.stack([theta, theta_dot, self.q * rate])
@@ -146,4 +152,5 @@ class Grid:
         own = np.stack(coordinates(states, self.q), axis=1)
         positions = (own - first) / spacing
         inside = ((positions >= 0.0) & (positions <= last)).all(axis=1)
-        return np.where(inside[:, None], clamped(positions, last), FAILED).astype(np.float32)
+        found = np.where(inside[:, None], clamped(positions, last), FAILED)
+        return found.astype(np.float32)

@@ -12,11 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from baselines.dynamic_programming.archive import known_results
-from baselines.dynamic_programming.grid import clamped, coordinates, interpolate
+from baselines.dynamic_programming.grid import clamped, coordinates, interpolate, q_of
 from baselines.dynamic_programming.problem import (
     NOMINAL_MARGIN,
     Problem,
     Transitions,
+    corner_weights,
     plant_problems,
 )
 from baselines.dynamic_programming.solver import cell_curvature
@@ -70,7 +71,7 @@ class Lookahead:
         assumed = Problem(margin=margin, static_ratio=problems[0].static_ratio)
         self._transitions = Transitions(assumed, count * NUM_TORQUES)
         self._actions = np.tile(TORQUES.astype(np.float64), count)
-        self._q = np.full(count, NOMINAL.m * NOMINAL.l / (NOMINAL.M + NOMINAL.m))
+        self._q = np.full(count, q_of(NOMINAL.M))
         # The solutions around every environment's plant.
         self._corners = np.zeros((count, 1), np.int64)
         self._weights = np.ones((count, 1))
@@ -80,8 +81,9 @@ class Lookahead:
 
         Shape (count, torques).
         """
-        states = np.repeat(observations[:, :3].T.astype(np.float64), NUM_TORQUES, axis=1)
-        ends, rewards, failed = self._transitions.step(states, self._actions)
+        states = observations[:, :3].T.astype(np.float64)
+        repeated = np.repeat(states, NUM_TORQUES, axis=1)
+        ends, rewards, failed = self._transitions.step(repeated, self._actions)
         # A failed step may end in NaN, which has no cell.
         ends = np.where(failed, 0.0, ends).reshape(3, -1, NUM_TORQUES)
         scores = self.add_values(rewards.reshape(-1, NUM_TORQUES), ends)
@@ -139,12 +141,11 @@ class Oracle(Lookahead):
             self._observed[:] = plants
             M, mu = plants.T.astype(np.float64)
             self._transitions.set_plants(np.repeat(M, NUM_TORQUES), np.repeat(mu, NUM_TORQUES))
-            self._q = NOMINAL.m * NOMINAL.l / (M + NOMINAL.m)
-            for i in changed.tolist():
+            self._q = q_of(M)
+            for i in changed:
                 corners, along_M, along_mu = self._grid.cell(float(M[i]), float(mu[i]))
                 self._corners[i] = corners
-                weights = np.outer([1.0 - along_M, along_M], [1.0 - along_mu, along_mu])
-                self._weights[i] = weights.ravel()
+                self._weights[i] = corner_weights(along_M, along_mu)
         return super().scores(observations)
 
 

@@ -85,6 +85,11 @@ def plant_problems(grid: PlantGrid) -> list[Problem]:
     return [Problem(M=M, mu=mu, static_ratio=grid.static_ratio) for M, mu in grid.plants]
 
 
+def corner_weights(along_M: float, along_mu: float) -> np.ndarray:
+    """The weights of the corners of a cell of a `PlantGrid` at a position in it, shape (4,)."""
+    return np.outer([1.0 - along_M, along_M], [1.0 - along_mu, along_mu]).ravel()
+
+
 PROBLEMS = (
     *plant_problems(GRID),
     *plant_problems(STICKY_GRID),
@@ -171,7 +176,8 @@ class Trajectory:
         if starts.size > 1:
             begin, end = starts[[0, -1]]
         x = self.states[:, 2, 0]
-        return float(100.0 * (x[end] - x[begin]) / ((end - begin) * control_dt))
+        duration = (end - begin) * control_dt
+        return float(100.0 * (x[end] - x[begin]) / duration)
 
 
 def run_episodes(

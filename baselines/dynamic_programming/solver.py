@@ -128,7 +128,8 @@ def _backup(
 
 def _evenly_spaced(grid: Grid) -> np.ndarray:
     """`TORQUES` torques over limit at every node, shape (nodes, torques)."""
-    return np.tile(np.linspace(-1.0, 1.0, TORQUES), (math.prod(grid.shape), 1))
+    torques = np.linspace(-1.0, 1.0, TORQUES)
+    return np.tile(torques, (math.prod(grid.shape), 1))
 
 
 def solve(
@@ -279,7 +280,8 @@ def curvature_of(solution: Solution, trajectory: Trajectory) -> float:
     It is the median over settled states, or 0.0 if none is on the grid.
     """
     first = round(SETTLED / solution.problem.control_dt)
-    states = trajectory.states[first:, [0, 1, 3]].transpose(1, 0, 2).reshape(3, -1)
+    settled = trajectory.states[first:, [0, 1, 3]]
+    states = settled.transpose(1, 0, 2).reshape(3, -1)
     positions = solution.grid.positions(states)
     inside = positions[positions[:, 0] >= 0.0]
     if not inside.size:
@@ -287,7 +289,9 @@ def curvature_of(solution: Solution, trajectory: Trajectory) -> float:
     i, j, k = (inside + 0.5).astype(np.int64).T
     k = np.clip(k, 1, solution.grid.shape[2] - 2)
     values = solution.values.astype(np.float64)
-    second = values[i, j, k + 1] - 2.0 * values[i, j, k] + values[i, j, k - 1]
+    before = values[i, j, k - 1]
+    after = values[i, j, k + 1]
+    second = after - 2.0 * values[i, j, k] + before
     _, spacing = solution.grid.axes[2].tolist()
     return round(float(np.median(second)) / (2.0 * spacing**2), 3)
 

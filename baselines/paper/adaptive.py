@@ -62,15 +62,18 @@ def lyapunov(run: Trajectory, start: tuple[float, ...], plant: Plant) -> np.ndar
     n = REGULARISED.n
     # The memory of a sample is that after its call; the call itself used the one before.
     before = np.vstack([start, run.memory[:-1]])
-    kinetic = 0.5 * (ml * plant.l * delta_theta**2 + (plant.M + plant.m) * delta_x**2)
-    kinetic -= ml * np.cos(run.theta) * delta_theta * delta_x
+    rotation = ml * plant.l * delta_theta**2
+    translation = (plant.M + plant.m) * delta_x**2
+    coupling = ml * np.cos(run.theta) * delta_theta * delta_x
+    kinetic = 0.5 * (rotation + translation) - coupling
 
     parameters = nominal_estimates(plant)
     squares = (before[:, : len(parameters)] - parameters) ** 2
     alpha_theta = squares[:, :ALPHA_THETA_SIZE].sum(axis=1) / PUBLISHED.Gamma_1
     alpha_x = squares[:, ALPHA_THETA_SIZE:].sum(axis=1) / PUBLISHED.Gamma_2
     scale = (2.0 * n + 1.0) / (2.0 * n)
-    auxiliary = scale * eta_of(before) ** (2.0 * n / (2.0 * n + 1.0))
+    exponent = 2.0 * n / (2.0 * n + 1.0)
+    auxiliary = scale * eta_of(before) ** exponent
     return kinetic + 0.5 * (alpha_theta + alpha_x) + auxiliary
 
 

@@ -122,7 +122,8 @@ class Solution:
     @property
     def excess(self) -> float:
         """The sum of all violations; 0.0 where every demand is met."""
-        return sum(share - 1.0 for share in self.shares.values() if share > 1.0 + ROUNDING)
+        violated = [share for share in self.shares.values() if share > 1.0 + ROUNDING]
+        return sum(share - 1.0 for share in violated)
 
 
 def assess(
@@ -144,7 +145,8 @@ def assess(
     # In the middle of the steps, where the acceleration does not jump; the demands hold at the ends
     # of the phases too.
     t = (np.arange(counts.sum()) + 0.5) * h
-    steps = Cycle(t, np.repeat(np.arange(len(counts)), counts), *profile.evaluate(t))
+    phase = np.repeat(np.arange(len(counts)), counts)
+    steps = Cycle(t, phase, *profile.evaluate(t))
     ends = sample(profile, 2)
     pairs = zip(vars(steps).values(), vars(ends).values(), strict=True)
     cycle = Cycle(*map(np.concatenate, pairs))
@@ -197,7 +199,8 @@ def _move(steps: Cycle, h: float, p: Plant) -> _Motion:
         x, x_dot, x_ddot = platform_motion(theta, theta_dot, theta_ddot, h, p)
     ml = p.m * p.l
     inertia = ml * (p.l * theta_ddot - np.cos(theta) * x_ddot)
-    u = inertia - ml * p.g * np.sin(theta) + p.k * theta + p.c * theta_dot  # Eq. (1), first row
+    weight = ml * p.g * np.sin(theta)
+    u = inertia - weight + p.k * theta + p.c * theta_dot  # Eq. (1), first row
     energy = h * float(np.abs(u * theta_dot).sum())
     distance = float(x[-1])
     backward = float(np.maximum(0.0, -np.diff(x)).sum())
@@ -350,11 +353,13 @@ def main(
     check_output("--json", json, overwrite=overwrite)
     solutions: list[Solution] = []
     for problem in problems():
-        solutions.append(search(problem, solutions, seed=seed, generations=generations))
-        print(f"{problem.label}: {solutions[-1].mean_speed:.5f} m/s", flush=True)
+        found = search(problem, solutions, seed=seed, generations=generations)
+        solutions.append(found)
+        print(f"{problem.label}: {found.mean_speed:.5f} m/s", flush=True)
+    theta_0, v_theta, a_theta = BOUNDS.tolist()
     document = {
         "command": f"{PROG} --seed {seed} --generations {generations}",
-        "bounds": dict(zip(("theta_0", "v_theta", "a_theta"), BOUNDS.tolist(), strict=True)),
+        "bounds": {"theta_0": theta_0, "v_theta": v_theta, "a_theta": a_theta},
         "solutions": [asdict(each) for each in exchange(solutions)],
     }
     write_atomically(json, to_json(document))

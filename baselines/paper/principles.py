@@ -103,7 +103,8 @@ def principle_4(cycle: Cycle, p: Plant) -> Demand:
     force = dynamics.driving_force(*cycle.motion, p) + pivot_force
     direction_ratio = np.where(force < 0.0, p.backward_ratio, 1.0)
     mu = p.mu * p.static_ratio * direction_ratio
-    return Demand(np.abs(force), mu * dynamics.normal_force(*cycle.motion, p))
+    normal_force = dynamics.normal_force(*cycle.motion, p)
+    return Demand(np.abs(force), mu * normal_force)
 
 
 def lemma_1(cycle: Cycle, p: Plant, *, sufficient: bool = False) -> Demand:
@@ -119,7 +120,8 @@ def lemma_1(cycle: Cycle, p: Plant, *, sufficient: bool = False) -> Demand:
     a = ml * cycle.theta_ddot + _pivot_torque(cycle, p)
     if sufficient:
         return Demand(np.hypot(a, ml * cycle.theta_dot**2), weight)  # Eq. (12)
-    return Demand(cycle.theta_dot**2 * np.abs(a), weight**2 / (2.0 * ml))  # Eq. (10)
+    load = cycle.theta_dot**2 * np.abs(a)
+    return Demand(load, weight**2 / (2.0 * ml))  # Eq. (10)
 
 
 def lemma_2(cycle: Cycle, p: Plant, *, sufficient: bool = False) -> Demand:
@@ -134,7 +136,8 @@ def lemma_2(cycle: Cycle, p: Plant, *, sufficient: bool = False) -> Demand:
     """
     torque = _pivot_torque(cycle, p)
     if sufficient:
-        load = np.abs(cycle.theta_ddot + torque / (p.m * p.l)) + cycle.theta_dot**2
+        acceleration = cycle.theta_ddot + torque / (p.m * p.l)
+        load = np.abs(acceleration) + cycle.theta_dot**2
     else:
         load = cycle.theta_ddot + cycle.theta_dot**2 + torque  # Eq. (15)
     return Demand(load, friction_bound(p))
@@ -142,7 +145,8 @@ def lemma_2(cycle: Cycle, p: Plant, *, sufficient: bool = False) -> Demand:
 
 def friction_bound(p: Plant) -> float:
     """The right side of Lemma 2 (15), (M + m) g / (m l) mu / sqrt(mu^2 + 1), rad/s^2."""
-    return (p.M + p.m) * p.g / (p.m * p.l) * p.mu / math.sqrt(p.mu * p.mu + 1.0)
+    weight = (p.M + p.m) * p.g / (p.m * p.l)
+    return weight * p.mu / math.sqrt(p.mu * p.mu + 1.0)
 
 
 def _pivot_torque(cycle: Cycle, p: Plant) -> np.ndarray:
@@ -172,7 +176,8 @@ def evaluate_demands() -> list[dict[str, Any]]:
         }
         for name, demand in demands.items():
             # A phase has SAMPLES_PER_PHASE samples.
-            by_phase = demand.ratio.reshape(len(profile.segments), -1).max(axis=1).tolist()
+            ratio = demand.ratio.reshape(len(profile.segments), -1)
+            by_phase = ratio.max(axis=1).tolist()
             row: dict[str, Any] = {"profile": profile.name, "demand": name}
             row["whole_cycle"] = max(by_phase)
             row["restoring"] = tuple(by_phase[-RESTORING_PHASES:])
@@ -194,7 +199,8 @@ def check_lemmas(states: int = 200_000, seed: int = 0) -> list[dict[str, Any]]:
         (lemma_1, principle_3, "Lemma 1 (10), as printed", "Lemma 1 (12), its own premise", FAST),
         (lemma_2, principle_4, "Lemma 2 (15), as printed", "Lemma 2 (15), corrected", SLOW),
     ):
-        motion = np.array([0.5 * math.pi, *limits]) * rng.uniform(-1.0, 1.0, (states, 3))
+        largest = np.array([0.5 * math.pi, *limits])
+        motion = largest * rng.uniform(-1.0, 1.0, (states, 3))
         samples = Cycle(np.zeros(states), np.zeros(states, np.int64), *motion.T)
         for name, forces, p in (
             (printed, "printed", PAPER),
@@ -217,11 +223,13 @@ def torque_without_acceleration(
     """Motor torque in N m at theta'' = 0, from Eq. (1); `slip` is +1.0, -1.0 or, for stick, 0.0."""
     ml = p.m * p.l
     sin = np.sin(theta)
-    at_rest = -ml * p.g * sin + p.k * theta + p.c * theta_dot
+    weight = -ml * p.g * sin
+    at_rest = weight + p.k * theta + p.c * theta_dot
     if slip == 0.0:
         return at_rest
     normal_force = np.maximum(0.0, dynamics.normal_force(theta, theta_dot, 0.0, p))
-    driving_force = ml * sin * theta_dot**2 + slip * p.mu * normal_force
+    friction = slip * p.mu * normal_force
+    driving_force = ml * sin * theta_dot**2 + friction
     return at_rest + ml * np.cos(theta) * driving_force / (p.M + p.m)  # Eq. (32)
 
 
@@ -234,7 +242,8 @@ def _slope_of_torque(largest_theta: float, theta_dot: float, p: Plant) -> float:
     total = p.M + p.m
     pivot = p.k * largest_theta + p.c * abs(theta_dot)
     centrifugal = ml * theta_dot**2
-    friction = p.mu * (total * p.g + 2.0 * centrifugal + 2.0 * pivot + p.k)
+    normal_force = total * p.g + 2.0 * centrifugal + 2.0 * pivot + p.k
+    friction = p.mu * normal_force
     return ml * p.g + p.k + ml * (centrifugal + friction) / total
 
 

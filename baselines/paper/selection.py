@@ -116,12 +116,14 @@ def _p2_of_momentum(samples: np.ndarray, theta: np.ndarray) -> float:
     ml = p.m * p.l
     int_sin = float(trapezoid(theta * np.sin(theta), samples))
     int_cos = float(trapezoid(theta * np.cos(theta), samples))
-    edge = float(theta[-1] * math.sin(theta[-1]) - theta[0] * math.sin(theta[0]))
-    weight_impulse = p.mu * (p.M + p.m) * p.g * samples[-1]
+    first, last = theta[[0, -1]].tolist()
+    edge = last * math.sin(last) - first * math.sin(first)
+    duration = float(samples[-1])
+    weight_impulse = p.mu * (p.M + p.m) * p.g * duration
     spring_impulse = p.mu * p.k * int_sin
     damper_impulse = p.mu * p.c * (edge - int_cos)
     pushed = weight_impulse - spring_impulse + damper_impulse
-    return float(pushed / (ml * math.cos(THETA_0) + p.mu * ml * math.sin(THETA_0)))
+    return pushed / (ml * math.cos(THETA_0) + p.mu * ml * math.sin(THETA_0))
 
 
 def _swing(omega: float, times: Times) -> float:
@@ -133,7 +135,9 @@ def _swing(omega: float, times: Times) -> float:
     t1, t2, t3, *_ = times
     amplitude = V1 / omega
     rise = amplitude * (1.0 - math.cos(omega * t1))
-    fall = amplitude * (math.cos(omega * t2 - t2) - math.cos(omega * t3 - t2))
+    start = math.cos(omega * t2 - t2)
+    end = math.cos(omega * t3 - t2)
+    fall = amplitude * (start - end)
     last = 0.5 * P2 * (math.pi / omega + t2 - t3)
     return rise + V1 * (t2 - t1) + fall - last
 
@@ -142,7 +146,8 @@ def _restoring_stage(times: Times, own_p2: float, own_p3: float) -> Iterator[Com
     """Eqs. (27) to (31), of the phases IV to VII."""
     _, _, t3, t4, t5, t6, t7 = times
     k, c = NEWTON.k, NEWTON.c
-    t4_27 = -P2 / (BOUND - P2 * P2 - k * P2 * t3 - c * P2) + t3
+    deceleration = BOUND - P2 * P2 - k * P2 * t3 - c * P2
+    t4_27 = -P2 / deceleration + t3
     yield Comparison("(27)", "t4", "s", t4_27, t4, f"at P2 = {P2} rad/s")
     yield Comparison(
         "(27)", "P2", "rad/s", own_p2, P2, "solved for P2, against the published swing"

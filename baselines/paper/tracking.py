@@ -218,11 +218,12 @@ def friction_for(profile: Profile, speed: float) -> list[float]:
     """Every mu of `grid` at which the nominal mass has a speed (cm/s), interpolated in log mu."""
     _, mu = grid()
     excess = speed_map(profile, mu=mu)[0] - speed
-    crossings = np.flatnonzero(excess[:-1] * excess[1:] < 0.0)
-    before = excess[crossings]
-    shares = before / (before - excess[crossings + 1])
     logs = np.log(mu)
-    widths = logs[crossings + 1] - logs[crossings]
+    (crossings,) = np.nonzero(excess[:-1] * excess[1:] < 0.0)
+    before = excess[crossings]
+    after = excess[crossings + 1]
+    shares = before / (before - after)
+    widths = np.diff(logs)[crossings]
     found: list[float] = np.exp(logs[crossings] + shares * widths).tolist()
     return found
 
