@@ -1,5 +1,4 @@
-"""The scripted baselines: the paper, its trajectories and its results, dynamic programming, LQR,
-MPC and tuning.
+"""The scripted baselines: the paper, dynamic programming, LQR, MPC and tuning.
 
 The control laws are in `capsule_gym.control.laws`, and also have the names of this package:
 `baselines.adaptive()` is the law of the environment's argument `controller="baselines:adaptive"`.

@@ -11,8 +11,12 @@ from capsule_gym.files import replacing
 
 # Okabe and Ito's colours, distinct in every common colour blindness; the dashes distinguish them in
 # grey.
-BLUE, VERMILION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#AA4499"
-INK, MUTED = "#222222", "#767676"
+BLUE = "#0072B2"
+VERMILION = "#D55E00"
+GREEN = "#009E73"
+PURPLE = "#AA4499"
+INK = "#222222"
+MUTED = "#767676"
 
 WIDTH = 7.0
 NOTE_COLUMNS = 122
@@ -29,12 +33,13 @@ PENS: dict[str, dict[str, Any]] = {
 # Wide and pale, since the computed trajectory is drawn on top of it.
 REFERENCE: dict[str, Any] = {"color": "#c5ccd6", "lw": 3.6, "zorder": 1.5}
 PUBLISHED_DASHES = (0.0, (1.2, 1.6))
+# matplotlib stamps the date into SVG and its version into PNG.
+STAMPS = {"svg": {"Date": None, "Creator": None}, "png": {"Software": None}}
 
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Draws and saves in the style of this project, independent of the user's configuration of
-    matplotlib.
+    """Draws and saves in the style of this project, whatever the user's configuration.
 
     Raises:
         ImportError: if matplotlib is not installed.
@@ -49,15 +54,15 @@ def style() -> Iterator[None]:
     finally:
         if backend is not None:
             os.environ["MPLBACKEND"] = backend
-    with matplotlib_style.context(
-        ["default", STYLE, {"axes.prop_cycle": f"cycler('color', {COLOURS})"}]
-    ):
+    cycle = {"axes.prop_cycle": f"cycler('color', {COLOURS})"}
+    with matplotlib_style.context(["default", STYLE, cycle]):
         yield
 
 
 def new_figure(height: float, width: float = WIDTH) -> Any:
-    """An empty figure of the full text width, or `width` inches wide, `height` inches high, with
-    its own canvas.
+    """An empty figure with its own canvas, `height` inches high.
+
+    It has the full text width, or is `width` inches wide.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -76,8 +81,9 @@ def add_note(figure: Any, text: str) -> None:
 def mark_published(
     axes: Any, value: float, text: str, colour: str = INK, *, x: float = 0.99
 ) -> None:
-    """Draws a dotted line across the axes at a published number, with its label at x (a share of
-    the width).
+    """Draws a dotted line across the axes at a published number.
+
+    Its label is at x, a share of the width.
     """
     axes.axhline(value, color=colour, linestyle=PUBLISHED_DASHES, linewidth=1.1)
     axes.annotate(
@@ -94,21 +100,18 @@ def mark_published(
 
 
 def save(figure: Any, stem: Path) -> list[Path]:
-    """Writes `stem`.svg and `stem`.png atomically; the same figure gives the same bytes. The folder
-    must exist.
+    """Writes `stem`.svg and `stem`.png atomically; the folder must exist.
+
+    The same figure gives the same bytes.
     """
-    written = []
     # Computes the constrained layout once: it takes longer than the drawing, and would run for each
     # file.
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
-    # matplotlib stamps the date into SVG and its version into PNG.
-    for suffix, metadata in (
-        (".svg", {"Date": None, "Creator": None}),
-        (".png", {"Software": None}),
-    ):
-        path = stem.with_name(stem.name + suffix)
+    written = []
+    for kind, metadata in STAMPS.items():
+        path = stem.with_name(f"{stem.name}.{kind}")
         with replacing(path) as temporary:
-            figure.savefig(temporary, format=suffix[1:], dpi=DPI, metadata=metadata)
+            figure.savefig(temporary, format=kind, dpi=DPI, metadata=metadata)
         written.append(path)
     return written

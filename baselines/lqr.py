@@ -1,7 +1,6 @@
-"""LQR about a limit cycle of dynamic programming, the policy `lqr`; `python -m baselines.tuning
-lqr` designs it.
+"""LQR about a limit cycle of dynamic programming, the policy `lqr`.
 
-The cycle is one period of `dp-nominal` on the nominal plant, closed by small corrections of its
+`python -m baselines.tuning lqr` designs it. The cycle is one period of `dp-nominal` on the nominal plant, closed by small corrections of its
 torques. Along it the step of the environment is linearised, and the periodic Riccati equation gives
 a gain for every phase:
 
@@ -33,18 +32,24 @@ from capsule_gym.tasks.task import EPISODE_STEPS, START_THETA, TORQUE_LIMIT
 FILE = Path(__file__).with_name("lqr.json")
 # Acceptable deviations of theta (rad), theta_dot (rad/s) and x_dot (m/s), and of the torque (N m):
 # the weights of the cost are the inverse squares (Bryson's rule).
-DEVIATIONS, TORQUE_DEVIATIONS = np.array([0.2, 2.0, 0.05]), (0.05, 0.1, 0.2)
+DEVIATIONS = np.array([0.2, 2.0, 0.05])
+TORQUE_DEVIATIONS = (0.05, 0.1, 0.2)
 # Differences of the states and of the torque for the derivatives.
 DIFFERENCES = np.array([1e-4, 1e-3, 1e-4, 1e-3])
 # Scales of states in the distance to the cycle and of corrections that close it, and that of the
 # torques, N m.
-SCALES, TORQUE_SCALE = np.array([0.3, 3.0, 0.15]), 0.3
-ITERATIONS, DAMPING, CLOSED = 60, 0.7, 1e-6
+SCALES = np.array([0.3, 3.0, 0.15])
+TORQUE_SCALE = 0.3
+# Of the Newton steps; CLOSED is the largest gap of a closed cycle, over SCALES.
+ITERATIONS = 60
+DAMPING = 0.7
+CLOSED = 1e-6
 # Cycles until the solution of the Riccati equation is periodic.
 RICCATI_CYCLES = 60
 # Phases in a control interval, between which cycle and gains are interpolated, and the largest
 # difference, in phases, between the phase and that expected from the previous step.
-SUBPHASES, WINDOW = 8, 12
+SUBPHASES = 8
+WINDOW = 12
 
 
 def linearise(
@@ -61,17 +66,19 @@ def linearise(
         The states, shape (n + 1, 3); the distance, cm; and the derivatives of the next state with
         respect to the state, shape (n, 3, 3), and to the torque, shape (n, 3).
     """
-    offsets = np.concatenate(
-        [np.zeros((4, 1)), np.diag(DIFFERENCES), -np.diag(DIFFERENCES)], axis=1
-    )
-    states, distance, derivatives = [state], 0.0, []
-    for torque in torques:
+    differences = np.diag(DIFFERENCES)
+    offsets = np.concatenate([np.zeros((4, 1)), differences, -differences], axis=1)
+    states = [state]
+    distance = 0.0
+    derivatives = np.empty((len(torques), 3, 4))
+    for n, torque in enumerate(torques):
         points = np.append(states[-1], torque)[:, None] + offsets
         ends, rewards, _ = transitions.step(points[:3], points[3] / TORQUE_LIMIT)
         states.append(ends[:, 0])
         distance += rewards[0]
-        derivatives.append((ends[:, 1:5] - ends[:, 5:]) / (2.0 * DIFFERENCES))
-    return np.array(states), distance, np.array(derivatives)[..., :3], np.array(derivatives)[..., 3]
+        _, forwards, backwards = np.split(ends, [1, 5], axis=1)
+        derivatives[n] = (forwards - backwards) / (2.0 * DIFFERENCES)
+    return np.array(states), distance, derivatives[..., :3], derivatives[..., 3]
 
 
 def close_cycle(
@@ -89,53 +96,44 @@ def close_cycle(
         if (np.abs(gap) < CLOSED * SCALES).all():
             return distance, state, torques
         # The derivatives of the last state with respect to the first one and to every torque.
-        by_state, by_torque = np.eye(3), np.empty((3, len(torques)))
-        for n in range(len(torques) - 1, -1, -1):
-            by_torque[:, n], by_state = by_state @ B[n], by_state @ A[n]
-        scaled = np.concatenate([(by_state - np.eye(3)) * SCALES, by_torque * TORQUE_SCALE], axis=1)
-        correction = DAMPING * np.linalg.lstsq(scaled, -gap, rcond=1e-6)[0]
+        by_state = np.eye(3)
+        by_torque = np.empty((3, len(torques)))
+        for n in reversed(range(len(torques))):
+            by_torque[:, n] = by_state @ B[n]
+            by_state = by_state @ A[n]
+        scaled = [(by_state - np.eye(3)) * SCALES, by_torque * TORQUE_SCALE]
+        solution, *_ = np.linalg.lstsq(np.concatenate(scaled, axis=1), -gap, rcond=1e-6)
+        correction = DAMPING * solution
         state = state + SCALES * correction[:3]
-        torques = np.clip(torques + TORQUE_SCALE * correction[3:], -TORQUE_LIMIT, TORQUE_LIMIT)
+        corrected = torques + TORQUE_SCALE * correction[3:]
+        torques = np.clip(corrected, -TORQUE_LIMIT, TORQUE_LIMIT)
     return -np.inf, state, torques
 
 
 def riccati_gains(A: np.ndarray, B: np.ndarray, torque_deviation: float) -> np.ndarray:
     """The gains of the periodic linear-quadratic regulator, shape (n, 3): u = u_d - K (z - z_d)."""
-    Q, R = np.diag(DEVIATIONS**-2.0), torque_deviation**-2.0
-    P, K = Q, np.empty_like(B)
+    Q = np.diag(DEVIATIONS**-2.0)
+    R = torque_deviation**-2.0
+    P = Q
+    K = np.empty_like(B)
     for _ in range(RICCATI_CYCLES):
-        for n in range(len(B) - 1, -1, -1):
-            K[n] = B[n] @ P @ A[n] / (R + B[n] @ P @ B[n])
-            P = Q + A[n].T @ P @ (A[n] - np.outer(B[n], K[n]))
+        for n in reversed(range(len(B))):
+            cost = B[n] @ P
+            K[n] = cost @ A[n] / (R + cost @ B[n])
+            closed = A[n] - np.outer(B[n], K[n])
+            P = Q + A[n].T @ P @ closed
     return K
 
 
 def candidates() -> Iterator[dict[str, list]]:
-    """Designs regulators: of each length the fastest closed cycle of `dp-nominal`, with each of
-    `TORQUE_DEVIATIONS`.
+    """Designs regulators for the fastest closed cycle of `dp-nominal` of each length.
 
     Yields:
-        The content of `lqr.json`: states, torques (N m) and gains at every step of the cycle.
+        The content of `lqr.json` with each of `TORQUE_DEVIATIONS`: states, torques (N m) and gains
+        at every step of the cycle.
     """
-    problem = Problem(margin=NOMINAL_MARGIN)
-    lookahead, stride = (
-        Lookahead(1, NOMINAL_MARGIN, problem),
-        (len(ACTIONS) - 1) // (len(TORQUES) - 1),
-    )
-
-    def choose(step: int, states: np.ndarray) -> np.ndarray:
-        return stride * lookahead.scores(states[[0, 1, 3]].T.astype(np.float32)).argmax(axis=1)
-
-    trajectory = run_episodes(problem, np.array([START_THETA]), EPISODE_STEPS, choose)
-    starts, transitions = trajectory.cycle_starts(problem.control_dt), Transitions(problem, 9)
-    fastest: dict[int, tuple[float, np.ndarray, np.ndarray]] = {}
-    for first, last in pairwise(starts.tolist()):
-        torques = TORQUE_LIMIT * ACTIONS[trajectory.choices[first:last, 0]]
-        closed = close_cycle(transitions, trajectory.states[first, [0, 1, 3], 0], torques)
-        fastest[last - first] = max(
-            closed, fastest.get(last - first, closed), key=lambda cycle: cycle[0]
-        )
-    for _, state, torques in fastest.values():
+    transitions = Transitions(Problem(margin=NOMINAL_MARGIN), 9)
+    for state, torques in _fastest_cycles(transitions):
         states, _, A, B = linearise(transitions, state, torques)
         for deviation in TORQUE_DEVIATIONS:
             gains = riccati_gains(A, B, deviation)
@@ -146,15 +144,40 @@ def candidates() -> Iterator[dict[str, list]]:
             }
 
 
+def _fastest_cycles(transitions: Transitions) -> list[tuple[np.ndarray, np.ndarray]]:
+    """First state and torques (N m) of the fastest closed cycle of `dp-nominal` of each length."""
+    problem = Problem(margin=NOMINAL_MARGIN)
+    lookahead = Lookahead(1, NOMINAL_MARGIN, problem)
+    stride = (len(ACTIONS) - 1) // (len(TORQUES) - 1)
+
+    def choose(step: int, states: np.ndarray) -> np.ndarray:
+        observations = states[[0, 1, 3]].T.astype(np.float32)
+        return stride * lookahead.scores(observations).argmax(axis=1)
+
+    trajectory = run_episodes(problem, np.array([START_THETA]), EPISODE_STEPS, choose)
+    starts = trajectory.cycle_starts(problem.control_dt)
+    distances: dict[int, float] = {}
+    fastest = {}
+    for first, last in pairwise(starts.tolist()):
+        torques = TORQUE_LIMIT * ACTIONS[trajectory.choices[first:last, 0]]
+        state = trajectory.states[first, [0, 1, 3], 0]
+        distance, state, torques = close_cycle(transitions, state, torques)
+        length = last - first
+        if distance >= distances.get(length, -np.inf):
+            distances[length] = distance
+            fastest[length] = (state, torques)
+    return list(fastest.values())
+
+
 def interpolate(content: Mapping[str, Any]) -> np.ndarray:
-    """States (3), torque and gains (3) at all phases of a regulator of `candidates`, shape (7,
-    phases).
+    """States (3), torque and gains (3) at all phases of a regulator of `candidates`.
+
+    Shape (7, phases).
     """
     nodes = np.column_stack([content["states"], content["torques"], content["gains"]]).T
     share = np.tile(np.arange(SUBPHASES) / SUBPHASES, nodes.shape[1])
-    here, following = (
-        np.repeat(each, SUBPHASES, axis=1) for each in (nodes, np.roll(nodes, -1, axis=1))
-    )
+    here = np.repeat(nodes, SUBPHASES, axis=1)
+    following = np.roll(here, -SUBPHASES, axis=1)
     return here + share * (following - here)
 
 
@@ -163,23 +186,24 @@ def start(seeds: Sequence[int], regulator: np.ndarray | None = None) -> Act:
     if regulator is None:
         regulator = interpolate(json.loads(FILE.read_text(encoding="utf-8")))
     z_d, u_d, K = np.split(regulator, [3, 4])
+    phases = z_d.shape[1]
+    phase = np.zeros((len(seeds), 1), np.int64)
     # At the first step any phase; then those around the phase that follows the previous one by a
     # control interval.
-    phase, offsets = np.zeros((len(seeds), 1), np.int64), np.arange(z_d.shape[1])
+    offsets = np.arange(phases)
 
     def act(observations: np.ndarray) -> np.ndarray:
         nonlocal phase, offsets
-        z = observations[:, :3].T.astype(np.float64)[..., None]
-        candidates = (phase + offsets) % z_d.shape[1]
-        a, b, c = ((z[n] - z_d[n, candidates]) / SCALES[n] for n in range(3))
-        nearest = (a * a + b * b + c * c).argmin(axis=1)[:, None]
-        phase, offsets = (
-            np.take_along_axis(candidates, nearest, axis=1),
-            SUBPHASES + np.arange(-WINDOW, WINDOW + 1),
-        )
+        z = observations[:, :3].T.astype(np.float64)
+        near = (phase + offsets) % phases
+        a, b, c = (z[..., None] - z_d[:, near]) / SCALES[:, None, None]
+        nearest = (a * a + b * b + c * c).argmin(axis=1)
+        phase = np.take_along_axis(near, nearest[:, None], axis=1)
+        offsets = SUBPHASES + np.arange(-WINDOW, WINDOW + 1)
         i = phase[:, 0]
-        e = z[..., 0] - z_d[:, i]
-        torque = u_d[0, i] - (K[0, i] * e[0] + K[1, i] * e[1] + K[2, i] * e[2])
-        return np.clip(torque / TORQUE_LIMIT, -1.0, 1.0).astype(np.float32)[:, None]
+        a, b, c = K[:, i] * (z - z_d[:, i])
+        torque = u_d[0, i] - (a + b + c)
+        action = np.clip(torque / TORQUE_LIMIT, -1.0, 1.0)
+        return action.astype(np.float32)[:, None]
 
     return act

@@ -1,5 +1,6 @@
-"""Tables of numbers, for the terminal and for Markdown; the first row is the header, cells are
-finished strings.
+"""Tables of numbers, for the terminal and for Markdown.
+
+The first row is the header, and cells are finished strings.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,8 +16,10 @@ Rows = Sequence[Sequence[str]]
 
 
 def text_table(rows: Rows, *, left: int | None = None) -> str:
-    """Aligned columns for the terminal: the first `left` and the last, for remarks, to the left;
-    None aligns all so.
+    """Aligned columns for the terminal.
+
+    The first `left` columns and the last one, for remarks, are aligned to the left; None aligns all
+    columns so.
 
     >>> print(text_table([["policy", "cm/s", ""], ["adaptive", "1.39", "reference"], ["epc", "11.62", ""]], left=1))
     policy      cm/s
@@ -24,10 +27,11 @@ def text_table(rows: Rows, *, left: int | None = None) -> str:
     adaptive    1.39  reference
     epc        11.62
     """
-    last = len(rows[0]) - 1
-    aligned = [
-        "left" if left is None or n < left or n == last else "right" for n in range(last + 1)
-    ]
+    count = len(rows[0])
+    if left is None:
+        left = count
+    aligned = ["left"] * left + ["right"] * (count - left)
+    aligned[-1] = "left"
     table = tabulate(
         rows, headers="firstrow", tablefmt="simple", disable_numparse=True, colalign=aligned
     )
@@ -51,7 +55,8 @@ def fields_table(rows: Sequence[Mapping[str, Any]]) -> str:
         return f"{value:.4g}" if isinstance(value, float) else str(value)
 
     head = [name.replace("_", " ") for name in rows[0]]
-    return text_table([head, *([cell(value) for value in row.values()] for row in rows)])
+    cells = [[cell(value) for value in row.values()] for row in rows]
+    return text_table([head, *cells])
 
 
 def markdown_table(rows: Rows) -> str:
@@ -63,14 +68,15 @@ def markdown_table(rows: Rows) -> str:
     |adaptive|1.390|
     """
     head, *lines = (f"|{'|'.join(row)}|" for row in rows)
-    return "\n".join([head, "|" + "---|" * len(rows[0]), *lines])
+    rule = "|" + "---|" * len(rows[0])
+    return "\n".join([head, rule, *lines])
 
 
 def printed_below(value: float, digits: int) -> str:
-    """A lower bound with `digits` decimals, rounded down, so that the printed number is a bound as
-    well.
+    """A lower bound rounded down to `digits` decimals, so that the printed number is a bound, too.
 
     >>> printed_below(0.8477, 2)
     '0.84'
     """
-    return str(Decimal(value).quantize(Decimal(1).scaleb(-digits), ROUND_FLOOR))
+    last = Decimal(1).scaleb(-digits)
+    return str(Decimal(value).quantize(last, ROUND_FLOOR))

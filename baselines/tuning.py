@@ -1,7 +1,6 @@
-"""Tunes control laws on random plants, and designs the policy `lqr`: `python -m baselines.tuning
-pd`.
+"""Tunes control laws on random plants, and designs the policy `lqr`.
 
-A CMA-ES searches the parameters of a law. In each generation all candidates run on the same newly
+`python -m baselines.tuning pd` tunes a law. A CMA-ES searches the parameters of a law. In each generation all candidates run on the same newly
 drawn plants. At regular intervals the mean of the distribution runs in fixed validation episodes;
 it replaces the parameters on file if it scores better. The seeds of both are far from those of the
 frozen evaluation sets.
@@ -28,22 +27,25 @@ from capsule_gym.tasks.task import HORIZON
 
 Name = Literal["open-loop", "open-loop-real", "pd", "oscillator", "gait", "lqr"]
 
-# s: a trial, and the agent step.
-TRIAL, CONTROL_DT = 12.0, 0.1
+TRIAL = 12.0  # s
+CONTROL_DT = 0.1  # s: the agent step
 # Generations between two validations.
 INTERVAL = 50
 
-POPULATION, PLANTS = 20, 32
-# Seeds of the trials' plants are drawn from 2**40 on.
-FIRST_SEED, VALIDATION_SEED, VALIDATION_PLANTS = 2**40, 2**50, 1024
+POPULATION = 20
+PLANTS = 32
+FIRST_SEED = 2**40  # seeds of the trials' plants are drawn from here on
+VALIDATION_SEED = 2**50
+VALIDATION_PLANTS = 1024
 # cm/s: deduction for a failure, in which the distance moved so far already counts over the whole
 # horizon.
 FAILURE = 10.0
 PAPER = {"randomization": "paper"}
 REAL = {"randomization": "real", "disturbances": "real"}
+Make = Callable[[Sequence[float]], Controller]
 # The functions of the laws, and the plants and disturbances on which they are tuned. `gains.TUNED`
 # contains, by name, the parameters with which a search starts and their scales in the search.
-PROBLEMS: dict[str, tuple[Callable[[Sequence[float]], Controller], Mapping[str, Any]]] = {
+PROBLEMS: dict[str, tuple[Make, Mapping[str, Any]]] = {
     "open-loop": (periodic.open_loop, PAPER),
     "open-loop-real": (periodic.open_loop, REAL),
     "pd": (periodic.pd, REAL),
@@ -65,8 +67,10 @@ def score(
     """
     drawn = validation_set(name="random plants", first_seed=seed, count=plants, **env_kwargs)
     episodes = evaluate(policy, drawn, horizon=seconds)
-    speed, failed = float(scores(episodes, "mean_speed").mean()), failures(episodes)
-    return speed - FAILURE * failed / plants, {"mean_speed": round(speed, 4), "failures": failed}
+    speed = float(scores(episodes, "mean_speed").mean())
+    failed = failures(episodes)
+    metrics = {"mean_speed": round(speed, 4), "failures": failed}
+    return speed - FAILURE * failed / plants, metrics
 
 
 def score_law(
@@ -79,54 +83,74 @@ def score_law(
 
 
 def tune(name: str, generations: int, seed: int, step: float) -> None:
-    """Runs a search; a mean of the distribution that scores better than the parameters on file
-    replaces them.
+    """Runs a search.
+
+    A mean of the distribution that scores better than the parameters on file replaces them.
     """
     import cma  # needs an extra of the package
 
     own = json.loads(gains.TUNED.read_text(encoding="utf-8"))[name]
-    rng, units = np.random.default_rng([seed, 4]), np.array(own["units"])
-    validate = partial(
-        score_law, name, seed=VALIDATION_SEED, plants=VALIDATION_PLANTS, seconds=HORIZON
-    )
-    options: dict[str, Any] = {"popsize": POPULATION, "verbose": -9}
-    # The package would otherwise seed numpy's global generator.
-    options |= {"seed": math.nan, "randn": lambda *shape: rng.standard_normal(shape)}
+    units = np.array(own["units"])
+    rng = np.random.default_rng([seed, 4])
+    options = {
+        "popsize": POPULATION,
+        "verbose": -9,
+        # The package would otherwise seed numpy's global generator.
+        "seed": math.nan,
+        "randn": lambda *shape: rng.standard_normal(shape),
+    }
     strategy = cma.CMAEvolutionStrategy(np.array(own["start"]) / units, step, options)
-    best = validate(np.array(own["parameters"]))[0] if "parameters" in own else -math.inf
+    origin = (
+        f"python -m baselines.tuning {name} --generations {generations} --seed {seed} "
+        f"--step {step:g}"
+    )
+    best = -math.inf
+    if "parameters" in own:
+        best, _ = _validate(name, np.array(own["parameters"]))
     for generation in range(generations + 1):
         if generation > 0:
-            points, first = strategy.ask(), FIRST_SEED + PLANTS * int(rng.integers(2**30))
-            strategy.tell(
-                points,
-                [-score_law(name, point * units, first, PLANTS, TRIAL)[0] for point in points],
-            )
+            points = strategy.ask()
+            first = FIRST_SEED + PLANTS * int(rng.integers(2**30))
+            trials = [score_law(name, point * units, first, PLANTS, TRIAL) for point in points]
+            strategy.tell(points, [-score for score, _ in trials])
         if generation % INTERVAL > 0 and generation < generations:
             continue
         # As on file.
-        mean = np.array([float(f"{value:.9g}") for value in strategy.mean * units])
-        reached, metrics = validate(mean)
-        print(
-            f"generation {generation}: score {reached:.3f}, on file {best:.3f}; {metrics}",
-            flush=True,
-        )
+        rounded = [float(f"{value:.9g}") for value in strategy.mean * units]
+        mean = np.array(rounded)
+        reached, metrics = _validate(name, mean)
+        progress = f"generation {generation}: score {reached:.3f}, on file {best:.3f}"
+        print(f"{progress}; {metrics}", flush=True)
         if reached > best:
             best = reached
-            origin = f"python -m baselines.tuning {name} --generations {generations} --seed {seed} --step {step:g}"
             found = {"command": origin, **metrics, "episodes": VALIDATION_PLANTS}
-            # Read again, since the searches of other laws may have written theirs.
-            content = json.loads(gains.TUNED.read_text(encoding="utf-8"))
-            content[name] = {**own, "parameters": mean.tolist(), "found": found}
-            lines = ",\n".join(f' "{key}": {json.dumps(content[key])}' for key in sorted(content))
-            write_atomically(gains.TUNED, "{\n" + lines + "\n}\n")
+            _write(name, {**own, "parameters": mean.tolist(), "found": found})
+
+
+def _validate(name: str, parameters: np.ndarray) -> tuple[float, Metrics]:
+    return score_law(name, parameters, VALIDATION_SEED, VALIDATION_PLANTS, HORIZON)
+
+
+def _write(name: str, parameters: dict[str, Any]) -> None:
+    # Read again, since the searches of other laws may have written theirs.
+    content = json.loads(gains.TUNED.read_text(encoding="utf-8"))
+    content[name] = parameters
+    write_atomically(gains.TUNED, _one_line_each(dict(sorted(content.items()))))
+
+
+def _one_line_each(content: Mapping[str, Any]) -> str:
+    """A JSON object with a line for each entry."""
+    lines = ",\n".join(f' "{name}": {json.dumps(values)}' for name, values in content.items())
+    return "{\n" + lines + "\n}\n"
 
 
 @command("python -m baselines.tuning", ValueError)
 def main(
     law: Positional[Name], generations: Count = 200, seed: Count = 0, step: float = 0.5
 ) -> None:
-    """Tunes a law on random plants; capsule_gym/data/laws/tuned.json keeps the best parameters,
-    also after Ctrl-C.
+    """Tunes a law on random plants.
+
+    capsule_gym/data/laws/tuned.json keeps the best parameters, also after Ctrl-C.
 
     Examples:
       python -m baselines.tuning pd --generations 200
@@ -138,24 +162,26 @@ def main(
         step: Initial standard deviation of the parameters in their units.
     """
     check_number("--step", step, "a finite number > 0", 0.0, open_low=True)
-    if law != "lqr":
+    if law == "lqr":
+        _design_lqr()
+    else:
         tune(law, generations, seed, step)
-        return
-    # Only the best of all designs replaces the one on file.
-    best, chosen = -math.inf, dict[str, list]()
+
+
+def _design_lqr() -> None:
+    """Writes the design of `lqr` with the best score, after all have been tried."""
+    best = -math.inf
+    chosen: dict[str, list] = {}
     for content in lqr.candidates():
-        regulator = ScriptedPolicy(
-            "lqr", "", {}, partial(lqr.start, regulator=lqr.interpolate(content))
-        )
-        reached, metrics = score(regulator, REAL, VALIDATION_SEED, VALIDATION_PLANTS // 4, HORIZON)
-        print(
-            f"{len(content['torques'])} control intervals: score {reached:.3f}; {metrics}",
-            flush=True,
-        )
+        start = partial(lqr.start, regulator=lqr.interpolate(content))
+        policy = ScriptedPolicy("lqr", "", {}, start)
+        reached, metrics = score(policy, REAL, VALIDATION_SEED, VALIDATION_PLANTS // 4, HORIZON)
+        intervals = len(content["torques"])
+        print(f"{intervals} control intervals: score {reached:.3f}; {metrics}", flush=True)
         if reached > best:
-            best, chosen = reached, content
-    lines = ",\n".join(f' "{name}": {json.dumps(values)}' for name, values in chosen.items())
-    write_atomically(lqr.FILE, "{\n" + lines + "\n}\n")
+            best = reached
+            chosen = content
+    write_atomically(lqr.FILE, _one_line_each(chosen))
 
 
 if __name__ == "__main__":

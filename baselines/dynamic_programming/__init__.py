@@ -1,3 +1,4 @@
-"""Dynamic programming for the direct-torque task: `python -m baselines.dynamic_programming`
-computes the policies.
+"""Dynamic programming for the direct-torque task.
+
+`python -m baselines.dynamic_programming` computes the policies.
 """

@@ -21,14 +21,15 @@ from capsule_gym.evaluation.optimum import FOLDER
 
 @command("python -m baselines.dynamic_programming", OSError, ValueError)
 def main(check: bool = False, report: bool = False, folder: Path = FOLDER) -> int:
-    """Computes the results of dynamic programming that the archive lacks. Ctrl-C keeps finished
-    results.
+    """Computes the results of dynamic programming that the archive lacks.
+
+    Ctrl-C keeps finished results.
 
     Examples:
-      python -m baselines.dynamic_programming                      all that is missing python -m
-      baselines.dynamic_programming --report             print what is on file python -m
-      baselines.dynamic_programming --check              repeat every trajectory and write nothing
-      python -m baselines.dynamic_programming --folder new         compute everything again
+      python -m baselines.dynamic_programming                 all that is missing
+      python -m baselines.dynamic_programming --report        print what is on file
+      python -m baselines.dynamic_programming --check         repeat every trajectory, write nothing
+      python -m baselines.dynamic_programming --folder new    compute everything again
 
     Args:
         check: Repeat every trajectory on file, write nothing; the exit status is 1 if a speed
@@ -39,9 +40,8 @@ def main(check: bool = False, report: bool = False, folder: Path = FOLDER) -> in
     """
     archive = load_archive(folder)
     if (check or report) and not archive.results:
-        raise ValueError(
-            f"{'--check' if check else '--report'} needs results on file, and {folder} has none"
-        )
+        option = "--check" if check else "--report"
+        raise ValueError(f"{option} needs results on file, and {folder} has none")
     if check:
         stale = archive.check()
         count = len(archive.results) + len(archive.plant_speeds)
@@ -51,11 +51,9 @@ def main(check: bool = False, report: bool = False, folder: Path = FOLDER) -> in
         # Needs an extra of the package.
         from baselines.tables import fields_table
 
-        print(
-            fields_table(
-                [{**asdict(each), "limit": extrapolated(each)} for each in archive.results.values()]
-            )
-        )
+        results = archive.results.values()
+        rows = [{**asdict(result), "limit": extrapolated(result)} for result in results]
+        print(fields_table(rows))
         return 0
     missing = [problem for problem in PROBLEMS if problem.key not in archive.results]
     plants = [plant for plant in set_plants() if plant not in archive.plant_speeds]
@@ -68,9 +66,8 @@ def main(check: bool = False, report: bool = False, folder: Path = FOLDER) -> in
     except KeyboardInterrupt:
         archive.save(folder)
         status = 130
-    print(
-        f"{len(archive.results)} problems and {len(archive.plant_speeds)} plants of sets on file in {folder}"
-    )
+    problems = len(archive.results)
+    print(f"{problems} problems and {len(archive.plant_speeds)} plants of sets on file in {folder}")
     return status
 
 

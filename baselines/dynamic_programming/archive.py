@@ -23,6 +23,7 @@ from baselines.dynamic_programming.problem import (
     ENERGY_WEIGHTS,
     Problem,
     Trajectory,
+    corner_weights,
     plant_problems,
     repeat,
     run_episodes,
@@ -36,14 +37,26 @@ from capsule_gym.tasks.task import CONTROL_DT, START_THETA
 
 # cm: step of the stored values, larger if two bytes cannot count the steps; a control interval
 # earns half a cm.
-RESOLUTION, MAX_STEPS = 0.005, 65535
+RESOLUTION = 0.005
+MAX_STEPS = 65535
 # Evaluation sets whose plants are solved themselves.
 SETS = ("paper", "wide")
 # What reading a malformed archive of numpy or JSON file raises.
 UNREADABLE = (
-    *(EOFError, IndexError, KeyError, MemoryError, OSError, RecursionError, TypeError, ValueError),
-    *(zipfile.BadZipFile, zlib.error),
+    EOFError,
+    IndexError,
+    KeyError,
+    MemoryError,
+    OSError,
+    RecursionError,
+    TypeError,
+    ValueError,
+    zipfile.BadZipFile,
+    zlib.error,
 )
+# Fields of a result, and metrics of its trajectory.
+PERFORMANCE = ("mean_speed", "cost_of_transport")
+FAILURE = 1e9  # deduction from the reward of a trajectory that fails
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,75 +83,72 @@ class Archive:
     arrays: dict[str, np.ndarray] = field(default_factory=dict)
 
     def solve(self, problems: Sequence[Problem]) -> Iterator[None]:
-        """Solves one problem per iteration and adds its result, with the trajectory of the largest
-        reward.
+        """Solves one problem per iteration and adds its result.
+
+        The trajectory is that of the largest reward.
         """
         for n, problem in enumerate(problems):
             print(f"{n + 1}/{len(problems)} {problem} ..", flush=True)
-            began, own_interval = perf_counter(), problem.control_dt == CONTROL_DT
-            solved = solver.solve_on_grids(
-                problem, GRIDS[: (4 if problem == Problem() else 2) if own_interval else 3]
-            )
-            runs = [trajectory for _, trajectory in solved]
-            distance, energy, failed = (
-                np.array([run.metrics[key][0] for run in runs])
-                for key in ("distance", "energy", "failed")
-            )
-            best = runs[
-                int((100.0 * distance - problem.energy_weight * energy - 1e9 * failed).argmax())
-            ]
-            self.results[problem.key] = Result(
-                **asdict(problem),
-                grids=[list(solution.grid.shape) for solution, _ in solved],
-                gains=[round(solution.gain, 4) for solution, _ in solved],
-                steady=[round(run.steady_speed(problem.control_dt), 4) for run in runs],
-                **_performance(best),
-            )
-            self.arrays[f"{problem.key} torques"] = best.choices[:, 0]
-            # The policies look ahead with the values of the speed problems. Rounded differences
-            # along all axes, modulo 65536, compress better.
-            if problem.energy_weight == 0.0 and own_interval:
-                solution = solved[0][0]
-                low, high = float(solution.values.min()), float(solution.values.max())
-                step = max(RESOLUTION, (high - low) / MAX_STEPS)
-                steps = np.round((solution.values - low) / step).astype(np.uint16)
-                for axis in range(steps.ndim):
-                    steps = np.diff(steps, axis=axis, prepend=np.uint16(0))
-                self.arrays[f"{problem.key} differences"] = steps
-                numbers = [
-                    low,
-                    step,
-                    *solution.grid.y,
-                    *solution.grid.w,
-                    solution.curvature,
-                    solution.gain,
-                ]
-                self.arrays[f"{problem.key} numbers"] = np.array(numbers)
-            print(
-                f"{self.results[problem.key].mean_speed:.2f} cm/s, {perf_counter() - began:.0f} s",
-                flush=True,
-            )
+            began = perf_counter()
+            solved = solver.solve_on_grids(problem, _shapes(problem))
+            self._add_result(problem, solved)
+            # The policies look ahead with the values of the speed problems.
+            if problem.energy_weight == 0.0 and problem.control_dt == CONTROL_DT:
+                coarse, _ = solved[0]
+                self._add_values(problem, coarse)
+            speed = self.results[problem.key].mean_speed
+            print(f"{speed:.2f} cm/s, {perf_counter() - began:.0f} s", flush=True)
             yield
 
-    def solution(self, problem: Problem) -> Solution:
-        """The stored values of a problem; they exist for every plant of the grids and for the
-        margin.
-        """
-        steps, numbers = (
-            self.arrays[f"{problem.key} {kind}"] for kind in ("differences", "numbers")
+    def _add_result(self, problem: Problem, solved: list[tuple[Solution, Trajectory]]) -> None:
+        solutions = [solution for solution, _ in solved]
+        runs = [trajectory for _, trajectory in solved]
+        best = max(runs, key=lambda run: _reward(problem, run))
+        self.arrays[f"{problem.key} torques"] = best.choices[:, 0]
+        steady = [run.steady_speed(problem.control_dt) for run in runs]
+        self.results[problem.key] = Result(
+            **asdict(problem),
+            grids=[list(solution.grid.shape) for solution in solutions],
+            gains=[round(solution.gain, 4) for solution in solutions],
+            steady=[round(speed, 4) for speed in steady],
+            **_performance(best),
         )
-        low, step, *limits, curvature, gain = numbers.tolist()
+
+    def _add_values(self, problem: Problem, solution: Solution) -> None:
+        """Stores values as steps of `RESOLUTION`.
+
+        Rounded differences along all axes, modulo 65536, compress better.
+        """
+        low = float(solution.values.min())
+        step = max(RESOLUTION, (float(solution.values.max()) - low) / MAX_STEPS)
+        steps = np.round((solution.values - low) / step).astype(np.uint16)
+        for axis in range(steps.ndim):
+            steps = np.diff(steps, axis=axis, prepend=np.uint16(0))
+        self.arrays[f"{problem.key} differences"] = steps
+        limits = (*solution.grid.y, *solution.grid.w)
+        numbers = [low, step, *limits, solution.curvature, solution.gain]
+        self.arrays[f"{problem.key} numbers"] = np.array(numbers)
+
+    def solution(self, problem: Problem) -> Solution:
+        """The stored values of a problem.
+
+        They exist for every plant of the grids and for the margin.
+        """
+        steps = self.arrays[f"{problem.key} differences"]
         for axis in range(steps.ndim):
             steps = np.cumsum(steps, axis=axis, dtype=np.uint16)
-        grid = Grid(steps.shape, (limits[0], limits[1]), (limits[2], limits[3]), problem.M)
-        return Solution(problem, grid, (low + step * steps).astype(np.float32), curvature, gain)
+        numbers = self.arrays[f"{problem.key} numbers"].tolist()
+        low, step, low_y, high_y, low_w, high_w, curvature, gain = numbers
+        values = (low + step * steps).astype(np.float32)
+        grid = Grid(steps.shape, (low_y, high_y), (low_w, high_w), problem.M)
+        return Solution(problem, grid, values, curvature, gain)
 
     @property
     def plant_speeds(self) -> dict[tuple[float, float], float]:
         """Mean speeds, cm/s, of the plants of evaluation sets by M, kg, and mu."""
-        return {
-            (M, mu): speed for M, mu, speed in self.arrays.get("plants", np.empty((0, 3))).tolist()
-        }
+        if "plants" not in self.arrays:
+            return {}
+        return {(M, mu): speed for M, mu, speed in self.arrays["plants"].tolist()}
 
     def repeat(self, problem: Problem) -> Trajectory:
         """Repeats the trajectory of a problem."""
@@ -148,44 +158,49 @@ class Archive:
         """Repeats all trajectories; returns one line for each difference from the archive."""
         stale = []
         for key, result in self.results.items():
-            filed = {name: getattr(result, name) for name in ("mean_speed", "cost_of_transport")}
-            if (now := _performance(self.repeat(result))) != filed:
+            filed = {name: getattr(result, name) for name in PERFORMANCE}
+            now = _performance(self.repeat(result))
+            if now != filed:
                 stale.append(f"{key}: {filed} on file, {now} now")
-        if "plants" in self.arrays:
-            plants, torques = self.arrays["plants"], self.arrays["plants torques"]
-            thetas = np.full(len(plants), START_THETA)
-            run = run_episodes(
-                Problem(),
-                thetas,
-                torques.shape[1],
-                lambda step, states: torques[:, step],
-                plants[:, :2],
-            )
-            found = zip(plants.tolist(), run.metrics["mean_speed"].tolist(), strict=True)
-            stale += [
-                f"M, mu, cm/s: {filed} on file, {now} cm/s now"
-                for filed, now in found
-                if filed[2] != now
-            ]
+        for plant, speed in self._repeat_plants():
+            if plant[2] != speed:
+                stale.append(f"M, mu, cm/s: {plant} on file, {speed} cm/s now")
         return stale
 
+    def _repeat_plants(self) -> Iterator[tuple[list[float], float]]:
+        """The plants of the sets with the speed on file, and the speed of their torques."""
+        if "plants" not in self.arrays:
+            return
+        plants = self.arrays["plants"]
+        torques = self.arrays["plants torques"]
+        count, steps = torques.shape
+        starts = np.full(count, START_THETA)
+
+        def choose(step: int, states: np.ndarray) -> np.ndarray:
+            return torques[:, step]
+
+        run = run_episodes(Problem(), starts, steps, choose, plants[:, :2])
+        yield from zip(plants.tolist(), run.metrics["mean_speed"].tolist(), strict=True)
+
     def save(self, folder: Path = FOLDER) -> None:
-        """Writes the archive, each file atomically and the results last, so that no result lacks
-        its arrays.
+        """Writes the archive, each file atomically.
+
+        The results are written last, so that no result lacks its arrays.
         """
         folder.mkdir(parents=True, exist_ok=True)
         ordered: dict[str, Any] = dict(sorted(self.arrays.items()))
         with replacing(folder / ARRAYS) as temporary:
             np.savez_compressed(temporary, **ordered)
-        lines = ",\n".join(
-            f"  {json.dumps(asdict(result))}" for _, result in sorted(self.results.items())
-        )
+        results = [asdict(self.results[key]) for key in sorted(self.results)]
+        lines = ",\n".join(f"  {json.dumps(result)}" for result in results)
         write_atomically(folder / ARCHIVE, f'{{\n "results": [\n{lines}\n ]\n}}\n')
 
 
 def load_archive(folder: Path = FOLDER) -> Archive:
-    """Reads the archive of a folder, or returns an empty one; a malformed file raises a
-    ValueError.
+    """Reads the archive of a folder, or returns an empty one.
+
+    Raises:
+        ValueError: if a file is malformed.
     """
     if not (folder / ARCHIVE).is_file():
         return Archive()
@@ -200,11 +215,23 @@ def load_archive(folder: Path = FOLDER) -> Archive:
         raise ValueError(f"{message}, got {type(error).__name__}: {error}") from error
 
 
+def _shapes(problem: Problem) -> tuple[tuple[int, int, int], ...]:
+    """The grids of a problem: all for the main problem, fewer for the many others."""
+    if problem.control_dt != CONTROL_DT:
+        return GRIDS[:3]
+    return GRIDS if problem == Problem() else GRIDS[:2]
+
+
+def _reward(problem: Problem, trajectory: Trajectory) -> float:
+    """The reward of the first episode, cm, less a deduction if it fails."""
+    metrics = {name: float(values[0]) for name, values in trajectory.metrics.items()}
+    reward = 100.0 * metrics["distance"] - problem.energy_weight * metrics["energy"]
+    return reward - FAILURE * metrics["failed"]
+
+
 def _performance(trajectory: Trajectory) -> dict[str, float]:
     """Mean speed, cm/s, and cost of transport of the first episode."""
-    return {
-        name: float(trajectory.metrics[name][0]) for name in ("mean_speed", "cost_of_transport")
-    }
+    return {name: float(trajectory.metrics[name][0]) for name in PERFORMANCE}
 
 
 @cache
@@ -215,61 +242,66 @@ def known_results() -> Archive:
 
 def set_plants() -> list[tuple[float, float]]:
     """M in kg and mu of all plants of `SETS`, without repetitions."""
-    return list(
-        dict.fromkeys((plant.M, plant.mu) for name in SETS for plant in load_set(name).plants)
-    )
+    plants = [(plant.M, plant.mu) for name in SETS for plant in load_set(name).plants]
+    return list(dict.fromkeys(plants))
 
 
 def solve_plant(
     problem: Problem, archive: Archive, shape: tuple[int, int, int] = GRIDS[0]
 ) -> Trajectory:
-    """The trajectory of a plant within `GRID`, solved over the ranges and from the values of the
-    plants around it.
+    """The trajectory of a plant within `GRID`.
+
+    It is solved over the ranges of the plants around it, from the values of the nearest.
     """
     corners, along_M, along_mu = GRID.cell(problem.M, problem.mu)
     near = [archive.solution(plant_problems(GRID)[corner]) for corner in corners]
-    weights = np.outer([1.0 - along_M, along_M], [1.0 - along_mu, along_mu]).ravel()
-    limits = np.array([[solution.grid.y, solution.grid.w] for solution in near])
-    y, w = zip(
-        limits[..., 0].min(axis=0).tolist(), limits[..., 1].max(axis=0).tolist(), strict=True
-    )
-    curvature = sum(
-        weight * solution.curvature for weight, solution in zip(weights.tolist(), near, strict=True)
-    )
+    weights = corner_weights(along_M, along_mu)
+    y = _union([solution.grid.y for solution in near])
+    w = _union([solution.grid.w for solution in near])
     grid = Grid(solver.divide_nodes(shape, y, w), y, w, problem.M)
-    solution = solver.solve(problem, grid, curvature=curvature, start=near[int(weights.argmax())])
+    weighted = zip(weights.tolist(), near, strict=True)
+    curvature = sum(weight * solution.curvature for weight, solution in weighted)
+    nearest = near[int(weights.argmax())]
+    solution = solver.solve(problem, grid, curvature=curvature, start=nearest)
     return solver.run_policy(solution, STARTS[:1], final=solver.final_solutions(solution))
+
+
+def _union(ranges: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    lows, highs = zip(*ranges, strict=True)
+    return min(lows), max(highs)
 
 
 def solve_plants(archive: Archive, missing: Sequence[tuple[float, float]]) -> Iterator[None]:
     """Solves plants, M in kg and mu, and adds them to an archive with the values of `GRID`."""
     for n, (M, mu) in enumerate(missing):
         trajectory = solve_plant(Problem(M=M, mu=mu), archive)
-        rows = {
-            "plants": [M, mu, *trajectory.metrics["mean_speed"]],
-            "plants torques": trajectory.choices[:, 0],
-        }
-        for name, row in rows.items():
+        plant = [M, mu, *trajectory.metrics["mean_speed"]]
+        for name, row in (("plants", plant), ("plants torques", trajectory.choices[:, 0])):
             archive.arrays[name] = np.array([*archive.arrays.get(name, ()), row])
         print(f"{n + 1}/{len(missing)} plants of the sets", flush=True)
         yield
 
 
 def optimal_front() -> list[tuple[float, float]]:
-    """The undominated costs of transport and mean speeds (cm/s) of the energy weights, nominal
-    plant, slowest first.
+    """The undominated costs of transport and mean speeds (cm/s) of the energy weights.
+
+    They are those of the nominal plant, slowest first.
     """
     results = known_results().results
-    own = [results[Problem(energy_weight=weight).key] for weight in (0.0, *ENERGY_WEIGHTS)]
-    found = [(each.cost_of_transport, each.mean_speed) for each in own]
-    undominated = [
-        (cost, speed) for cost, speed in found if not any(c <= cost and s > speed for c, s in found)
-    ]
-    return sorted(undominated, key=lambda point: point[1])
+    found = [results[Problem(energy_weight=weight).key] for weight in (0.0, *ENERGY_WEIGHTS)]
+    front = []
+    for result in found:
+        faster = [other for other in found if other.mean_speed > result.mean_speed]
+        if all(other.cost_of_transport > result.cost_of_transport for other in faster):
+            front.append((result.cost_of_transport, result.mean_speed))
+    return sorted(front, key=lambda point: point[1])
 
 
 def extrapolated(result: Result) -> str:
     """The limit of the gains on ever finer grids, cm/s, for errors of second and of first order."""
-    ratio = (result.grids[-1][0] - 1) / (result.grids[-2][0] - 1)
     before, last = result.gains[-2:]
-    return " to ".join(f"{last + (last - before) / (ratio**order - 1.0):.2f}" for order in (2, 1))
+    coarse, fine = result.grids[-2:]
+    ratio = (fine[0] - 1) / (coarse[0] - 1)
+    second = last + (last - before) / (ratio**2 - 1.0)
+    first = last + (last - before) / (ratio - 1.0)
+    return f"{second:.2f} to {first:.2f}"

@@ -19,6 +19,7 @@ from capsule_gym.tasks.task import CONTROL_DT, HORIZON, START_THETA
 ACTIONS = np.linspace(-1.0, 1.0, 121)
 SETTLED = HORIZON / 2.0  # s: time after which every trajectory is close to its limit cycle
 CONTROL_INTERVALS = (0.01, 0.005)  # s
+ROUNDING = 1e-9  # of a number of steps
 # cm/J
 ENERGY_WEIGHTS = (
     0.1,
@@ -60,16 +61,18 @@ class Problem:
         """The name under which the archive holds the problem."""
         numbers = [self.M, self.mu, self.energy_weight, self.control_dt, self.margin]
         # The nominal ratio is omitted, as in the first archives.
-        numbers += [self.static_ratio] if self.static_ratio != NOMINAL.static_ratio else []
+        if self.static_ratio != NOMINAL.static_ratio:
+            numbers.append(self.static_ratio)
         return " ".join(f"{number:g}" for number in numbers)
 
     @cached_property
     def options(self) -> EnvConfig:
         """Options of the environment whose agent step is the control interval."""
+        # The environment's own steps if they divide the control interval.
+        steps = math.ceil(self.control_dt / DIRECT_PHYSICS_DT - ROUNDING)
         return EnvConfig(
             control_dt=self.control_dt,
-            # The environment's own step if it divides the control interval.
-            physics_dt=self.control_dt / math.ceil(self.control_dt / DIRECT_PHYSICS_DT - 1e-9),
+            physics_dt=self.control_dt / steps,
             energy_weight=self.energy_weight,
             termination_penalty=0.0,
             randomization="none",
@@ -82,6 +85,11 @@ def plant_problems(grid: PlantGrid) -> list[Problem]:
     return [Problem(M=M, mu=mu, static_ratio=grid.static_ratio) for M, mu in grid.plants]
 
 
+def corner_weights(along_M: float, along_mu: float) -> np.ndarray:
+    """The weights of the corners of a cell of a `PlantGrid` at a position in it, shape (4,)."""
+    return np.outer([1.0 - along_M, along_M], [1.0 - along_mu, along_mu]).ravel()
+
+
 PROBLEMS = (
     *plant_problems(GRID),
     *plant_problems(STICKY_GRID),
@@ -92,8 +100,9 @@ PROBLEMS = (
 
 
 class Transitions:
-    """A batch of environments that takes one step from each of `count` states, on the problem's
-    plant or others.
+    """A batch of environments that takes one step from each of `count` states.
+
+    They have the problem's plant, or those of `set_plants`.
     """
 
     def __init__(self, problem: Problem, count: int) -> None:
@@ -120,16 +129,16 @@ class Transitions:
         States are theta (rad), theta_dot (rad/s) and x_dot (m/s), shape (3, count).
         """
         simulation = self._simulation
-        rows = Row.theta, Row.theta_dot, Row.x_dot, Row.x, Row.termination
-        for row, values in zip(rows, (*states, self._zeros, self._zeros), strict=True):
-            simulation.write(row, values)
+        theta, theta_dot, x_dot = states
+        simulation.write(Row.theta, theta)
+        simulation.write(Row.theta_dot, theta_dot)
+        simulation.write(Row.x_dot, x_dot)
+        simulation.write(Row.x, self._zeros)
+        simulation.write(Row.termination, self._zeros)
         simulation.step(actions)
+        theta, theta_dot, _, x_dot = simulation.rows(Row.theta, Row.x_dot + 1)
         failed = (simulation.row(Row.termination) != 0.0) | (self.normal_force <= self.margin)
-        return (
-            simulation.rows(Row.theta, Row.x_dot + 1)[[0, 1, 3]],
-            simulation.row(Row.reward),
-            failed,
-        )
+        return np.stack([theta, theta_dot, x_dot]), simulation.row(Row.reward), failed
 
 
 @dataclass(frozen=True)
@@ -146,27 +155,29 @@ class Trajectory:
     choices: np.ndarray
 
     def cycle_starts(self, control_dt: float) -> np.ndarray:
-        """The steps after `SETTLED` at which the first pendulum, left of upright, reverses to move
-        forwards.
+        """The steps after `SETTLED` at which the first pendulum reverses to move forwards.
+
+        It is left of upright there.
         """
-        theta, theta_dot = self.states[:, 0, 0], self.states[:, 1, 0]
-        starts = (
-            np.flatnonzero((theta_dot[:-1] <= 0.0) & (theta_dot[1:] > 0.0) & (theta[1:] < 0.0)) + 1
-        )
+        theta, theta_dot, *_ = self.states[..., 0].T
+        forwards = theta_dot > 0.0
+        reverses = ~forwards[:-1] & forwards[1:]
+        starts = np.flatnonzero(reverses & (theta[1:] < 0.0)) + 1
         return starts[starts >= round(SETTLED / control_dt)]
 
     def steady_speed(self, control_dt: float) -> float:
-        """The first episode's mean speed over whole cycles after `SETTLED`, cm/s, or without cycles
-        over that time.
+        """The first episode's mean speed over whole cycles after `SETTLED`, cm/s.
+
+        Without cycles it is that over the whole time.
         """
+        begin = round(SETTLED / control_dt)
+        end = len(self.states) - 1
         starts = self.cycle_starts(control_dt)
-        begin, end = (
-            starts[[0, -1]]
-            if starts.size > 1
-            else (round(SETTLED / control_dt), len(self.states) - 1)
-        )
+        if starts.size > 1:
+            begin, end = starts[[0, -1]]
         x = self.states[:, 2, 0]
-        return float(100.0 * (x[end] - x[begin]) / ((end - begin) * control_dt))
+        duration = (end - begin) * control_dt
+        return float(100.0 * (x[end] - x[begin]) / duration)
 
 
 def run_episodes(
@@ -176,30 +187,34 @@ def run_episodes(
     choose: Callable[[int, np.ndarray], Any],
     plants: np.ndarray | None = None,
 ) -> Trajectory:
-    """Runs episodes from rest at the angles `thetas`, rad, on the problem's plant or `plants`, M in
-    kg and mu of each.
+    """Runs episodes from rest at the angles `thetas`, rad.
 
-    choose(step, states) gives the torques as indices of `ACTIONS` for states of shape (4,
-    episodes).
+    The plants are the problem's, or `plants`, M in kg and mu of each. choose(step, states) gives
+    the torques as indices of `ACTIONS` for states of shape (4, episodes).
     """
     count = thetas.size
-    M, mu = (np.tile([problem.M, problem.mu], (count, 1)) if plants is None else plants).T
-    simulation = Simulation(count, problem.options)
+    if plants is None:
+        plants = np.tile([problem.M, problem.mu], (count, 1))
+    M, mu = plants.T.tolist()
     starts = np.zeros((count, 4))
     starts[:, 0] = thetas
-    simulation.reset(np.arange(count), M.tolist(), mu.tolist(), starts)
-    states, choices = np.empty((steps, 4, count)), np.empty((steps, count), np.uint8)
+    episodes = np.arange(count)
+    simulation = Simulation(count, problem.options)
+    simulation.reset(episodes, M, mu, starts)
+    states = np.empty((steps, 4, count))
+    choices = np.empty((steps, count), np.uint8)
     for step in range(steps):
         states[step] = simulation.rows(Row.theta, Row.x_dot + 1)
         choices[step] = choose(step, states[step])
-        simulation.step(ACTIONS[choices[step]], simulation.row(Row.termination) == 0.0)
-    return Trajectory(simulation.metrics(np.arange(count), steps), states, choices)
+        running = simulation.row(Row.termination) == 0.0
+        simulation.step(ACTIONS[choices[step]], running)
+    return Trajectory(simulation.metrics(episodes, steps), states, choices)
 
 
 def repeat(problem: Problem, choices: np.ndarray) -> Trajectory:
-    """Repeats the torques of one episode from the task's start; `choices` are indices of `ACTIONS`,
-    shape (steps,).
+    """Repeats the torques of one episode from the task's start.
+
+    `choices` are indices of `ACTIONS`, shape (steps,).
     """
-    return run_episodes(
-        problem, np.array([START_THETA]), choices.size, lambda step, states: choices[step]
-    )
+    start = np.array([START_THETA])
+    return run_episodes(problem, start, choices.size, lambda step, states: choices[step])

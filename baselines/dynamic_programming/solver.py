@@ -1,5 +1,4 @@
-"""The solver: policy iteration for the mean reward per step, on grids of states from coarse to
-fine.
+"""The solver: policy iteration for the mean reward per step, on grids from coarse to fine.
 
 The optimal gain g (cm per step) and the relative value h (cm) solve
 
@@ -40,19 +39,24 @@ REFINEMENTS = 2
 LOCAL = np.linspace(-1.0, 1.0, 9)
 BATCH = 8192  # states per call of the environment's step
 EVALUATION_TIME = 0.8  # s: duration of the policy evaluation between two improvements
-ENDING = 0.8  # s: time before the end of an episode from which a policy considers the end; longer than a cycle
+# s: time before the end of an episode from which a policy considers the end; longer than a cycle.
+ENDING = 0.8
+MAX_ITERATIONS = 60
 # The iteration has converged when the range of the changes of the values is smaller, cm/s.
-MAX_ITERATIONS, TOLERANCE = 60, 0.02
+TOLERANCE = 0.02
 # Nodes along theta, s and w. The first grid is also that of the policies' values.
 GRIDS = ((31, 51, 16), (46, 76, 24), (61, 101, 32), (91, 151, 48))
 # Ratio of the numbers of nodes of s and w over the ratio of the ranges of y and w; limits of the
 # first ratio.
-NODE_RATIO, MIN_RATIO, MAX_RATIO = 0.7, 0.25, 3.2
+NODE_RATIO = 0.7
+MIN_RATIO = 0.25
+MAX_RATIO = 3.2
 # Angles from which trajectories start: the task's own first, then others up to 0.1 rad from it.
 STARTS = START_THETA + np.array([0.0, *np.linspace(-0.1, 0.1, 6)])
 # The grid extends beyond the trajectories by this share of their range of y and w, and by at least
 # MIN_ROOM, rad/s.
-ROOM, MIN_ROOM = 0.3, 1.0
+ROOM = 0.3
+MIN_ROOM = 1.0
 
 
 @dataclass(frozen=True)
@@ -67,19 +71,20 @@ class Solution:
 
     def at(self, states: np.ndarray) -> np.ndarray:
         """The values of states of shape (3, n), cm; `FAILURE_VALUE` off the grid."""
-        return next_values(
-            self.values, self.grid.positions(states), cell_curvature(self.curvature, self.grid)
-        )
+        cell = cell_curvature(self.curvature, self.grid)
+        return next_values(self.values, self.grid.positions(states), cell)
 
 
 def cell_curvature(curvature: float, grid: Grid) -> float:
     """The curvature times the square of the spacing of w, cm."""
-    return curvature * float(grid.axes[2, 1]) * float(grid.axes[2, 1])
+    _, spacing = grid.axes[2].tolist()
+    return curvature * spacing * spacing
 
 
 def transitions(problem: Problem, grid: Grid, torques: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Positions, shape (nodes, torques, 3), and rewards in cm, both float32, after a step with
-    torques over limit.
+    """Positions and rewards in cm after a step with torques over limit, float32.
+
+    The shapes are (nodes, torques, 3) and (nodes, torques).
     """
     states = grid.nodes()
     nodes, count = torques.shape
@@ -107,76 +112,105 @@ def next_values(values: np.ndarray, positions: np.ndarray, curvature: float) -> 
 def _backup(
     values: np.ndarray, positions: np.ndarray, rewards: np.ndarray, gain: float, curvature: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """One step of value iteration: the new values, cm, and the indices of the best torques, each of
-    shape (nodes,).
+    """One step of value iteration: the new values, cm, and the indices of the best torques.
+
+    Both have the shape (nodes,).
     """
-    new, chosen = np.full(len(rewards), -np.inf), np.zeros(len(rewards), np.int64)
+    best = np.full(len(rewards), -np.inf)
+    chosen = np.zeros(len(rewards), np.int64)
     for torque in range(rewards.shape[1]):
         found = rewards[:, torque] + next_values(values, positions[:, torque], curvature)
-        better = found > new
-        new[better], chosen[better] = found[better], torque
-    return new - gain, chosen
+        better = found > best
+        best[better] = found[better]
+        chosen[better] = torque
+    return best - gain, chosen
+
+
+def _evenly_spaced(grid: Grid) -> np.ndarray:
+    """`TORQUES` torques over limit at every node, shape (nodes, torques)."""
+    torques = np.linspace(-1.0, 1.0, TORQUES)
+    return np.tile(torques, (math.prod(grid.shape), 1))
 
 
 def solve(
     problem: Problem, grid: Grid, *, curvature: float = 0.0, start: Solution | None = None
 ) -> Solution:
-    """Solves a problem on a grid, starting from the values of a solution on another grid if one is
-    given.
+    """Solves a problem on a grid.
+
+    The iteration starts from the values of a solution on another grid if one is given.
     """
-    cell = cell_curvature(curvature, grid)
-    actions = np.tile(np.linspace(-1.0, 1.0, TORQUES), (math.prod(grid.shape), 1))
+    actions = _evenly_spaced(grid)
     positions, rewards = transitions(problem, grid, actions)
-    values: np.ndarray = np.zeros(grid.shape, np.float32)
+    values = np.zeros(grid.shape, np.float32)
+    gain = 0.0  # cm per step
     if start is not None:
         values = start.at(grid.nodes()).astype(np.float32).reshape(grid.shape)
-    origin = np.array([[START_THETA], [0.0], [0.0]])
-    gain, spacing = (start.gain if start else 0.0) * problem.control_dt, 2.0 / (TORQUES - 1)
-    steps, chosen = (
-        2 * round(0.5 * EVALUATION_TIME / problem.control_dt),
-        np.zeros(len(actions), np.int64),
-    )
+        gain = start.gain * problem.control_dt
+    cell = cell_curvature(curvature, grid)
+    origin = grid.positions(np.array([[START_THETA], [0.0], [0.0]]))
+    steps = 2 * round(0.5 * EVALUATION_TIME / problem.control_dt)
+    spacing = 2.0 / (TORQUES - 1)
+    chosen = np.zeros(len(actions), np.int64)
     for refinement in range(REFINEMENTS + 1):
         if refinement > 0:
-            around = np.clip(
-                np.take_along_axis(actions, chosen[:, None], axis=1) + spacing * LOCAL, -1.0, 1.0
-            )
+            best = np.take_along_axis(actions, chosen[:, None], axis=1)
+            around = np.clip(best + spacing * LOCAL, -1.0, 1.0)
             spacing *= LOCAL[1] - LOCAL[0]
             more_positions, more_rewards = transitions(problem, grid, around)
             actions = np.concatenate([actions[:, :TORQUES], around], axis=1)
             positions = np.concatenate([positions[:, :TORQUES], more_positions], axis=1)
             rewards = np.concatenate([rewards[:, :TORQUES], more_rewards], axis=1)
         for _ in range(MAX_ITERATIONS):
-            improved, chosen = _backup(values, positions, rewards, gain, cell)
-            before = values = improved.astype(np.float32).reshape(grid.shape)
-            own, own_rewards = (
-                each[np.arange(len(chosen)), chosen] for each in (positions, rewards)
-            )
-            for _ in range(steps):
-                evaluated = own_rewards + next_values(values, own, cell) - gain
-                values = evaluated.astype(np.float32).reshape(grid.shape)
-            change = ((values - before) / steps)[before > 0.5 * FAILURE_VALUE]
+            values, change, chosen = _improve(values, positions, rewards, gain, cell, steps)
             gain += float(np.median(change))
-            values = values - np.float32(
-                Solution(problem, grid, values, curvature, gain).at(origin)[0]
-            )
+            values = values - np.float32(next_values(values, origin, cell)[0])
             if float(np.ptp(change)) / problem.control_dt < TOLERANCE:
                 break
     return Solution(problem, grid, values, curvature, gain / problem.control_dt)
 
 
-def final_solutions(solution: Solution) -> list[Solution]:
-    """The values with 0, 1, .. steps to go, up to `ENDING`; rewards after the end of an episode do
-    not count.
+def _improve(
+    values: np.ndarray,
+    positions: np.ndarray,
+    rewards: np.ndarray,
+    gain: float,
+    curvature: float,
+    steps: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Improves the policy once, and evaluates it over a number of steps.
+
+    Returns:
+        The values of the nodes, cm; their changes per step where the policy does not fail; and the
+        indices of the best torques.
     """
-    problem, grid = solution.problem, solution.grid
-    actions = np.tile(np.linspace(-1.0, 1.0, TORQUES), (math.prod(grid.shape), 1))
-    positions, rewards = transitions(problem, grid, actions)
+    improved, chosen = _backup(values, positions, rewards, gain, curvature)
+    before = improved.astype(np.float32).reshape(values.shape)
+    nodes = np.arange(len(chosen))
+    own_positions = positions[nodes, chosen]
+    own_rewards = rewards[nodes, chosen]
+    after = before
+    for _ in range(steps):
+        evaluated = own_rewards + next_values(after, own_positions, curvature) - gain
+        after = evaluated.astype(np.float32).reshape(values.shape)
+    change = (after - before) / steps
+    return after, change[before > 0.5 * FAILURE_VALUE], chosen
+
+
+def final_solutions(solution: Solution) -> list[Solution]:
+    """The values with 0, 1, .. steps to go, up to `ENDING`.
+
+    Rewards after the end of an episode do not count.
+    """
+    problem = solution.problem
+    grid = solution.grid
+    positions, rewards = transitions(problem, grid, _evenly_spaced(grid))
     cell = cell_curvature(solution.curvature, grid)
-    found = [replace(solution, values=np.zeros(grid.shape, np.float32))]
+    values = np.zeros(grid.shape, np.float32)
+    found = [replace(solution, values=values)]
     for _ in range(round(ENDING / problem.control_dt) - 1):
-        values, _ = _backup(found[-1].values, positions, rewards, 0.0, cell)
-        found.append(replace(solution, values=values.astype(np.float32).reshape(grid.shape)))
+        improved, _ = _backup(values, positions, rewards, 0.0, cell)
+        values = improved.astype(np.float32).reshape(grid.shape)
+        found.append(replace(solution, values=values))
     return found
 
 
@@ -187,24 +221,21 @@ def run_policy(
     final: Sequence[Solution] = (),
     horizon: float = HORIZON,
 ) -> Trajectory:
-    """Runs the policy that looks one step ahead, from rest at the angles `thetas` in rad, for
-    `horizon` s.
+    """Runs the policy that looks one step ahead, from rest at the angles `thetas` in rad.
 
-    `final` are the values before the end, from `final_solutions`; without them the policy ignores
-    the end.
+    An episode lasts `horizon` s. `final` are the values before the end, from `final_solutions`;
+    without them the policy ignores the end.
     """
     model = Transitions(solution.problem, thetas.size * ACTIONS.size)
     actions = np.tile(ACTIONS, thetas.size)
     steps = round(horizon / solution.problem.control_dt)
 
     def choose(step: int, states: np.ndarray) -> np.ndarray:
-        ends, rewards, failed = model.step(
-            np.repeat(states[[0, 1, 3]], ACTIONS.size, axis=1), actions
-        )
+        repeated = np.repeat(states[[0, 1, 3]], ACTIONS.size, axis=1)
+        ends, rewards, failed = model.step(repeated, actions)
         left = steps - 1 - step
-        scores = np.where(
-            failed, -np.inf, rewards + (final[left] if left < len(final) else solution).at(ends)
-        )
+        ahead = final[left] if left < len(final) else solution
+        scores = np.where(failed, -np.inf, rewards + ahead.at(ends))
         return scores.reshape(-1, ACTIONS.size).argmax(axis=1)
 
     return run_episodes(solution.problem, thetas, steps, choose)
@@ -214,45 +245,55 @@ def ranges(trajectory: Trajectory, q: float) -> tuple[tuple[float, float], tuple
     """The ranges of y and w in rad/s that trajectories cover, with a margin."""
     theta, theta_dot, _, x_dot = trajectory.states.transpose(1, 0, 2)
     cos = np.cos(theta)
+    y = x_dot / (q * np.maximum(cos, MIN_COSINE))
+    w = x_dot / q - cos * theta_dot
+    return _with_room(y), _with_room(w)
 
-    def with_room(values: np.ndarray) -> tuple[float, float]:
-        low, high = float(values.min()), float(values.max())
-        room = max(ROOM * (high - low), MIN_ROOM)
-        return round(low - room, 2), round(high + room, 2)
 
-    return with_room(x_dot / (q * np.maximum(cos, MIN_COSINE))), with_room(
-        x_dot / q - cos * theta_dot
-    )
+def _with_room(values: np.ndarray) -> tuple[float, float]:
+    low = float(values.min())
+    high = float(values.max())
+    room = max(ROOM * (high - low), MIN_ROOM)
+    return round(low - room, 2), round(high + room, 2)
 
 
 def divide_nodes(
     shape: tuple[int, int, int], y: tuple[float, float], w: tuple[float, float]
 ) -> tuple[int, int, int]:
-    """Divides the same number of nodes between s and w by their ranges: w is not slow if the
-    platform mostly sticks.
+    """Divides the same number of nodes between s and w by their ranges.
+
+    w is not slow if the platform mostly sticks.
     """
-    ratio = min(MAX_RATIO, max(MIN_RATIO, NODE_RATIO * (y[1] - y[0]) / (w[1] - w[0])))
-    product = shape[1] * shape[2]
+    low_y, high_y = y
+    low_w, high_w = w
+    ratio = NODE_RATIO * (high_y - low_y) / (high_w - low_w)
+    ratio = min(MAX_RATIO, max(MIN_RATIO, ratio))
+    along_theta, along_s, along_w = shape
+    product = along_s * along_w
     along_s = round(math.sqrt(product * ratio))
-    return shape[0], along_s, round(product / along_s)
+    return along_theta, along_s, round(product / along_s)
 
 
 def curvature_of(solution: Solution, trajectory: Trajectory) -> float:
-    """Half the second derivative of the values along w, median over settled states, cm /
-    (rad/s)^2.
+    """Half the second derivative of the values along w, cm / (rad/s)^2.
+
+    It is the median over settled states, or 0.0 if none is on the grid.
     """
     first = round(SETTLED / solution.problem.control_dt)
-    states = trajectory.states[first:, [0, 1, 3]].transpose(1, 0, 2).reshape(3, -1)
+    settled = trajectory.states[first:, [0, 1, 3]]
+    states = settled.transpose(1, 0, 2).reshape(3, -1)
     positions = solution.grid.positions(states)
-    i, j, k = (positions[positions[:, 0] >= 0.0] + 0.5).astype(np.int64).T
+    inside = positions[positions[:, 0] >= 0.0]
+    if not inside.size:
+        return 0.0
+    i, j, k = (inside + 0.5).astype(np.int64).T
     k = np.clip(k, 1, solution.grid.shape[2] - 2)
     values = solution.values.astype(np.float64)
-    second = values[i, j, k + 1] - 2.0 * values[i, j, k] + values[i, j, k - 1]
-    return (
-        round(float(np.median(second)) / (2.0 * float(solution.grid.axes[2, 1]) ** 2), 3)
-        if i.size
-        else 0.0
-    )
+    before = values[i, j, k - 1]
+    after = values[i, j, k + 1]
+    second = after - 2.0 * values[i, j, k] + before
+    _, spacing = solution.grid.axes[2].tolist()
+    return round(float(np.median(second)) / (2.0 * spacing**2), 3)
 
 
 def solve_on_grids(
@@ -261,7 +302,7 @@ def solve_on_grids(
     """The solutions on grids from coarse to fine, and their policies' episodes from `STARTS`."""
     friction = min(problem.mu, 0.3)
     # Contains any solution; the solutions that follow are over the ranges of its trajectories.
-    w = -3.0 - 25.0 * friction, 8.0 + 35.0 * friction
+    w = (-3.0 - 25.0 * friction, 8.0 + 35.0 * friction)
     grid = Grid(shapes[0], INITIAL_Y, w, problem.M)
     solution = solve(problem, grid)
     trajectory = run_policy(solution, STARTS)
@@ -271,5 +312,6 @@ def solve_on_grids(
     for shape in shapes:
         finer = replace(grid, shape=divide_nodes(shape, y, w), y=y, w=w)
         solution = solve(problem, finer, curvature=curvature, start=solution)
-        results.append((solution, run_policy(solution, STARTS, final=final_solutions(solution))))
+        trajectory = run_policy(solution, STARTS, final=final_solutions(solution))
+        results.append((solution, trajectory))
     return results

@@ -9,8 +9,9 @@ from capsule_gym.command_line import command
 
 @command("python -m baselines.paper", ValueError)
 def main(figures: Path | None = None) -> None:
-    """Prints the paper's numbers and claims next to the computed ones; draws its figures. About a
-    minute.
+    """Prints the paper's numbers and claims next to the computed ones; draws its figures.
+
+    About a minute.
 
     Examples:
       python -m baselines.paper                           all tables
@@ -21,9 +22,9 @@ def main(figures: Path | None = None) -> None:
             matplotlib).
     """
     if figures is not None:
-        if not next(
-            path for path in (figures, *figures.absolute().parents) if path.exists()
-        ).is_dir():
+        ancestors = (figures, *figures.absolute().parents)
+        existing = next(path for path in ancestors if path.exists())
+        if not existing.is_dir():
             raise ValueError(f"--figures must name a folder, got {str(figures)!r}")
         if find_spec("matplotlib") is None:
             raise ValueError("--figures needs matplotlib: pip install 'capsule-gym[paper]'")

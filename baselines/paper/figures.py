@@ -1,7 +1,7 @@
 """Figures 3 to 9 of the paper from our own runs, with the published numbers."""
 
 from collections.abc import Callable
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -38,29 +38,25 @@ DURATION = CYCLES * PERIOD
 # The phases of the profile, and so its cycle, begin and end on whole milliseconds.
 CYCLE = round(PERIOD / LAW_DT)
 SPLIT = 1.2  # s; the time axis of a cycle changes its scale here
-CHATTER = (
-    0.3  # s; duration of the unregularised law's panels, short enough to resolve its chattering
-)
+CHATTER = 0.3  # s; of the unregularised law's panels, short enough to resolve its chattering
 NO_CURVES = "The paper's curves are not available as data"
 DOTTED = f"{NO_CURVES}: dotted are the numbers of its text."
 # Figures 6 to 9: nominal, lightest with least friction, heaviest with most.
 PLANTS = ((NOMINAL.M, NOMINAL.mu), *zip(published.M_RANGE, published.MU_RANGE, strict=True))
-PLANT_COLOURS, PLANT_DASHES = (INK, GREEN, PURPLE), ("-", (0.0, (5.0, 1.6)), (0.0, (2.5, 1.2)))
+PLANT_COLOURS = (INK, GREEN, PURPLE)
+PLANT_DASHES = ("-", (0.0, (5.0, 1.6)), (0.0, (2.5, 1.2)))
+TWO_STAGES = (1.5, 1.0)  # ratio of the widths of two columns
 
 
 @cache
 def profile_runs() -> list[Trajectory]:
-    """The proposed profile and EPC under (35) on the nominal plant, five cycles without a torque
-    limit.
-    """
-    return [simulate(feedback_linearising())[0], simulate(epc())[0]]
+    """The proposed profile and EPC under (35), nominal plant, five cycles, no torque limit."""
+    return simulate(feedback_linearising()) + simulate(epc())
 
 
 @cache
 def adaptive_runs() -> dict[str, list[Trajectory]]:
-    """Both forms of the adaptive law on `PLANTS`, five cycles with the environment's torque
-    limit.
-    """
+    """Both forms of the adaptive law on `PLANTS`, five cycles, the environment's torque limit."""
     laws = {REGULARISED_LAW: adaptive(), CORRECTED_LAW: adaptive_as_published()}
     return {name: simulate(law, PLANTS, torque_limit=TORQUE_LIMIT) for name, law in laws.items()}
 
@@ -69,28 +65,37 @@ def draw_tracking() -> Any:
     """Fig. 3: rate and angle of the pendulum under feedback linearisation along both profiles."""
     figure = new_figure(4.6)
     # The time axis changes its scale at SPLIT: a quick stage, then a slow one.
-    panels = figure.subplots(2, 2, sharey="row", sharex="col", width_ratios=(1.5, 1.0))
+    panels = figure.subplots(2, 2, sharey="row", sharex="col", width_ratios=TWO_STAGES)
+    rates, angles = panels
     cycle = slice(0, CYCLE + 1)
     for run, (name, numbers) in zip(profile_runs(), published.RUNS.items(), strict=True):
-        pen, degrees = PENS[name], np.degrees(run.theta)
-        label = f"{name}, found: {run.theta_dot.max():.2f} rad/s, {degrees.max():.2f}°"
+        pen = PENS[name]
+        t = run.t[cycle]
+        rate = run.theta_dot[cycle]
+        angle = np.degrees(run.theta[cycle])
+        target_angle = np.degrees(run.reference[cycle, 0])
+        label = (
+            f"{name}, found: {run.theta_dot.max():.2f} rad/s, {np.degrees(run.theta).max():.2f}°"
+        )
         for row, target, found, key, unit in (
-            (panels[0], run.reference[:, 1], run.theta_dot, "peak_velocity", " rad/s"),
-            (panels[1], np.degrees(run.reference[:, 0]), degrees, "swing", "°"),
+            (rates, run.reference[cycle, 1], rate, "peak_velocity", " rad/s"),
+            (angles, target_angle, angle, "swing", "°"),
         ):
             value = numbers[key].value
-            for axes, stated in zip(row, ("", f"published, {name}: {value:g}{unit}"), strict=True):
-                axes.plot(run.t[cycle], target[cycle], **REFERENCE)
-                axes.plot(run.t[cycle], found[cycle], **pen, label=label)
-                mark_published(axes, value, stated, pen["color"])
-    panels[0][0].plot([], [], **REFERENCE, label="reference")
-    panels[0][0].legend(loc="center right")
-    panels[0][0].set(
-        title="Figure 3: tracking of the two profiles", ylabel="rate θ' (rad/s)", ylim=(-1.0, 12.5)
-    )
-    panels[1][0].set(ylabel="angle θ (deg)", ylim=(-70.0, 100.0))
-    panels[1][0].set(xlabel="time in the cycle (s)", xlim=(0.0, SPLIT))
-    panels[1][1].set(xlabel="time in the cycle (s), compressed", xlim=(SPLIT, PERIOD))
+            stated = f"published, {name}: {value:g}{unit}"
+            for axes, text in zip(row, ("", stated), strict=True):
+                axes.plot(t, target, **REFERENCE)
+                axes.plot(t, found, **pen, label=label)
+                mark_published(axes, value, text, pen["color"])
+    first, second = angles
+    first.set(ylabel="angle θ (deg)", ylim=(-70.0, 100.0))
+    first.set(xlabel="time in the cycle (s)", xlim=(0.0, SPLIT))
+    second.set(xlabel="time in the cycle (s), compressed", xlim=(SPLIT, PERIOD))
+    axes = rates[0]
+    axes.plot([], [], **REFERENCE, label="reference")
+    axes.legend(loc="center right")
+    axes.set_title("Figure 3: tracking of the two profiles")
+    axes.set(ylabel="rate θ' (rad/s)", ylim=(-1.0, 12.5))
     add_note(figure, f"Largest rates and angles are what the profiles were calibrated to. {DOTTED}")
     return figure
 
@@ -100,15 +105,13 @@ def draw_displacement() -> Any:
     figure = new_figure(3.3)
     axes = figure.subplots()
     for run, (name, numbers) in zip(profile_runs(), published.RUNS.items(), strict=True):
-        pen, value = PENS[name], numbers["mean_speed"].value
-        axes.plot(
-            run.t,
-            100.0 * run.x,
-            **pen,
-            label=f"{name}, found: {run.metrics['mean_speed']:.3f} cm/s",
-        )
-        dotted = {"linestyle": PUBLISHED_DASHES, "label": f"{name}, published: {value:g} cm/s"}
-        axes.plot([0.0, DURATION], [0.0, value * DURATION], color=pen["color"], **dotted)
+        pen = PENS[name]
+        label = f"{name}, found: {run.metrics['mean_speed']:.3f} cm/s"
+        axes.plot(run.t, 100.0 * run.x, **pen, label=label)
+        value = numbers["mean_speed"].value
+        dotted = {"color": pen["color"], "linestyle": PUBLISHED_DASHES}
+        label = f"{name}, published: {value:g} cm/s"
+        axes.plot([0.0, DURATION], [0.0, value * DURATION], **dotted, label=label)
     axes.set(title="Figure 4: displacement for five cycles", xlim=(0.0, DURATION))
     axes.set(xlabel="time (s)", ylabel="displacement x (cm)")
     axes.legend(loc="upper left")
@@ -119,21 +122,17 @@ def draw_displacement() -> Any:
 def draw_torque() -> Any:
     """Fig. 5: motor torque over five cycles under feedback linearisation."""
     figure = new_figure(4.4)
-    panels = figure.subplots(2, 2, width_ratios=(1.5, 1.0), sharex="col", sharey="row")
-    for row, run, (name, numbers) in zip(
-        panels, profile_runs(), published.RUNS.items(), strict=True
-    ):
-        value = numbers["peak_torque"].value
+    panels = figure.subplots(2, 2, width_ratios=TWO_STAGES, sharex="col", sharey="row")
+    for row, run, name in zip(panels, profile_runs(), published.RUNS, strict=True):
+        value = published.RUNS[name]["peak_torque"].value
         for axes, label in zip(row, ("", f"published largest: {value:g} N m"), strict=True):
             axes.plot(run.t[1:], run.torque[1:], color=PENS[name]["color"], lw=1.0)
             mark_published(axes, -value, "")
             mark_published(axes, value, label)
-        row[0].set(
-            title=f"{name}: largest {run.metrics['peak_torque']:.3f} N m", ylabel="torque u (N m)"
-        )
-    figure.suptitle(
-        "Figure 5: input torque, five cycles and the first second", x=0.01, ha="left", fontsize=8.5
-    )
+        largest = run.metrics["peak_torque"]
+        row[0].set(title=f"{name}: largest {largest:.3f} N m", ylabel="torque u (N m)")
+    title = "Figure 5: input torque, five cycles and the first second"
+    figure.suptitle(title, x=0.01, ha="left", fontsize=8.5)
     panels[1][0].set(xlabel="time (s)", xlim=(0.0, DURATION))
     panels[1][1].set(xlabel="time (s)", xlim=(0.0, 1.0))
     add_note(figure, f"The published torques cannot reach the published rates. {DOTTED}")
@@ -141,48 +140,60 @@ def draw_torque() -> Any:
 
 
 def _draw_law(title: str, quantities: dict[str, Quantity], stated: str) -> Any:
-    """Quantities, by their label, on the three plants: the whole run of the regularised law, the
-    start of the other.
+    """Quantities, by their label, on the three plants.
 
-    A cross marks loss of contact; the note compares the largest values of the whole runs with what
-    is published.
+    The left column shows the whole runs of the regularised law, the right one the start of those of
+    the other. A cross marks loss of contact; the note compares the largest values of the whole runs
+    with what is published.
     """
     figure = new_figure(1.4 + 1.7 * len(quantities))
     panels = figure.subplots(len(quantities), 2, sharex="col", squeeze=False)
-    largest: dict[str, list[str]] = {}
-    for column, end, (law, runs) in zip(
-        panels.T, (DURATION, CHATTER), adaptive_runs().items(), strict=True
-    ):
-        window = slice(1, round(end / LAW_DT) + 1)
-        for axes, (label, quantity) in zip(column, quantities.items(), strict=True):
-            for (M, mu), colour, dashes, run in zip(
-                PLANTS, PLANT_COLOURS, PLANT_DASHES, runs, strict=True
-            ):
-                drawn = {
-                    "color": colour,
-                    "linestyle": dashes,
-                    "label": f"M = {M:g} kg, μ = {mu:g}",
-                    "lw": 1.0,
-                }
-                axes.plot(run.t[window], quantity(run)[window], **drawn)
-                if not run.completed:
-                    axes.plot(run.t[-1], quantity(run)[-1], "x", color=colour, ms=6, mew=1.6)
-            axes.set(xlim=(0.0, end), ylabel=label if end == DURATION else "")
-            largest.setdefault(law, []).append(
-                f"{max(np.abs(quantity(run)).max() for run in runs):.3g}"
-            )
-        column[0].set_title(f"{title}, {law}" if end == DURATION else f"{law}, the first {end:g} s")
-        column[-1].set_xlabel("time (s)")
-    figure.legend(*panels[0][0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
-    ended = [f"{run.t[-1]:.2f} s" for run in adaptive_runs()[CORRECTED_LAW] if not run.completed]
-    found = "; ".join(f"{law} {' and '.join(values)}" for law, values in largest.items())
+    left, right = panels.T
+    regularised, corrected = adaptive_runs().values()
+    for axes, quantity in zip(left, quantities.values(), strict=True):
+        _draw_plants(axes, regularised, quantity, DURATION)
+    for axes, quantity in zip(right, quantities.values(), strict=True):
+        _draw_plants(axes, corrected, quantity, CHATTER)
+    for axes, label in zip(left, quantities, strict=True):
+        axes.set_ylabel(label)
+    left[0].set_title(f"{title}, {REGULARISED_LAW}")
+    right[0].set_title(f"{CORRECTED_LAW}, the first {CHATTER:g} s")
+    for axes in panels[-1]:
+        axes.set_xlabel("time (s)")
+    legend = left[0].get_legend_handles_labels()
+    figure.legend(*legend, loc="outside upper center", ncols=len(PLANTS))
+    largest = "; ".join(
+        f"{law} {_largest(runs, quantities)}" for law, runs in adaptive_runs().items()
+    )
+    ended = [f"{run.t[-1]:.2f} s" for run in corrected if not run.completed]
     add_note(
         figure,
-        f"Largest absolute values, in the units of the panels: {found}. In print: {stated}. {NO_CURVES}. "
-        f"{CORRECTED_LAW.capitalize()}, with the torque limit of {TORQUE_LIMIT:g} N m: {len(ended)} of {len(PLANTS)} "
-        f"runs loses contact with the floor, at {' and '.join(ended)} (cross).",
+        f"Largest absolute values, in the units of the panels: {largest}. In print: {stated}. "
+        f"{NO_CURVES}. {CORRECTED_LAW.capitalize()}, with the torque limit of {TORQUE_LIMIT:g} "
+        f"N m: {len(ended)} of {len(PLANTS)} runs loses contact with the floor, at "
+        f"{' and '.join(ended)} (cross).",
     )
     return figure
+
+
+def _draw_plants(axes: Any, runs: list[Trajectory], quantity: Quantity, end: float) -> None:
+    """A quantity of the runs on `PLANTS` in the first `end` seconds."""
+    window = slice(1, round(end / LAW_DT) + 1)
+    for (M, mu), colour, dashes, run in zip(PLANTS, PLANT_COLOURS, PLANT_DASHES, runs, strict=True):
+        values = quantity(run)
+        pen = {"color": colour, "linestyle": dashes, "lw": 1.0}
+        axes.plot(run.t[window], values[window], **pen, label=f"M = {M:g} kg, μ = {mu:g}")
+        if not run.completed:
+            axes.plot(run.t[-1], values[-1], "x", color=colour, ms=6, mew=1.6)
+    axes.set_xlim(0.0, end)
+
+
+def _largest(runs: list[Trajectory], quantities: dict[str, Quantity]) -> str:
+    found = []
+    for quantity in quantities.values():
+        largest = max(np.abs(quantity(run)).max() for run in runs)
+        found.append(f"{largest:.3g}")
+    return " and ".join(found)
 
 
 def draw_adaptive_tracking() -> Any:
@@ -192,17 +203,15 @@ def draw_adaptive_tracking() -> Any:
         "rate θ' (rad/s)": lambda run: run.theta_dot,
         "angle θ (deg)": lambda run: np.degrees(run.theta),
     }
-    figure = _draw_law(
-        "Figure 6: adaptive law (39)", quantities, f"{rate:g} rad/s. Grey: the reference"
-    )
+    stated = f"{rate:g} rad/s. Grey: the reference"
+    figure = _draw_law("Figure 6: adaptive law (39)", quantities, stated)
     run = adaptive_runs()[REGULARISED_LAW][0]
-    for n, axes in enumerate(figure.axes):
-        axes.plot(
-            run.t, run.reference[:, 1] if n < 2 else np.degrees(run.reference[:, 0]), **REFERENCE
-        )
-        if n < 2:
-            axes.set_ylim(-1.2, 9.5)
-            mark_published(axes, rate, f"published largest: {rate:g} rad/s")
+    for axes in figure.axes[:2]:
+        axes.plot(run.t, run.reference[:, 1], **REFERENCE)
+        axes.set_ylim(-1.2, 9.5)
+        mark_published(axes, rate, f"published largest: {rate:g} rad/s")
+    for axes in figure.axes[2:]:
+        axes.plot(run.t, np.degrees(run.reference[:, 0]), **REFERENCE)
     return figure
 
 
@@ -210,11 +219,33 @@ def draw_adaptive_torque() -> Any:
     """Fig. 8: motor torque under the adaptive law."""
     torque = published.PROPOSED["peak_torque"].value
     stated = f"no number here; {torque:g} N m for the law (35) on the same profile"
-    figure = _draw_law(
-        "Figure 8: torque of the law (39)", {"torque u (N m)": lambda run: run.torque}, stated
-    )
+    quantities: dict[str, Quantity] = {"torque u (N m)": lambda run: run.torque}
+    figure = _draw_law("Figure 8: torque of the law (39)", quantities, stated)
     mark_published(figure.axes[0], torque, f"{torque:g} N m", MUTED, x=0.58)
     return figure
+
+
+def draw_adaptive_error() -> Any:
+    """Fig. 7: tracking errors under the adaptive law."""
+    quantities: dict[str, Quantity] = {
+        r"angle error $\theta - \theta_d$ (mrad)": lambda run: 1e3 * run.error,
+        r"rate error $\dot\theta - \dot\theta_d$ (mrad/s)": lambda run: 1e3 * run.rate_error,
+    }
+    stated = (
+        "'tracks the planned trajectory accurately', 'the angular velocity will eventually "
+        "converge to zero'"
+    )
+    return _draw_law("Figure 7: tracking errors", quantities, stated)
+
+
+def draw_sliding_variable() -> Any:
+    """Fig. 9: delta_theta under the adaptive law."""
+    quantities: dict[str, Quantity] = {
+        r"$\delta_\theta$ (mrad/s)": lambda run: 1e3 * sliding(run)[0]
+    }
+    title = r"Figure 9: sliding variable $\delta_\theta$ of (37b)"
+    stated = "'convergence towards zero'; the progressive stage of every cycle excites it anew"
+    return _draw_law(title, quantities, stated)
 
 
 FIGURES: dict[str, Callable[[], Any]] = {
@@ -222,29 +253,20 @@ FIGURES: dict[str, Callable[[], Any]] = {
     "fig4_displacement": draw_displacement,
     "fig5_torque": draw_torque,
     "fig6_adaptive_tracking": draw_adaptive_tracking,
-    "fig7_adaptive_error": partial(
-        _draw_law,
-        "Figure 7: tracking errors",
-        {
-            r"angle error $\theta - \theta_d$ (mrad)": lambda run: 1e3 * run.error,
-            r"rate error $\dot\theta - \dot\theta_d$ (mrad/s)": lambda run: 1e3 * run.rate_error,
-        },
-        "'tracks the planned trajectory accurately', 'the angular velocity will eventually converge to zero'",
-    ),
+    "fig7_adaptive_error": draw_adaptive_error,
     "fig8_adaptive_torque": draw_adaptive_torque,
-    "fig9_sliding_variable": partial(
-        _draw_law,
-        r"Figure 9: sliding variable $\delta_\theta$ of (37b)",
-        {r"$\delta_\theta$ (mrad/s)": lambda run: 1e3 * sliding(run)[0]},
-        "'convergence towards zero'; the progressive stage of every cycle excites it anew",
-    ),
+    "fig9_sliding_variable": draw_sliding_variable,
 }
 
 
 def draw_all(directory: Path) -> list[Path]:
-    """Draws every figure as SVG and PNG into a folder, which is created; repeated runs give
-    identical files.
+    """Draws every figure as SVG and PNG into a folder, which is created.
+
+    Repeated runs give identical files.
     """
     directory.mkdir(parents=True, exist_ok=True)
+    written = []
     with style():
-        return [path for name, draw in FIGURES.items() for path in save(draw(), directory / name)]
+        for name, draw in FIGURES.items():
+            written += save(draw(), directory / name)
+    return written

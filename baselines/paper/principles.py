@@ -27,22 +27,26 @@ from capsule_gym.control.laws.profiles import EPC, PROPOSED, Profile
 from capsule_gym.parameters import NOMINAL, Capsule, Plant
 from capsule_gym.tasks.task import START_THETA
 
-# Samples of a phase, and of the angle in the proof.
-SAMPLES_PER_PHASE, SAMPLES = 2001, 20_001
+SAMPLES_PER_PHASE = 2001
+SAMPLES = 20_001  # of the angle in the proof
+SLIPS = (0.0, 1.0, -1.0)  # stick, and both directions of slip
 THETA_0 = math.pi / 3.0  # the boundary condition of Sect. 3.2, rad
 # Definition 4: the restoring stage. In the profile (9) these are phases IV to VII, in EPC's its
 # last four.
 RESTORING_PHASES = 4
-NEWTON, PAPER = NOMINAL.plant(), Capsule(normal_force="paper").plant()
+NEWTON = NOMINAL.plant()
+PAPER = Capsule(normal_force="paper").plant()
 # Largest |theta'| (rad/s) and |theta''| (rad/s^2) of the random states: beyond the profiles for
 # Lemma 1, which is about loss of contact, and around rest for Lemma 2, whose limit is 1.5 rad/s^2.
-FAST, SLOW = (20.0, 400.0), (1.3, 20.0)
+FAST = (20.0, 400.0)
+SLOW = (1.3, 20.0)
 
 
 @dataclass(frozen=True)
 class Cycle:
-    """The samples of a motion, in SI units, with the number of their phase from 0; both phases at
-    its ends count.
+    """The samples of a motion, in SI units, with the number of their phase from 0.
+
+    Where two phases meet, both have a sample.
     """
 
     t: np.ndarray
@@ -67,70 +71,73 @@ class Demand(NamedTuple):
     def ratio(self) -> np.ndarray:
         """Load over limit; infinite where the limit is not positive and therefore never met."""
         limit = np.broadcast_to(self.limit, self.load.shape)
-        return np.divide(self.load, limit, out=np.full_like(self.load, math.inf), where=limit > 0.0)
+        ratio = np.full_like(self.load, math.inf)
+        return np.divide(self.load, limit, out=ratio, where=limit > 0.0)
 
 
 def sample(profile: Profile, samples: int = SAMPLES_PER_PHASE) -> Cycle:
-    """A cycle of the profile with the given number of samples in each phase, both of its ends
-    included.
-    """
+    """Samples a cycle of the profile, each phase with the given number, both of its ends included."""
     phase = np.repeat(np.arange(len(profile.segments)), samples)
-    s = np.concatenate(
-        [np.linspace(0.0, segment.duration, samples) for segment in profile.segments]
-    )
-    return Cycle(
-        np.append(0.0, profile.times)[phase] + s, phase, *profile.evaluate_phases(phase, s)
-    )
+    durations = [segment.duration for segment in profile.segments]
+    s = np.concatenate([np.linspace(0.0, duration, samples) for duration in durations])
+    starts = np.append(0.0, profile.times)
+    return Cycle(starts[phase] + s, phase, *profile.evaluate_phases(phase, s))
 
 
 def principle_3(cycle: Cycle, p: Plant) -> Demand:
-    """Eq. (7): the platform keeps contact with the floor. Load: the pendulum's lift, N; limit: the
-    weight, N.
+    """Eq. (7): the platform keeps contact with the floor.
+
+    Load: the pendulum's lift, N; limit: the weight, N.
     """
     weight = (p.M + p.m) * p.g
     return Demand(weight - dynamics.normal_force(*cycle.motion, p), weight)
 
 
 def principle_4(cycle: Cycle, p: Plant) -> Demand:
-    """Eq. (8): a platform at rest stays at rest. Load: the pendulum's force, N; limit: the static
-    friction, N.
+    """Eq. (8): a platform at rest stays at rest.
 
-    The principle applies to the restoring stage, the last `RESTORING_PHASES`. In the phases before,
+    Load: the pendulum's force, N; limit: the static friction, N. The principle applies to the restoring stage, the last `RESTORING_PHASES`. In the phases before,
     a violation is what moves the capsule.
     """
-    force = dynamics.driving_force(*cycle.motion, p) + _pivot_torque(cycle, p) * np.cos(cycle.theta)
-    mu = p.mu * p.static_ratio * np.where(force < 0.0, p.backward_ratio, 1.0)
-    return Demand(np.abs(force), mu * dynamics.normal_force(*cycle.motion, p))
+    pivot_force = _pivot_torque(cycle, p) * np.cos(cycle.theta)
+    force = dynamics.driving_force(*cycle.motion, p) + pivot_force
+    direction_ratio = np.where(force < 0.0, p.backward_ratio, 1.0)
+    mu = p.mu * p.static_ratio * direction_ratio
+    normal_force = dynamics.normal_force(*cycle.motion, p)
+    return Demand(np.abs(force), mu * normal_force)
 
 
 def lemma_1(cycle: Cycle, p: Plant, *, sufficient: bool = False) -> Demand:
-    """Lemma 1, Eq. (10), which the paper presents as sufficient for Principle 3; `sufficient` gives
-    its premise (12).
+    """Lemma 1, Eq. (10), which the paper presents as sufficient for Principle 3.
 
-    With a = m l theta'' + k theta + c theta' and b = m l theta'^2, (12), sqrt(a^2 + b^2) < (M + m)
-    g, is sufficient by Cauchy and Schwarz. (10) follows from (12) and is sufficient for nothing: at
+    `sufficient` gives its premise (12). With a = m l theta'' + k theta + c theta' and
+    b = m l theta'^2, (12), sqrt(a^2 + b^2) < (M + m) g, is sufficient by Cauchy and Schwarz. (10) follows from (12) and is sufficient for nothing: at
     theta = 0 with a = 0 it holds at every speed. Nor is it necessary for (7), in which a drops out
     at theta = 0.
     """
-    ml, weight = p.m * p.l, (p.M + p.m) * p.g
+    ml = p.m * p.l
+    weight = (p.M + p.m) * p.g
     a = ml * cycle.theta_ddot + _pivot_torque(cycle, p)
     if sufficient:
         return Demand(np.hypot(a, ml * cycle.theta_dot**2), weight)  # Eq. (12)
-    return Demand(cycle.theta_dot**2 * np.abs(a), weight**2 / (2.0 * ml))  # Eq. (10)
+    load = cycle.theta_dot**2 * np.abs(a)
+    return Demand(load, weight**2 / (2.0 * ml))  # Eq. (10)
 
 
 def lemma_2(cycle: Cycle, p: Plant, *, sufficient: bool = False) -> Demand:
-    """Lemma 2, Eq. (15), which the paper presents as sufficient for Principle 4; `sufficient` gives
-    the corrected form.
+    """Lemma 2, Eq. (15), which the paper presents as sufficient for Principle 4.
 
     As printed a strong deceleration meets it, and the terms of spring and damper lack 1 / (m l).
-    Corrected,
-    |theta'' + (k theta + c theta') / (m l)| + theta'^2 <= (M + m) g / (m l) mu / sqrt(mu^2 + 1) is sufficient for (8)
-    by Cauchy and Schwarz. Friction is that of a plant with one coefficient.
+    `sufficient` gives the corrected form, which is sufficient for (8) by Cauchy and Schwarz:
+
+        |theta'' + (k theta + c theta') / (m l)| + theta'^2 <= (M + m) g / (m l) mu / sqrt(mu^2 + 1)
+
+    Friction is that of a plant with one coefficient.
     """
     torque = _pivot_torque(cycle, p)
     if sufficient:
-        load = np.abs(cycle.theta_ddot + torque / (p.m * p.l)) + cycle.theta_dot**2
+        acceleration = cycle.theta_ddot + torque / (p.m * p.l)
+        load = np.abs(acceleration) + cycle.theta_dot**2
     else:
         load = cycle.theta_ddot + cycle.theta_dot**2 + torque  # Eq. (15)
     return Demand(load, friction_bound(p))
@@ -138,7 +145,8 @@ def lemma_2(cycle: Cycle, p: Plant, *, sufficient: bool = False) -> Demand:
 
 def friction_bound(p: Plant) -> float:
     """The right side of Lemma 2 (15), (M + m) g / (m l) mu / sqrt(mu^2 + 1), rad/s^2."""
-    return (p.M + p.m) * p.g / (p.m * p.l) * p.mu / math.sqrt(p.mu * p.mu + 1.0)
+    weight = (p.M + p.m) * p.g / (p.m * p.l)
+    return weight * p.mu / math.sqrt(p.mu * p.mu + 1.0)
 
 
 def _pivot_torque(cycle: Cycle, p: Plant) -> np.ndarray:
@@ -147,8 +155,9 @@ def _pivot_torque(cycle: Cycle, p: Plant) -> np.ndarray:
 
 
 def evaluate_demands() -> list[dict[str, Any]]:
-    """The demands on both profiles, nominal plant: the largest load over limit, above 1 where it is
-    violated.
+    """The largest load over limit of each demand on both profiles, nominal plant.
+
+    A demand is violated above 1.
 
     Returns:
         By row: the name of the `profile`, the `demand` and whether it is "as printed"; the ratio
@@ -156,47 +165,55 @@ def evaluate_demands() -> list[dict[str, Any]]:
     """
     rows = []
     for profile in (PROPOSED, EPC):
-        cycle, count = sample(profile), len(profile.segments)
-        for name, demand in (
-            ("Principle 3, Newton's forces", principle_3(cycle, NEWTON)),
-            ("Principle 3, (7) as printed", principle_3(cycle, PAPER)),
-            ("Principle 4, Newton's forces", principle_4(cycle, NEWTON)),
-            ("Principle 4, (8) as printed", principle_4(cycle, PAPER)),
-            ("Lemma 2, (15) as printed", lemma_2(cycle, PAPER)),
-            ("Lemma 2, corrected", lemma_2(cycle, NEWTON, sufficient=True)),
-        ):
-            factors = tuple(float(demand.ratio[cycle.phase == n].max()) for n in range(count))
-            row = {"profile": profile.name, "demand": name, "whole_cycle": max(factors)}
-            rows.append({**row, "restoring": factors[-RESTORING_PHASES:]})
+        cycle = sample(profile)
+        demands = {
+            "Principle 3, Newton's forces": principle_3(cycle, NEWTON),
+            "Principle 3, (7) as printed": principle_3(cycle, PAPER),
+            "Principle 4, Newton's forces": principle_4(cycle, NEWTON),
+            "Principle 4, (8) as printed": principle_4(cycle, PAPER),
+            "Lemma 2, (15) as printed": lemma_2(cycle, PAPER),
+            "Lemma 2, corrected": lemma_2(cycle, NEWTON, sufficient=True),
+        }
+        for name, demand in demands.items():
+            # A phase has SAMPLES_PER_PHASE samples.
+            ratio = demand.ratio.reshape(len(profile.segments), -1)
+            by_phase = ratio.max(axis=1).tolist()
+            row: dict[str, Any] = {"profile": profile.name, "demand": name}
+            row["whole_cycle"] = max(by_phase)
+            row["restoring"] = tuple(by_phase[-RESTORING_PHASES:])
+            rows.append(row)
     return rows
 
 
 def check_lemmas(states: int = 200_000, seed: int = 0) -> list[dict[str, Any]]:
-    """Both lemmas, as printed and corrected, each on random states with |theta| < pi/2.
+    """Checks both lemmas, as printed and corrected, on random states with |theta| < pi/2.
 
     Returns:
         By row: the `lemma`, which `forces`, the number of random `states` that meet the lemma, the
         number of these that violate the principle for which it should be sufficient (`violations`),
         and the largest load over limit of the principle among them (`worst`).
     """
-    rng, rows = np.random.default_rng(seed), []
-    for lemma, principle, names, limits in (
-        (lemma_1, principle_3, ("Lemma 1 (10), as printed", "Lemma 1 (12), its own premise"), FAST),
-        (lemma_2, principle_4, ("Lemma 2 (15), as printed", "Lemma 2 (15), corrected"), SLOW),
+    rng = np.random.default_rng(seed)
+    rows = []
+    for lemma, principle, printed, corrected, limits in (
+        (lemma_1, principle_3, "Lemma 1 (10), as printed", "Lemma 1 (12), its own premise", FAST),
+        (lemma_2, principle_4, "Lemma 2 (15), as printed", "Lemma 2 (15), corrected", SLOW),
     ):
-        values = np.array([0.5 * math.pi, *limits]) * rng.uniform(-1.0, 1.0, (states, 3))
-        random = Cycle(np.zeros(states), np.zeros(states, np.int64), *values.T)
-        for sufficient, forces, p in (
-            (False, "printed", PAPER),
-            (True, "printed", PAPER),
-            (True, "Newton's", NEWTON),
+        largest = np.array([0.5 * math.pi, *limits])
+        motion = largest * rng.uniform(-1.0, 1.0, (states, 3))
+        samples = Cycle(np.zeros(states), np.zeros(states, np.int64), *motion.T)
+        for name, forces, p in (
+            (printed, "printed", PAPER),
+            (corrected, "printed", PAPER),
+            (corrected, "Newton's", NEWTON),
         ):
-            met = lemma(random, p, sufficient=sufficient).ratio <= 1.0
-            ratio = principle(random, p).ratio[met]
-            row = {"lemma": names[sufficient], "forces": forces, "states": int(met.sum())}
-            rows.append(
-                {**row, "violations": int((ratio > 1.0).sum()), "worst": float(ratio.max())}
-            )
+            met = lemma(samples, p, sufficient=name == corrected).ratio <= 1.0
+            ratio = principle(samples, p).ratio[met]
+            row: dict[str, Any] = {"lemma": name, "forces": forces}
+            row["states"] = int(met.sum())
+            row["violations"] = int((ratio > 1.0).sum())
+            row["worst"] = float(ratio.max())
+            rows.append(row)
     return rows
 
 
@@ -205,28 +222,37 @@ def torque_without_acceleration(
 ) -> np.ndarray:
     """Motor torque in N m at theta'' = 0, from Eq. (1); `slip` is +1.0, -1.0 or, for stick, 0.0."""
     ml = p.m * p.l
-    sin, cos = np.sin(theta), np.cos(theta)
-    at_rest = -ml * p.g * sin + p.k * theta + p.c * theta_dot
+    sin = np.sin(theta)
+    weight = -ml * p.g * sin
+    at_rest = weight + p.k * theta + p.c * theta_dot
     if slip == 0.0:
         return at_rest
-    friction = slip * p.mu * np.maximum(0.0, dynamics.normal_force(theta, theta_dot, 0.0, p))
-    return at_rest + ml * cos * (ml * sin * theta_dot**2 + friction) / (p.M + p.m)  # Eq. (32)
+    normal_force = np.maximum(0.0, dynamics.normal_force(theta, theta_dot, 0.0, p))
+    friction = slip * p.mu * normal_force
+    driving_force = ml * sin * theta_dot**2 + friction
+    return at_rest + ml * np.cos(theta) * driving_force / (p.M + p.m)  # Eq. (32)
 
 
 def _slope_of_torque(largest_theta: float, theta_dot: float, p: Plant) -> float:
-    """Bound on |d torque / d theta| of `torque_without_acceleration` in N m/rad, for |theta| <= largest_theta."""
-    ml, total = p.m * p.l, p.M + p.m
+    """Bound on |d torque / d theta| of `torque_without_acceleration`, N m/rad.
+
+    It holds for |theta| <= largest_theta.
+    """
+    ml = p.m * p.l
+    total = p.M + p.m
     pivot = p.k * largest_theta + p.c * abs(theta_dot)
     centrifugal = ml * theta_dot**2
-    friction = p.mu * (total * p.g + 2.0 * centrifugal + 2.0 * pivot + p.k)
+    normal_force = total * p.g + 2.0 * centrifugal + 2.0 * pivot + p.k
+    friction = p.mu * normal_force
     return ml * p.g + p.k + ml * (centrifugal + friction) / total
 
 
 def torque_at_peak(
-    velocity: float, low: float, high: float, slips: tuple[float, ...] = (0.0, 1.0, -1.0)
+    velocity: float, low: float, high: float, slips: tuple[float, ...] = SLIPS
 ) -> float:
-    """A lower bound in N m on the largest torque of every motion whose theta' peaks at a given
-    value (rad/s).
+    """A lower bound in N m on the largest torque of every motion whose theta' has a given peak.
+
+    The peak is in rad/s, at an angle between `low` and `high` in rad.
 
     Theorem. Let theta' > 0 attain its maximum V at an angle in [low, high]. Then the torque is, at
     or just before the peak, at least min over [low, high] and over the contact modes of the torque
@@ -241,34 +267,29 @@ def torque_at_peak(
     lowered by the largest slope times half the spacing, which makes it a bound.
     """
     theta = np.linspace(low, high, SAMPLES)
-    margin = 0.5 * (high - low) / (SAMPLES - 1)
-    return min(
-        float(torque_without_acceleration(theta, velocity, slip, p).min())
-        - _slope_of_torque(max(abs(low), abs(high)), velocity, p) * margin
-        for p in (NEWTON, PAPER)
-        for slip in slips
-    )
+    half_spacing = 0.5 * (high - low) / (SAMPLES - 1)
+    largest_theta = max(abs(low), abs(high))
+    bounds = []
+    for p in (NEWTON, PAPER):
+        margin = _slope_of_torque(largest_theta, velocity, p) * half_spacing
+        for slip in slips:
+            torque = torque_without_acceleration(theta, velocity, slip, p)
+            bounds.append(float(torque.min()) - margin)
+    return min(bounds)
 
 
 def check_torques() -> list[dict[str, Any]]:
-    """For both profiles certified lower bounds on the torque at the peak, in any contact and
-    `sticking`, N m.
+    """Certified lower bounds on the torque at the peak for both profiles, N m.
 
-    The proof holds where the `published` torque is below the `bound`.
+    `bound` is for any contact, `sticking` for stick. The proof holds where the `published` torque is below the `bound`.
     """
-    found = []
+    rows = []
     for name, numbers in published.RUNS.items():
-        velocity, torque, swing = (
-            numbers[key].value for key in ("peak_velocity", "peak_torque", "swing")
-        )
-        row: dict[str, Any] = {"name": name, "velocity": velocity, "published": torque}
-        row["bound"] = torque_at_peak(velocity, START_THETA, math.radians(swing))
-        found.append(
-            {
-                **row,
-                "sticking": torque_at_peak(
-                    velocity, START_THETA, math.radians(swing), slips=(0.0,)
-                ),
-            }
-        )
-    return found
+        velocity = numbers["peak_velocity"].value
+        swing = math.radians(numbers["swing"].value)
+        row: dict[str, Any] = {"name": name, "velocity": velocity}
+        row["published"] = numbers["peak_torque"].value
+        row["bound"] = torque_at_peak(velocity, START_THETA, swing)
+        row["sticking"] = torque_at_peak(velocity, START_THETA, swing, slips=(0.0,))
+        rows.append(row)
+    return rows

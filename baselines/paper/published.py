@@ -1,8 +1,7 @@
 """The numbers and claims of the paper (Sect. 5).
 
 Liu, Yu, Cang: Optimized adaptive tracking control for an underactuated vibro-driven capsule system,
-    Nonlinear
-Dynamics 94 (2018).
+Nonlinear Dynamics 94 (2018).
 """
 
 from dataclasses import dataclass
@@ -23,9 +22,7 @@ class Number:
 
 
 def _run(rate: float, swing: float, speed: float, torque: float) -> dict[str, Number]:
-    """The numbers of a run (second paragraph, Figures 3 to 5), by their names in the
-    reproduction.
-    """
+    """The numbers of a run (second paragraph, Figures 3 to 5) by the names of our results."""
     return {
         "peak_velocity": Number("largest theta'", "rad/s", rate, 1),
         "swing": Number("largest swing", "deg", swing, 2),

@@ -1,5 +1,4 @@
-"""The output of `python -m baselines.paper`: every result as a table, and every claim with its
-verdict.
+"""The output of `python -m baselines.paper`: tables of all results, and a verdict on every claim.
 
 The page *The paper* explains the results and gives the reasons.
 """
@@ -16,6 +15,7 @@ from baselines.paper.adaptive import (
     ERRORS,
     LONG_CYCLES,
     LONG_PLANTS,
+    LawStudy,
     run_cycles,
     study_law,
     study_variants,
@@ -31,15 +31,20 @@ from capsule_gym.tasks.task import TORQUE_LIMIT
 
 Results = dict[str, Any]
 Row = Mapping[str, Any]
+Claims = dict[str, tuple[str, bool]]
 
-WIDTH = 118
+WIDTH = 118  # columns of a sentence
 # Share of its limit from which a demand counts as binding; the search keeps a reserve of about one
 # percent.
 BINDING = 0.98
 AGREEMENT = 0.02  # curves read off a figure, and printed digits, are no more accurate
 SUPPRESSED = 0.1  # travel backwards over forwards that still counts as suppressed
-VERDICTS = ("NOT reproduced", "reproduced")
-CONVERGED = 0.1  # an error has converged once it has fallen to this share of the first cycle's on every plant
+# An error has converged once it is at most this share of the first cycle's on every plant.
+CONVERGED = 0.1
+# Share of its numerical bound from which eta counts as unbounded.
+UNBOUNDED = 0.99
+# Quantities of a run that no free parameter was set to meet.
+PREDICTED = ("mean_speed", "peak_torque")
 
 
 def compute() -> Results:
@@ -49,227 +54,286 @@ def compute() -> Results:
     regularised law, the corrected, unregularised one, and the latter with the motor's torque
     limited.
     """
-    forces, profiles = get_args(NormalForce), tracking.PROFILES
-    _, long_runs = run_cycles(adaptive(), LONG_PLANTS, cycles=LONG_CYCLES[-1], shown=LONG_CYCLES)
-    results = {
-        "tracking": {
-            p.name: {force: tracking.track(p, force) for force in forces} for p in profiles
-        },
-        "maps": [tracking.speed_map(profile, *tracking.grid()) for profile in profiles],
-        "laws": [study_law(True), study_law(False), study_law(False, TORQUE_LIMIT)],
-        "variants": study_variants(),
-        "long_runs": long_runs,
-    }
-    return {
-        **results,
-        "numbers": compare_numbers(results),
-        "claims": judge_claims(results),
-        "torques": principles.check_torques(),
-        "table_1": selection.evaluate_selection(),
-        "demands": principles.evaluate_demands(),
-        "lemmas": principles.check_lemmas(),
-        "optimal_profiles": load(),
-    }
+    results: Results = {"tracking": _track_profiles()}
+    grid = tracking.grid()
+    results["maps"] = [tracking.speed_map(profile, *grid) for profile in tracking.PROFILES]
+    results["laws"] = [study_law(True), study_law(False), study_law(False, TORQUE_LIMIT)]
+    results["variants"] = study_variants()
+    _, results["long_runs"] = run_cycles(
+        adaptive(), LONG_PLANTS, cycles=LONG_CYCLES[-1], shown=LONG_CYCLES
+    )
+    results["numbers"] = compare_numbers(results)
+    results["claims"] = judge_claims(results)
+    results["torques"] = principles.check_torques()
+    results["table_1"] = selection.evaluate_selection()
+    results["demands"] = principles.evaluate_demands()
+    results["lemmas"] = principles.check_lemmas()
+    results["optimal_profiles"] = load()
+    return results
+
+
+def _track_profiles() -> dict[str, dict[str, dict[str, float]]]:
+    """The runs of both profiles under (35), by the name of the profile and the normal force."""
+    forces = get_args(NormalForce)
+    tracked = {}
+    for profile in tracking.PROFILES:
+        tracked[profile.name] = {force: tracking.track(profile, force) for force in forces}
+    return tracked
 
 
 def compare_numbers(results: Results) -> list[Row]:
-    """Every published number compared with ours.
+    """Compares every published number with ours.
 
     The kind of a number is "calibrated" where a free parameter was set to meet it, "predicted"
     where nothing was set, and "constant" where it restates the plant.
     """
-    rows: list[Row] = []
-
-    def add(run: str, number: Number, found: float, kind: str) -> None:
-        difference, given = (
-            found / number.value - 1.0,
-            {"run": run, "quantity": number.quantity, "unit": number.unit},
-        )
-        # One more digit than printed, so that rounding hides no difference.
-        own = {
-            "published": f"{number.value:.{number.digits}f}",
-            "found": f"{found:.{number.digits + 1}f}",
-        }
-        verdict = VERDICTS[abs(difference) <= AGREEMENT]
-        rows.append(
-            {
-                **given,
-                **own,
-                "difference": f"{100.0 * difference:+.1f} %",
-                "kind": kind,
-                "": verdict,
-            }
-        )
-
-    for name, numbers in published.RUNS.items():
+    rows = []
+    swings = []
+    for run, numbers in published.RUNS.items():
+        tracked = results["tracking"][run]["newton"]
+        swings.append(tracked["swing"])
         for quantity, number in numbers.items():
-            kind = "predicted" if quantity in ("mean_speed", "peak_torque") else "calibrated"
-            add(name, number, results["tracking"][name]["newton"][quantity], kind)
-    proposed, epc = (results["tracking"][name]["newton"]["swing"] for name in published.RUNS)
-    add("both", published.SWING_DIFFERENCE, epc - proposed, "calibrated")
-    fastest = results["laws"][0].worst("peak_velocity")["peak_velocity"]
-    add("adaptive", published.ADAPTIVE_PEAK_VELOCITY, fastest, "calibrated")
-    add("plant", published.NATURAL_FREQUENCY, math.sqrt(NOMINAL.g / NOMINAL.l), "constant")
-    for number, value in zip(
-        published.BASE_PARAMETERS, nominal_estimates(NOMINAL.plant()), strict=True
-    ):
-        add("plant", number, value, "constant")
+            kind = "predicted" if quantity in PREDICTED else "calibrated"
+            rows.append(_compare(run, number, tracked[quantity], kind))
+
+    proposed, epc = swings
+    rows.append(_compare("both", published.SWING_DIFFERENCE, epc - proposed, "calibrated"))
+    fastest = results["laws"][0].worst("peak_velocity")
+    peak = published.ADAPTIVE_PEAK_VELOCITY
+    rows.append(_compare("adaptive", peak, fastest["peak_velocity"], "calibrated"))
+
+    frequency = math.sqrt(NOMINAL.g / NOMINAL.l)
+    rows.append(_compare("plant", published.NATURAL_FREQUENCY, frequency, "constant"))
+    estimates = nominal_estimates(NOMINAL.plant())
+    for number, value in zip(published.BASE_PARAMETERS, estimates, strict=True):
+        rows.append(_compare("plant", number, value, "constant"))
     return rows
 
 
-def judge_claims(results: Results) -> dict[str, tuple[str, bool]]:
+def _compare(run: str, number: Number, found: float, kind: str) -> Row:
+    """A row of `compare_numbers`."""
+    printed = f"{number.value:.{number.digits}f}"
+    # One more digit than printed, so that rounding hides no difference.
+    own = f"{found:.{number.digits + 1}f}"
+    difference = found / number.value - 1.0
+    return {
+        "run": run,
+        "quantity": number.quantity,
+        "unit": number.unit,
+        "published": printed,
+        "found": own,
+        "difference": f"{100.0 * difference:+.1f} %",
+        "kind": kind,
+        "": _verdict(abs(difference) <= AGREEMENT),
+    }
+
+
+def _verdict(holds: bool) -> str:
+    return "reproduced" if holds else "NOT reproduced"
+
+
+def judge_claims(results: Results) -> Claims:
     """By claim of Sect. 5 and Theorem 1 the result, and whether the claim holds."""
+    return _judge_profiles(results) | _judge_adaptive_law(results)
+
+
+def _judge_profiles(results: Results) -> Claims:
+    """The claims about the proposed profile and EPC."""
     proposed, epc = (results["tracking"][name]["newton"] for name in published.RUNS)
-    ratio = float(np.nanmax(speed_ratio(*results["maps"])))
-    regularised, corrected, limited = results["laws"]
-    highest, steepest = limited.worst("eta")["eta"], regularised.worst("rise")
-    failures = [row[-1] for row in results["variants"]]
-    failing = (
-        f"corrected, unregularised it fails on {corrected.failures} of {len(corrected.runs)} plants, over what the "
-        f"paper leaves open on {min(failures)} to {max(failures)}"
-    )
-    # Off the nominal plant; the errors of angle and rate, and delta_theta.
-    first, *_, last = errors = results["long_runs"][..., 1:]
-    cycles = ", ".join(f"{own.min():.1e} to {own.max():.1e}" for own in errors[:, 0])
-    exact = regularised.worst("error_rms")["error_rms"]
 
     def compared(name: str) -> str:
         return f"{proposed[name]:.3f} against {epc[name]:.3f}"
 
+    def lower(name: str) -> bool:
+        return bool(proposed[name] < epc[name])
+
+    ratio = float(np.nanmax(speed_ratio(*results["maps"])))
+    speeds = f"{compared('mean_speed')} cm/s, at most {ratio:.3f} of EPC's speed over M and mu"
+    faster = proposed["mean_speed"] > epc["mean_speed"]
+    torques = f"{compared('peak_torque')} N m"
+    costs = f"cost of transport {compared('cost_of_transport')}"
+    energies = f"energy per cycle {compared('energy')} J"
+    distances = f"{compared('backward')} cm back per cycle"
+    ratios = f"{compared('backward_ratio')} of the way forwards"
+    suppressed = proposed["backward_ratio"] < SUPPRESSED
     return {
-        "the proposed profile is faster than EPC (Sect. 5)": (
-            f"{compared('mean_speed')} cm/s, at most {ratio:.3f} of EPC's speed over M and mu",
-            proposed["mean_speed"] > epc["mean_speed"],
-        ),
-        "its largest torque is lower than EPC's (Sect. 5)": (
-            f"{compared('peak_torque')} N m",
-            proposed["peak_torque"] < epc["peak_torque"],
-        ),
+        "the proposed profile is faster than EPC (Sect. 5)": (speeds, faster),
+        "its largest torque is lower than EPC's (Sect. 5)": (torques, lower("peak_torque")),
         "its energy efficacy is superior (Sect. 5)": (
-            f"cost of transport {compared('cost_of_transport')}, energy per cycle {compared('energy')} J",
-            proposed["cost_of_transport"] < epc["cost_of_transport"],
+            f"{costs}, {energies}",
+            lower("cost_of_transport"),
         ),
         "backward motions are sufficiently suppressed (Fig. 4)": (
-            f"{compared('backward')} cm back per cycle, {compared('backward_ratio')} of the way forwards",
-            proposed["backward_ratio"] < SUPPRESSED,
-        ),
-        "the adaptive law tracks exactly for every M and mu of the ranges (Sect. 5)": (
-            f"regularised: rms error at most {exact:.1e} rad; {failing}",
-            corrected.failures == 0,
-        ),
-        "the system is globally asymptotically stabilized (Theorem 1 (1))": (
-            failing,
-            max(failures) == 0,
-        ),
-        "all signals in the closed loop are bounded and uniformly continuous (Theorem 1 (2))": (
-            f"corrected, unregularised, with a limited motor eta reaches {highest:.0e}, its numerical bound",
-            highest < 0.99 * UNREGULARISED.eta_bound,
-        ),
-        "the collocated errors converge to zero (Theorem 1 (3), Figs. 7 and 9), in finite time (Abstract)": (
-            f"{failing}; regularised, off the nominal plant the angle's largest error in the cycles {LONG_CYCLES} is "
-            f"{cycles} rad",
-            bool((last <= CONVERGED * first).all()) and corrected.failures == 0,
-        ),
-        "the Lyapunov function (40) never rises (Theorem 1, Eq. (41))": (
-            f"regularised: it rises in {100.0 * steepest['rising']:.0f} % of the time, by {steepest['rise']:.2f} in "
-            f"all (M = {steepest['M']:.2f} kg, mu = {steepest['mu']:.3f})",
-            all(run["rise"] == 0.0 for law in (regularised, corrected) for run in law.runs),
+            f"{distances}, {ratios}",
+            suppressed,
         ),
     }
+
+
+def _judge_adaptive_law(results: Results) -> Claims:
+    """The claims about the adaptive law: tracking, and Theorem 1."""
+    regularised, corrected, limited = results["laws"]
+    variants = [failures for *_, failures in results["variants"]]
+    failing = (
+        f"corrected, unregularised it fails on {corrected.failures} of {len(corrected.runs)} plants"
+        f", over what the paper leaves open on {min(variants)} to {max(variants)}"
+    )
+    error = regularised.worst("error_rms")["error_rms"]
+    tracking_error = f"regularised: rms error at most {error:.1e} rad"
+
+    eta = limited.worst("eta")["eta"]
+    signals = (
+        f"corrected, unregularised, with a limited motor eta reaches {eta:.0e}, its numerical bound"
+    )
+
+    errors = results["long_runs"][..., 1:]  # without the nominal plant
+    converged = bool((errors[-1] <= CONVERGED * errors[0]).all())
+    angle_errors = errors[:, ERRORS.index("angle_error")]
+    ranges = ", ".join(f"{own.min():.1e} to {own.max():.1e}" for own in angle_errors)
+    convergence = (
+        f"regularised, off the nominal plant the angle's largest error in the cycles {LONG_CYCLES} "
+        f"is {ranges} rad"
+    )
+
+    steepest = regularised.worst("rise")
+    where = f"M = {steepest['M']:.2f} kg, mu = {steepest['mu']:.3f}"
+    rising = (
+        f"regularised: it rises in {100.0 * steepest['rising']:.0f} % of the time, "
+        f"by {steepest['rise']:.2f} in all ({where})"
+    )
+    never_rises = all(run["rise"] == 0.0 for run in regularised.runs + corrected.runs)
+    claims: Claims = {}
+    claims["the adaptive law tracks exactly for every M and mu of the ranges (Sect. 5)"] = (
+        f"{tracking_error}; {failing}",
+        corrected.failures == 0,
+    )
+    claims["the system is globally asymptotically stabilized (Theorem 1 (1))"] = (
+        failing,
+        max(variants) == 0,
+    )
+    claims[
+        "all signals in the closed loop are bounded and uniformly continuous (Theorem 1 (2))"
+    ] = (signals, eta < UNBOUNDED * UNREGULARISED.eta_bound)
+    claims[
+        "the collocated errors converge to zero (Theorem 1 (3), Figs. 7 and 9), in finite time "
+        "(Abstract)"
+    ] = (f"{failing}; {convergence}", converged and corrected.failures == 0)
+    claims["the Lyapunov function (40) never rises (Theorem 1, Eq. (41))"] = (rising, never_rises)
+    return claims
 
 
 def text(results: Results) -> str:
-    """All tables, for a terminal; quantities without a unit are in rad, rad/s, N m, J and cm a
-    cycle, and cm/s.
+    """Formats all tables for a terminal.
+
+    Quantities without a unit are in rad, rad/s, N m, J and cm a cycle, and cm/s.
     """
-    laws, ratio = results["laws"], speed_ratio(*results["maps"])
-    sections: dict[str, Sequence[Any]] = {
+    laws = results["laws"]
+    plants = len(laws[0].runs)
+    maps = f"M in {tracking.M_RANGE} kg, mu in {tracking.MU_RANGE}"
+    ranges = f"M in {published.M_RANGE} kg, mu in {published.MU_RANGE}"
+    sections = {
         "Section 5 of the paper: published and found": results["numbers"],
-        "What the paper claims": [
-            f"{claim}: {VERDICTS[holds]}. Found: {found}."
-            for claim, (found, holds) in results["claims"].items()
-        ],
-        "Both profiles under feedback linearisation (35)": [
-            {"profile": name, "N by": force, **run}
-            for name, forces in results["tracking"].items()
-            for force, run in forces.items()
-        ],
-        "Proof: torque where theta' peaks": [
-            {**row, **{name: printed_below(row[name], 3) for name in ("bound", "sticking")}}
-            for row in results["torques"]
-        ],
-        f"Sensitivity: speeds over M in {tracking.M_RANGE} kg, mu in {tracking.MU_RANGE}": [
-            {
-                "mu for the published speed": tuple(
-                    tracking.friction_for(each, published.RUNS[each.name]["mean_speed"].value)
-                    for each in tracking.PROFILES
-                ),
-                "proposed over EPC, least": float(np.nanmin(ratio)),
-                "most": float(np.nanmax(ratio)),
-            }
-        ],
+        "What the paper claims": _sentences(results["claims"]),
+        "Both profiles under feedback linearisation (35)": _tracking_rows(results["tracking"]),
+        "Proof: torque where theta' peaks": _torque_rows(results["torques"]),
+        f"Sensitivity: speeds over {maps}": _sensitivity_rows(results["maps"]),
         "What Table 1 follows from (Sect. 3.2)": results["table_1"],
         "Principles 3 and 4 and Lemma 2: largest load over limit": results["demands"],
         "Random states that meet a lemma": results["lemmas"],
-        "The fastest profiles (9) under Principles 1 to 4": [
-            _optimum(each)
-            for each in sorted(
-                results["optimal_profiles"], key=lambda each: each.problem.torque_limit
-            )
-        ],
-        f"Adaptive law: {len(laws[0].runs)} plants, M in {published.M_RANGE} kg, mu in {published.MU_RANGE}": [
-            {
-                "law": law.law,
-                "torque_limit": law.torque_limit,
-                "failures": law.failures,
-                "of": name,
-                **run,
-            }
-            for law in laws
-            for name, run in (
-                ("the nominal plant", law.runs[len(law.runs) // 2]),
-                *(
-                    (f"the largest {each}", law.worst(each))
-                    for each in ("error_rms", "peak_torque", "mean_speed")
-                ),
-                ("the smallest mean_speed", law.worst("mean_speed", smallest=True)),
-            )
-        ],
-        f"What the paper leaves open: plants of {len(laws[1].runs)} that fail, unregularised": [
-            dict(zip(("beta", "eta(0)", "n", "Hz", "fail"), row, strict=True))
-            for row in results["variants"]
-        ],
-        "Long runs of the regularised law: the largest errors of a cycle": [
-            {"M": M, "mu": mu, "cycle": cycle, **dict(zip(ERRORS, errors, strict=True))}
-            for (M, mu), by_plant in zip(
-                LONG_PLANTS, results["long_runs"].transpose(2, 0, 1), strict=True
-            )
-            for cycle, errors in zip(LONG_CYCLES, by_plant.tolist(), strict=True)
-        ],
     }
-    return "\n\n".join(
-        f"{title}\n{'=' * len(title)}\n{_section(parts)}" for title, parts in sections.items()
-    )
+    sections |= {
+        "The fastest profiles (9) under Principles 1 to 4": _optima(results["optimal_profiles"]),
+        f"Adaptive law: {plants} plants, {ranges}": _law_rows(laws),
+        f"What the paper leaves open: plants of {plants} that fail, unregularised": [
+            dict(zip(("beta", "eta(0)", "n", "Hz", "fail"), variant, strict=True))
+            for variant in results["variants"]
+        ],
+        "Long runs of the regularised law: the largest errors of a cycle": _long_run_rows(
+            results["long_runs"]
+        ),
+    }
+    return "\n\n".join(_section(title, content) for title, content in sections.items())
 
 
-def _section(parts: Sequence[Any]) -> str:
-    """Mappings with the same keys as a table, or sentences."""
-    if isinstance(parts[0], str):
-        return "\n".join(textwrap.fill(f"- {part}", WIDTH) for part in parts)
-    return fields_table(parts)
+def _section(title: str, content: list[Row] | str) -> str:
+    table = content if isinstance(content, str) else fields_table(content)
+    return f"{title}\n{'=' * len(title)}\n{table}"
 
 
-def _optimum(found: Solution) -> Row:
-    """The numbers of an optimised profile."""
+def _sentences(claims: Claims) -> str:
+    """A sentence for each claim with its verdict and what was found."""
+    lines = []
+    for claim, (found, holds) in claims.items():
+        sentence = f"- {claim}: {_verdict(holds)}. Found: {found}."
+        lines.append(textwrap.fill(sentence, WIDTH))
+    return "\n".join(lines)
+
+
+def _tracking_rows(tracked: Mapping[str, Mapping[str, Row]]) -> list[Row]:
+    rows: list[Row] = []
+    for name, by_force in tracked.items():
+        rows += [{"profile": name, "N by": force, **run} for force, run in by_force.items()]
+    return rows
+
+
+def _torque_rows(torques: Sequence[Row]) -> list[Row]:
+    """The rows with bounds rounded down, so that the printed numbers are bounds as well."""
+    rows = []
+    for row in torques:
+        rounded = {name: printed_below(row[name], 3) for name in ("bound", "sticking")}
+        rows.append({**row, **rounded})
+    return rows
+
+
+def _sensitivity_rows(maps: Sequence[np.ndarray]) -> list[Row]:
+    frictions = []
+    for profile in tracking.PROFILES:
+        speed = published.RUNS[profile.name]["mean_speed"].value
+        frictions.append(tracking.friction_for(profile, speed))
+    ratio = speed_ratio(*maps)
     row = {
-        name: getattr(found, name)
-        for name in ("cost_of_transport", "peak_torque", "backward_ratio")
+        "mu for the published speed": frictions,
+        "proposed over EPC, least": float(np.nanmin(ratio)),
+        "most": float(np.nanmax(ratio)),
     }
-    binding = [name for name, share in found.shares.items() if share >= BINDING]
-    speed = printed_below(100.0 * found.mean_speed, 3)
+    return [row]
+
+
+def _optima(solutions: Sequence[Solution]) -> list[Row]:
+    ordered = sorted(solutions, key=lambda solution: solution.problem.torque_limit)
+    return [optimum_row(solution) for solution in ordered]
+
+
+def optimum_row(solution: Solution) -> Row:
+    """The numbers of an optimised profile, and the demands that limit it."""
+    shares = solution.shares.items()
     return {
-        "torque limit, plants, changes": found.problem.label,
-        "cm/s": speed,
-        **row,
-        "binding": binding,
+        "torque limit, plants, changes": solution.problem.label,
+        "cm/s": printed_below(100.0 * solution.mean_speed, 3),
+        "cost_of_transport": solution.cost_of_transport,
+        "peak_torque": solution.peak_torque,
+        "backward_ratio": solution.backward_ratio,
+        "binding": [name for name, share in shares if share >= BINDING],
     }
+
+
+def _law_rows(laws: Sequence[LawStudy]) -> list[Row]:
+    """Of each form of the law the run on the nominal plant, and those with extreme numbers."""
+    rows: list[Row] = []
+    for law in laws:
+        shown = {"the nominal plant": law.runs[len(law.runs) // 2]}
+        for quantity in ("error_rms", "peak_torque", "mean_speed"):
+            shown[f"the largest {quantity}"] = law.worst(quantity)
+        shown["the smallest mean_speed"] = law.worst("mean_speed", smallest=True)
+        form = {"law": law.law, "torque_limit": law.torque_limit, "failures": law.failures}
+        rows += [{**form, "of": name, **run} for name, run in shown.items()]
+    return rows
+
+
+def _long_run_rows(long_runs: np.ndarray) -> list[Row]:
+    rows = []
+    for (M, mu), by_cycle in zip(LONG_PLANTS, long_runs.transpose(2, 0, 1), strict=True):
+        for cycle, largest in zip(LONG_CYCLES, by_cycle.tolist(), strict=True):
+            errors = dict(zip(ERRORS, largest, strict=True))
+            rows.append({"M": M, "mu": mu, "cycle": cycle, **errors})
+    return rows

@@ -1,5 +1,4 @@
-"""Sect. 5 of the paper: both profiles on the platform, tracked exactly and under feedback
-linearisation (35).
+"""Sect. 5 of the paper: both profiles, tracked exactly and under feedback linearisation (35).
 
 Under exact tracking the platform's motion follows from M, m, l, g and mu alone: `speed_map`
 evaluates it on many plants. `simulate` and `track` run the environment's own simulation.
@@ -34,8 +33,9 @@ AT_REST = 0.01
 
 @dataclass(frozen=True)
 class Trajectory:
-    """One run in SI units, a sample per millisecond from the start, each array of shape (n,) or (n,
-    columns).
+    """One run in SI units, a sample per millisecond from the start.
+
+    Arrays have the shape (n,) or (n, columns).
     """
 
     t: np.ndarray
@@ -50,9 +50,7 @@ class Trajectory:
 
     @property
     def completed(self) -> bool:
-        """Whether the run ended without loss of contact or collision of the pendulum with the
-        platform.
-        """
+        """Whether the pendulum did not reach the platform, and the platform kept contact."""
         return self.metrics["failed"] == 0.0
 
     @property
@@ -84,31 +82,40 @@ def simulate(
     `torque_limit` is in N m; `options` are further options of the environment.
     """
     simulation = make_simulation(controller, plants, LAW_DT, torque_limit=torque_limit, **options)
-    steps, rows = cycles * len(simulation.reference), NUM_ROWS + len(simulation.memory)
-    states = np.zeros((steps + 1, rows, len(plants)))
+    count = len(plants)
+    steps = cycles * len(simulation.reference)
+    rows = NUM_ROWS + len(simulation.memory)
+    states = np.zeros((steps + 1, rows, count))
     states[0] = simulation.rows(0, rows)
-    running, last = np.ones(len(plants), np.bool_), np.zeros(len(plants), np.int64)
+    no_residual = np.zeros(count)
+    running = np.ones(count, np.bool_)
+    last = np.zeros(count, np.int64)
     for n in range(1, steps + 1):
-        simulation.step(np.zeros(len(plants)), running)
+        simulation.step(no_residual, running)
         states[n] = simulation.rows(0, rows)
         last[running] = n
         running &= states[n, Row.termination] == 0.0
         if not running.any():
             break
-    metrics = simulation.metrics(np.arange(len(plants)), steps)
+
+    metrics = simulation.metrics(np.arange(count), steps)
     trajectories = []
     for i, end in enumerate(last):
         own = states[: end + 1, :, i]
-        columns = {
-            name: own[:, getattr(Row, name)]
-            for name in ("theta", "theta_dot", "x", "x_dot", "torque")
-        }
-        reference = simulation.reference[own[:, Row.clock].astype(np.int64)]
-        found = {name: float(values[i]) for name, values in metrics.items()}
-        t, memory = np.arange(end + 1) * LAW_DT, own[:, NUM_ROWS:]
-        trajectories.append(
-            Trajectory(t, **columns, reference=reference, memory=memory, metrics=found)
+        own_metrics = {name: float(values[i]) for name, values in metrics.items()}
+        clock = own[:, Row.clock].astype(np.int64)
+        trajectory = Trajectory(
+            t=np.arange(end + 1) * LAW_DT,
+            theta=own[:, Row.theta],
+            theta_dot=own[:, Row.theta_dot],
+            x=own[:, Row.x],
+            x_dot=own[:, Row.x_dot],
+            torque=own[:, Row.torque],
+            reference=simulation.reference[clock],
+            memory=own[:, NUM_ROWS:],
+            metrics=own_metrics,
         )
+        trajectories.append(trajectory)
     return trajectories
 
 
@@ -117,16 +124,17 @@ def make_simulation(
 ) -> Simulation:
     """The environment's simulation of plants (M, mu) at rest at -pi/3, without residual torque."""
     settings = {"randomization": "none", "residual_limit": 0.0, "physics_dt": LAW_DT, **options}
-    simulation = Simulation(
-        len(plants), EnvConfig(controller=controller, control_dt=control_dt, **settings)
-    )
-    simulation.reset(np.arange(len(plants)), M=[M for M, _ in plants], mu=[mu for _, mu in plants])
+    config = EnvConfig(controller=controller, control_dt=control_dt, **settings)
+    simulation = Simulation(len(plants), config)
+    masses, frictions = zip(*plants, strict=True)
+    simulation.reset(np.arange(len(plants)), masses, frictions)
     return simulation
 
 
 def track(profile: Profile, contact: NormalForce = "newton") -> dict[str, float]:
-    """Five cycles of a profile under (35) at 1 kHz, with one option for the normal force in both
-    plant and law.
+    """Runs five cycles of a profile under (35) at 1 kHz.
+
+    Plant and law have the same option for the normal force.
 
     Returns:
         `peak_velocity` (rad/s), `swing` (largest angle, degrees), `mean_speed` (cm/s),
@@ -136,15 +144,17 @@ def track(profile: Profile, contact: NormalForce = "newton") -> dict[str, float]
     """
     capsule = Capsule(normal_force=contact)
     (run,) = simulate(feedback_linearising(profile, nominal=capsule), capsule=capsule)
-    m, ratio = run.metrics, run.metrics["backward_ratio"]
+    metrics = run.metrics
+    ratio = metrics["backward_ratio"]
+    backward = 100.0 * metrics["distance"] * ratio / (1.0 - ratio)
     return {
-        "peak_velocity": m["largest_theta_dot"],
-        "swing": math.degrees(m["largest_theta"]),
-        "mean_speed": m["mean_speed"],
-        "peak_torque": m["peak_torque"],
-        "energy": m["energy"] / CYCLES,
-        "cost_of_transport": m["cost_of_transport"],
-        "backward": 100.0 * m["distance"] * ratio / (1.0 - ratio) / CYCLES,
+        "peak_velocity": metrics["largest_theta_dot"],
+        "swing": math.degrees(metrics["largest_theta"]),
+        "mean_speed": metrics["mean_speed"],
+        "peak_torque": metrics["peak_torque"],
+        "energy": metrics["energy"] / CYCLES,
+        "cost_of_transport": metrics["cost_of_transport"],
+        "backward": backward / CYCLES,
         "backward_ratio": ratio,
         "error": run.error_rms,
     }
@@ -157,21 +167,27 @@ def displacement(motion: Sequence[np.ndarray], p: Plant, h: float) -> float:
     cycle.
     """
 
-    def slide(cycles: int) -> np.ndarray:
+    def slide(cycles: int) -> tuple[float, float]:
         # With the first step of the next cycle, whose start is the end.
         theta, theta_dot, theta_ddot = (
-            np.append(np.tile(each, cycles), each[0]) for each in motion
+            np.append(np.tile(samples, cycles), samples[0]) for samples in motion
         )
-        return platform_motion(theta, theta_dot, theta_ddot, h, p)[:2, -1]
+        x, x_dot, _ = platform_motion(theta, theta_dot, theta_ddot, h, p)
+        return float(x[-1]), float(x_dot[-1])
 
     x, x_dot = slide(1)
-    # A platform that rests at the end of the cycle moves in the same way in the next one.
-    return float(CYCLES * x if x_dot == 0.0 else slide(CYCLES)[0])
+    if x_dot == 0.0:
+        # A platform that rests at the end of the cycle moves in the same way in the next one.
+        return CYCLES * x
+    x, _ = slide(CYCLES)
+    return x
 
 
 def grid(rows: int = 29, columns: int = 61) -> tuple[list[float], list[float]]:
     """Evenly spaced M in kg over M_RANGE, and mu over MU_RANGE in equal ratios."""
-    return np.linspace(*M_RANGE, rows).tolist(), np.geomspace(*MU_RANGE, columns).tolist()
+    M = np.linspace(*M_RANGE, rows)
+    mu = np.geomspace(*MU_RANGE, columns)
+    return M.tolist(), mu.tolist()
 
 
 def speed_map(
@@ -180,31 +196,39 @@ def speed_map(
     mu: Sequence[float] = (NOMINAL.mu,),
     h: float = MAP_STEP,
 ) -> np.ndarray:
-    """Mean speed along a profile over five cycles from rest, exact tracking in steps of h seconds,
-    for every M and mu.
+    """Mean speed along a profile, tracked exactly for five cycles from rest, for every M and mu.
 
-    Where the motion would lift the platform, the floor is without friction.
+    The steps last h seconds. Where the motion would lift the platform, the floor is without friction.
 
     Returns:
         Shape (M, mu), cm/s.
     """
     # In the middle of the steps, where theta_d'' does not jump.
-    motion = profile.evaluate((np.arange(round(profile.period / h)) + 0.5) * h)
-    plants = [[NOMINAL.plant(M=mass, mu=friction) for friction in mu] for mass in M]
-    travelled = np.array([[displacement(motion, plant, h) for plant in row] for row in plants])
-    speeds: np.ndarray = 100.0 * travelled / (CYCLES * profile.period)
-    return speeds
+    t = (np.arange(round(profile.period / h)) + 0.5) * h
+    motion = profile.evaluate(t)
+    travelled = np.empty((len(M), len(mu)))
+    for i, mass in enumerate(M):
+        for j, friction in enumerate(mu):
+            plant = NOMINAL.plant(M=mass, mu=friction)
+            travelled[i, j] = displacement(motion, plant, h)
+    return 100.0 * travelled / (CYCLES * profile.period)
 
 
 def friction_for(profile: Profile, speed: float) -> list[float]:
     """Every mu of `grid` at which the nominal mass has a speed (cm/s), interpolated in log mu."""
     _, mu = grid()
-    row, logs = speed_map(profile, mu=mu)[0] - speed, np.log(mu)
-    signs = np.flatnonzero(row[:-1] * row[1:] < 0.0)
-    shares = row[signs] / (row[signs] - row[signs + 1])
-    return [float(mu) for mu in np.exp(logs[signs] + shares * (logs[signs + 1] - logs[signs]))]
+    excess = speed_map(profile, mu=mu)[0] - speed
+    logs = np.log(mu)
+    (crossings,) = np.nonzero(excess[:-1] * excess[1:] < 0.0)
+    before = excess[crossings]
+    after = excess[crossings + 1]
+    shares = before / (before - after)
+    widths = np.diff(logs)[crossings]
+    found: list[float] = np.exp(logs[crossings] + shares * widths).tolist()
+    return found
 
 
 def speed_ratio(proposed: np.ndarray, epc: np.ndarray) -> np.ndarray:
     """Speed of the proposed profile over EPC's; NaN where EPC does not move."""
-    return np.divide(proposed, epc, out=np.full_like(epc, np.nan), where=epc > AT_REST)
+    ratio = np.full_like(epc, np.nan)
+    return np.divide(proposed, epc, out=ratio, where=epc > AT_REST)

@@ -1,5 +1,4 @@
-"""The adaptive law over ranges, open choices, rates and long runs, and the rise of its Lyapunov
-function."""
+"""The adaptive law over ranges, open choices, rates and long runs, and its Lyapunov function."""
 
 from dataclasses import replace
 
@@ -14,84 +13,127 @@ from capsule_gym.control.laws.adaptive import adaptive
 from capsule_gym.control.laws.gains import UNREGULARISED
 
 PLANT = Capsule().plant()
-LIGHT, HEAVY = (0.45, 0.009), (0.55, 0.011)
+NOMINAL = (0.5, 0.01)
+LIGHT = (0.45, 0.009)
+HEAVY = (0.55, 0.011)
+START = adaptive().memory
+# V without errors: the term of eta = 1.
+LEAST = 1.5
 
 
-def test_lyapunov_function_by_hand():
-    controller, mu = adaptive(), PLANT.mu
-    (run,) = simulate(controller, cycles=1)
-    theta, theta_dot, _, x_d, x_d_dot = run.reference.T[:5]
-    memory = np.tile(controller.memory, (len(run.t), 1))
-    exact = replace(run, theta=theta, theta_dot=theta_dot, x=x_d, x_dot=x_d_dot, memory=memory)
-    # Without errors, only the term of eta = 1 is left.
-    np.testing.assert_allclose(lyapunov(exact, controller.memory, PLANT), 1.5, rtol=1e-12)
-    off = Capsule(mu=mu + 0.1).plant()
-    np.testing.assert_allclose(
-        lyapunov(exact, controller.memory, off), 1.5 + 0.5 * 0.1**2 / 0.1, rtol=1e-12
-    )
+@pytest.fixture(scope="module")
+def exact():
+    """A cycle that follows the reference without errors."""
+    (run,) = simulate(adaptive(), cycles=1)
+    theta, theta_dot, _, x_d, x_d_dot, *_ = run.reference.T
+    memory = np.tile(START, (len(run.t), 1))
+    return replace(run, theta=theta, theta_dot=theta_dot, x=x_d, x_dot=x_d_dot, memory=memory)
+
+
+def test_lyapunov_function_without_errors_is_the_term_of_eta(exact):
+    np.testing.assert_allclose(lyapunov(exact, START, PLANT), LEAST, rtol=1e-12)
+
+
+def test_lyapunov_function_of_a_wrong_estimate(exact):
+    off = Capsule(mu=PLANT.mu + 0.1).plant()
+    expected = LEAST + 0.5 * 0.1**2 / 0.1
+    np.testing.assert_allclose(lyapunov(exact, START, off), expected, rtol=1e-12)
+
+
+def test_lyapunov_function_of_a_rate_error(exact):
     # delta_theta = 0.2 rad/s at delta_x = 0.
-    late = lyapunov(replace(exact, theta_dot=theta_dot + 0.2), controller.memory, PLANT)
-    np.testing.assert_allclose(late, 1.5 + 0.5 * 0.138 * 0.09 * 0.2**2, rtol=1e-9)
-    # Eq. (2): the kinetic part is positive definite.
+    late = replace(exact, theta_dot=exact.theta_dot + 0.2)
+    expected = LEAST + 0.5 * 0.138 * 0.09 * 0.2**2
+    np.testing.assert_allclose(lyapunov(late, START, PLANT), expected, rtol=1e-9)
+
+
+def test_kinetic_part_of_the_lyapunov_function_is_positive_definite(exact):
     rng = np.random.default_rng(0)
-    noisy = {
-        name: getattr(exact, name) + rng.normal(size=len(run.t))
-        for name in ("theta_dot", "x", "x_dot")
-    }
-    assert (lyapunov(replace(exact, **noisy), controller.memory, PLANT) > 1.5).all()
+    noise = rng.normal(size=(3, len(exact.t)))
+    noisy = replace(
+        exact,
+        theta_dot=exact.theta_dot + noise[0],
+        x=exact.x + noise[1],
+        x_dot=exact.x_dot + noise[2],
+    )
+    assert (lyapunov(noisy, START, PLANT) > LEAST).all()  # Eq. (2)
 
 
 @pytest.mark.parametrize("regularised", [True, False])
 def test_errors_by_cycle_are_those_of_the_run(regularised):
-    controller, plants = adaptive(regularised=regularised), [(0.5, 0.01), LIGHT, HEAVY]
+    controller = adaptive(regularised=regularised)
+    plants = [NOMINAL, LIGHT, HEAVY]
     failed, errors = run_cycles(controller, plants, cycles=2, shown=(1, 2))
-    for i, run in enumerate(simulate(controller, plants, cycles=2)):
-        assert failed[i] == (not run.completed)
-        if failed[i]:
-            continue
-        cycle = len(run.t) // 2
-        for k, values in enumerate((run.error, run.rate_error, sliding(run)[0])):
-            first, second = (
-                np.abs(part).max() for part in (values[: cycle + 1], values[cycle + 1 :])
-            )
-            assert errors[:, k, i] == pytest.approx([first, second], rel=1e-9)
+    runs = simulate(controller, plants, cycles=2)
+    assert failed.tolist() == [not run.completed for run in runs]
     assert failed.any() == (not regularised)
+    for i in np.flatnonzero(~failed):
+        run = runs[i]
+        cycle = len(run.t) // 2
+        delta_theta, _ = sliding(run)
+        values = np.abs([run.error, run.rate_error, delta_theta])
+        first = values[:, : cycle + 1].max(axis=1)
+        second = values[:, cycle + 1 :].max(axis=1)
+        assert errors[..., i] == pytest.approx(np.array([first, second]), rel=1e-9)
 
 
-def test_regularised_law_over_the_ranges(laws):
-    law = laws[0]
-    assert len(law.runs) == 9 and law.failures == 0
-    assert (
-        law.worst("error_rms")["error_rms"] < 1e-4
-        and law.worst("peak_torque")["peak_torque"] < 1.31
-    )
-    speeds = [
-        law.worst("mean_speed", smallest=smallest)["mean_speed"] for smallest in (True, False)
-    ]
-    assert speeds == pytest.approx([1.26, 1.53], abs=0.01)
-    # V rises on plants other than the nominal one, where the proof fails.
-    light = law.worst("rise")
-    assert (
-        (light["M"], light["mu"]) == pytest.approx(LIGHT)
-        and light["rise"] > 0.1
-        and 0.05 < light["rising"] < 0.5
-    )
+def test_regularised_law_tracks_over_the_ranges(laws):
+    law, *_ = laws
+    assert len(law.runs) == 9
+    assert law.failures == 0
+    assert law.worst("error_rms")["error_rms"] < 1e-4
+    assert law.worst("peak_torque")["peak_torque"] < 1.31
 
 
-def test_unregularised_law_fails_on_most_of_the_ranges_whatever_the_choices(laws):
+def test_speeds_of_the_regularised_law(laws):
+    law, *_ = laws
+    assert law.worst("mean_speed", smallest=True)["mean_speed"] == pytest.approx(1.26, abs=0.01)
+    assert law.worst("mean_speed")["mean_speed"] == pytest.approx(1.53, abs=0.01)
+
+
+def test_lyapunov_function_rises_on_the_lightest_plant(laws):
+    # The proof fails on plants other than the nominal one.
+    law, *_ = laws
+    steepest = law.worst("rise")
+    assert (steepest["M"], steepest["mu"]) == pytest.approx(LIGHT)
+    assert steepest["rise"] > 0.1
+    assert 0.05 < steepest["rising"] < 0.5
+
+
+def test_unregularised_law_fails_on_most_of_the_ranges(laws):
     _, corrected, limited = laws
     # At the edge, small perturbations change which plants fail, but nearly all plants fail.
-    assert corrected.failures >= 7 and limited.failures >= 3
-    assert not corrected.runs[4]["failed"] and corrected.runs[4]["M"] == 0.5
-    # eta never decreases, and on some plant it reaches its bound.
+    assert corrected.failures >= 7
+    assert limited.failures >= 3
+
+
+def test_unregularised_law_does_not_fail_on_the_nominal_plant(laws):
+    _, corrected, _ = laws
+    nominal = corrected.runs[4]
+    assert nominal["M"] == 0.5
+    assert not nominal["failed"]
+
+
+def test_eta_reaches_its_bound(laws):
+    # It never decreases.
+    *_, limited = laws
     assert limited.worst("eta")["eta"] == pytest.approx(UNREGULARISED.eta_bound)
-    off = np.array([M != 0.5 for M, _ in study.plant_grid()])
-    for choices in ({"beta": 10.0, "eta_0": 0.1}, {"beta": 1e-4, "n": 3}):
-        failed, _ = run_cycles(adaptive(regularised=False, **choices), study.plant_grid())
-        assert failed[off].all() and off.sum() == 20
 
 
-def test_variants_change_one_choice_at_a_time_or_are_corners(monkeypatch):
+@pytest.mark.parametrize("choices", [{"beta": 10.0, "eta_0": 0.1}, {"beta": 1e-4, "n": 3}])
+def test_unregularised_law_fails_whatever_the_choices(choices):
+    plants = study.plant_grid()
+    off = np.array([M != 0.5 for M, _ in plants])
+    assert off.sum() == 20
+    failed, _ = run_cycles(adaptive(regularised=False, **choices), plants)
+    assert failed[off].all()
+
+
+@pytest.fixture
+def variants(monkeypatch):
+    """The number of failures by choices: of three plants one fails at 10 kHz, one with the law's
+    own choices."""
+
     def run(controller, plants):
         assert plants == study.plant_grid()
         plain = adaptive(regularised=False)
@@ -99,28 +141,50 @@ def test_variants_change_one_choice_at_a_time_or_are_corners(monkeypatch):
         return np.array([controller.dt == 1e-4, own, False]), None
 
     monkeypatch.setattr(study, "run_cycles", run)
-    found = {tuple(variant): failed for *variant, failed in study.study_variants()}
-    own = next(iter(found))
-    assert own == (UNREGULARISED.beta, UNREGULARISED.eta_0, UNREGULARISED.n, 1000)
+    return {tuple(choices): failures for *choices, failures in study.study_variants()}
+
+
+OWN = (UNREGULARISED.beta, UNREGULARISED.eta_0, UNREGULARISED.n, 1000)
+
+
+def test_the_first_variant_is_the_law_itself(variants):
+    assert next(iter(variants)) == OWN
+
+
+def test_variants_change_one_choice_at_a_time(variants):
     for n, values in enumerate((study.BETAS, study.ETAS, study.EXPONENTS, study.RATES)):
-        assert {
-            each[n] for each in found if each[:n] + each[n + 1 :] == own[:n] + own[n + 1 :]
-        } == set(values)
-    assert (study.BETAS[0], study.ETAS[-1], study.EXPONENTS[-1], 1000) in found
-    assert {n for *_, n, rate in found if rate == 10_000} == {own[2]}
-    assert {each for each, failed in found.items() if failed} == {
-        own,
-        *(each for each in found if each[3] == 10_000),
-    }
+        others = OWN[:n] + OWN[n + 1 :]
+        found = {each[n] for each in variants if each[:n] + each[n + 1 :] == others}
+        assert found == set(values)
 
 
-def test_errors_are_those_of_the_zero_order_hold_and_fall_off_the_nominal_plant():
-    slow, fast = (
-        run_cycles(adaptive(dt=dt), [(0.5, 0.01), LIGHT], cycles=1, shown=(1,))[1][0]
-        for dt in (1e-3, 2e-4)
-    )
+def test_variants_contain_the_corners(variants):
+    assert (study.BETAS[0], study.ETAS[-1], study.EXPONENTS[-1], 1000) in variants
+
+
+def test_variants_at_the_highest_rate_have_the_own_exponent(variants):
+    assert {n for *_, n, rate in variants if rate == 10_000} == {UNREGULARISED.n}
+
+
+def test_failures_of_variants_are_counted(variants):
+    failing = {choices for choices, failures in variants.items() if failures}
+    assert failing == {OWN, *(choices for choices in variants if choices[3] == 10_000)}
+
+
+def test_errors_are_proportional_to_the_period_of_the_law_on_the_nominal_plant():
+    # On others, the errors are those of the estimates.
+    errors = []
+    for dt in (1e-3, 2e-4):
+        _, shown = run_cycles(adaptive(dt=dt), [NOMINAL, LIGHT], cycles=1, shown=(1,))
+        errors.append(shown[0])
+    slow, fast = errors
     # The rows are the errors of angle and rate, and delta_theta; the columns are the plants.
     assert slow / fast == pytest.approx(np.array([[5.0, 1.0]] * 3), rel=0.1)
-    errors = run_cycles(adaptive(), [LIGHT, HEAVY], cycles=60, shown=(1, 60))[1]
-    fall = errors[0] / errors[-1]
-    assert (fall[0] > 5.0).all() and (fall[2] > 2.0).all() and (fall[2] < 5.0).all()
+
+
+def test_errors_fall_off_the_nominal_plant():
+    _, errors = run_cycles(adaptive(), [LIGHT, HEAVY], cycles=60, shown=(1, 60))
+    angle, _, delta_theta = errors[0] / errors[-1]
+    assert (angle > 5.0).all()
+    assert (delta_theta > 2.0).all()
+    assert (delta_theta < 5.0).all()
