@@ -1,5 +1,4 @@
-"""Error of the plant's step against an independent reference of eighth order: `python -m
-benchmarks.accuracy`.
+"""Error of the plant's step against an independent reference: `python -m benchmarks.accuracy`.
 
 Each trajectory starts at theta = -pi/3 at rest, under a random torque. The error is that of theta
 (rad), theta' (rad/s), x (m) or x' (m/s). Where MuJoCo is installed, a second table contains the
@@ -14,6 +13,7 @@ integrates the phases of contact (slip = +1, -1 or 0 for stick) one after anothe
 import math
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,35 +30,40 @@ from capsule_gym.tasks import task
 
 COMMAND = "python -m benchmarks.accuracy"
 START = (task.START_THETA, 0.0, 0.0, 0.0)
-SECONDS, STEPS = 10.0, (0.00025, 0.0005, 0.001, 0.002, 0.005, 0.01)
+SECONDS = 10.0
+STEPS = (0.00025, 0.0005, 0.001, 0.002, 0.005, 0.01)
 # Trajectories for each friction coefficient and amplitude, N m.
-FRICTION, AMPLITUDES, TRAJECTORIES = (0.01, 0.1, 0.3), (0.2, 0.5, 1.0, 1.5), 16
+TRAJECTORIES = 16
+FRICTION = (0.01, 0.1, 0.3)
+AMPLITUDES = (0.2, 0.5, 1.0, 1.5)
 # Number of plants that differ in every constant, each with its own trajectory, and the amplitude of
 # the torque, N m.
-PLANTS, AMPLITUDE = 40, 0.7
+PLANTS = 40
+AMPLITUDE = 0.7
 RANGES = {
-    **{
-        "M": (0.3, 1.0),
-        "m": (0.1, 0.2),
-        "l": (0.2, 0.4),
-        "k": (0.2, 0.6),
-        "c": (0.05, 0.15),
-        "mu": (0.01, 0.5),
-    },
-    **{
-        "static_ratio": (1.0, 1.5),
-        "backward_ratio": (0.5, 2.0),
-        "viscous": (0.0, 0.5),
-        "stribeck_speed": (0.05, 0.5),
-    },
-    **{"slope": (-0.05, 0.05), "motor_friction": (0.0, 0.1)},
+    "M": (0.3, 1.0),
+    "m": (0.1, 0.2),
+    "l": (0.2, 0.4),
+    "k": (0.2, 0.6),
+    "c": (0.05, 0.15),
+    "mu": (0.01, 0.5),
+    "static_ratio": (1.0, 1.5),
+    "backward_ratio": (0.5, 2.0),
+    "viscous": (0.0, 0.5),
+    "stribeck_speed": (0.05, 0.5),
+    "slope": (-0.05, 0.05),
+    "motor_friction": (0.0, 0.1),
 }
-# Friction coefficients and amplitudes that are compared with MuJoCo, its steps (s), and the share
-# of the friction limit that loads the platform at rest.
-MUJOCO_CASES, MUJOCO_STEPS, LOAD = ((0.01, 0.5), (0.1, 1.0)), (0.002, 0.0005), 0.5
+# Friction coefficients and amplitudes that are compared with MuJoCo, and its steps, s.
+MUJOCO_CASES = ((0.01, 0.5), (0.1, 1.0))
+MUJOCO_STEPS = (0.002, 0.0005)
+# The share of the friction limit that loads the platform at rest.
+LOAD = 0.5
 # Tolerances of the reference, and its longest step, s, in which the boundary of a phase is crossed
 # only once.
-RTOL, ATOL, LONGEST = 2e-13, 1e-15, 0.002
+RTOL = 2e-13
+ATOL = 1e-15
+LONGEST = 0.002
 
 
 class Trajectory(NamedTuple):
@@ -67,8 +72,7 @@ class Trajectory(NamedTuple):
     Attributes:
         states: theta, theta_dot, x, x_dot.
         sums: since the start, distances moved forwards and backwards, m, time in stick, s, and the
-            integral of
-            |theta_dot|, rad.
+            integral of |theta_dot|, rad.
         events: number of changes of phase within control intervals.
         valid: number of control intervals before the one in which the ball meets the platform or
             contact is lost.
@@ -87,17 +91,16 @@ def rates(
     s = math.sin(theta)
     c = math.cos(theta)
     ratio = min(1.0, max(-1.0, omega))
-    u -= (
-        p.motor_friction
-        * (35.0 * ratio - 35.0 * ratio**3 + 21.0 * ratio**5 - 5.0 * ratio**7)
-        / 16.0
-    )
+    smooth_sign = 35.0 * ratio - 35.0 * ratio**3 + 21.0 * ratio**5 - 5.0 * ratio**7
+    u -= p.motor_friction * smooth_sign / 16.0
     internal = p.k * theta + p.c * omega
     # theta'' on a platform that does not accelerate
-    free = (u - internal + p.m * p.l * (p.g * s + p.downhill * c)) / (p.m * p.l**2)
+    gravity = p.g * s + p.downhill * c
+    free = (u - internal + p.m * p.l * gravity) / (p.m * p.l**2)
     weight = (p.M + p.m) * p.g - p.pivot_torque_on_contact * internal * s
     normal_rest = weight - p.m * p.l * (free * s + omega**2 * c)
-    load = p.m * p.l * (free * c - omega**2 * s) - (p.M + p.m) * p.downhill - p.viscous * v
+    reaction = p.m * p.l * (free * c - omega**2 * s)
+    load = reaction - (p.M + p.m) * p.downhill - p.viscous * v
     if slip == 0.0:
         return free, 0.0, normal_rest
     mu = p.mu if slip > 0.0 else p.mu * p.backward_ratio
@@ -114,21 +117,19 @@ def rates(
 
 
 def margins(theta: float, omega: float, u: float, p: Plant) -> tuple[float, float]:
-    """The margins between the static limit and the load on a platform at rest, forwards and
-    backwards, in N.
-    """
+    """The static limit minus the load on a platform at rest, forwards and backwards, in N."""
     alpha, _, normal = rates(theta, omega, 0.0, 0.0, u, p)
-    load = (
-        p.m * p.l * (alpha * math.cos(theta) - omega**2 * math.sin(theta))
-        - (p.M + p.m) * p.downhill
-    )
+    reaction = p.m * p.l * (alpha * math.cos(theta) - omega**2 * math.sin(theta))
+    load = reaction - (p.M + p.m) * p.downhill
     limit = p.static_ratio * p.mu * max(0.0, normal)
     return limit - load, p.backward_ratio * limit + load
 
 
 def integrate_phase(t: float, y: np.ndarray, end: float, slip: float, u: float, p: Plant) -> Any:
-    """Integrates one phase until it ends, theta_dot changes its sign, or `end`; returns SciPy's
-    result.
+    """Integrates one phase until it ends, theta_dot changes its sign, or `end`.
+
+    Returns:
+        SciPy's result.
     """
     # Imported here, since SciPy's solvers take a second to import and --help does not need them.
     from scipy.integrate import solve_ivp
@@ -146,18 +147,13 @@ def integrate_phase(t: float, y: np.ndarray, end: float, slip: float, u: float, 
     # scipy reads these attributes of its events.
     vars(margin).update(terminal=True, direction=-1.0)
     # After a turn, theta_dot is 0 up to rounding.
-    vars(turn).update(
-        terminal=True, direction=-(y[1] if abs(y[1]) > 1e-12 else derivative(t, y)[1])
-    )
+    omega = y[1] if abs(y[1]) > 1e-12 else derivative(t, y)[1]
+    vars(turn).update(terminal=True, direction=-omega)
+    solver: dict[str, Any] = {"method": "DOP853", "rtol": RTOL, "atol": ATOL}
     longest = min(LONGEST, end - t)
     for _ in range(20):
-        step: dict[str, Any] = {
-            "first_step": longest,
-            "max_step": longest,
-            "rtol": RTOL,
-            "atol": ATOL,
-        }
-        found = solve_ivp(derivative, (t, end), y, "DOP853", events=(margin, turn), **step)
+        steps = {"first_step": longest, "max_step": longest}
+        found = solve_ivp(derivative, (t, end), y, events=(margin, turn), **solver, **steps)
         if found.t[-1] > t or slip == 0.0 or y[3] != 0.0:
             return found
         # The slip begins on its boundary, with velocity 0, and ends within one step.
@@ -169,27 +165,27 @@ def solve(
     torques: Sequence[float] | np.ndarray, p: Plant, hold: float = task.CONTROL_DT
 ) -> Trajectory:
     """Integrates the plant from `START` under torques in N m, each held for `hold` seconds."""
-    y, events, valid = np.array(START), 0, len(torques)
+    y = np.array(START)
     states, sums = [y], [np.zeros(4)]
+    events, valid = 0, len(torques)
     for i, u in enumerate(map(float, torques)):
         t, total = 0.0, sums[-1]
         slip = math.copysign(1.0, y[3]) if y[3] != 0.0 else phase_at_rest(y, u, p)
         while t < hold:
             found = integrate_phase(t, y, hold, slip, u, p)
             end = found.y[:, -1].copy()
-            moved, angle, seconds = end[2] - y[2], abs(end[0] - y[0]), found.t[-1] - t
-            total = total + np.array(
-                (max(0.0, moved), max(0.0, -moved), seconds if slip == 0.0 else 0.0, angle)
-            )
+            moved = end[2] - y[2]
+            seconds = found.t[-1] - t if slip == 0.0 else 0.0
+            moves = max(0.0, moved), max(0.0, -moved), seconds, abs(end[0] - y[0])
+            total = total + np.array(moves)
             normal = min(rates(theta, omega, v, slip, u, p)[2] for theta, omega, _, v in found.y.T)
             if abs(found.y[0]).max() >= task.THETA_LIMIT or normal <= 0.0:
                 valid = min(valid, i)
             t, y = found.t[-1], end
             # Without friction, theta_dot and x_dot change their signs at the same time.
             if found.t_events[0].size or slip * y[3] < 0.0:
-                forwards, backwards = margins(y[0], y[1], u, p)
                 y[3] = 0.0
-                slip = phase_at_rest(y, u, p) if slip else math.copysign(1.0, backwards - forwards)
+                slip = phase_at_rest(y, u, p) if slip else direction_of_load(y, u, p)
                 events += 1
         states.append(y)
         sums.append(total)
@@ -197,38 +193,45 @@ def solve(
 
 
 def phase_at_rest(y: np.ndarray, u: float, p: Plant) -> float:
-    """The phase of a platform at rest: stick below the static limit, otherwise slip in the
-    direction of the load.
+    """The phase of a platform at rest.
+
+    It sticks below the static limit, and otherwise slips in the direction of the load.
     """
+    return 0.0 if min(margins(y[0], y[1], u, p)) >= 0.0 else direction_of_load(y, u, p)
+
+
+def direction_of_load(y: np.ndarray, u: float, p: Plant) -> float:
+    """The sign of the load on a platform at rest, in relation to its limits."""
     forwards, backwards = margins(y[0], y[1], u, p)
-    return 0.0 if min(forwards, backwards) >= 0.0 else math.copysign(1.0, backwards - forwards)
+    return math.copysign(1.0, backwards - forwards)
 
 
 def expected_trajectories(
     capsules: Sequence[Capsule], amplitude: float
 ) -> list[tuple[Capsule, np.ndarray, np.ndarray]]:
-    """Plants, torques in valid control intervals, and the reference's state at their end; torque i
-    has the seed i.
+    """Plants, torques in valid control intervals, and the reference's state at their end.
+
+    The torques of plant i have the seed i.
     """
     solved = []
+    intervals = round(SECONDS / task.CONTROL_DT)
     for seed, capsule in enumerate(capsules):
-        torques = np.random.default_rng(seed).uniform(
-            -amplitude, amplitude, round(SECONDS / task.CONTROL_DT)
-        )
+        torques = np.random.default_rng(seed).uniform(-amplitude, amplitude, intervals)
         found = solve(torques, capsule.plant())
         solved.append((capsule, torques[: found.valid], found.states[found.valid]))
     return solved
 
 
 def run(torques: np.ndarray, capsule: Capsule, step: float, friction: str = "") -> np.ndarray:
-    """The state of the plant's step, or of MuJoCo with a friction, after control intervals with
-    torques in N m.
+    """The state after control intervals with torques in N m.
+
+    It is that of the plant's step or, with a friction, of MuJoCo.
     """
-    if not friction:
-        options: dict[str, Any] = {"control_dt": task.CONTROL_DT, "physics_dt": step}
-        return sensitivity(START, torques, (), capsule=capsule, **options).states[-1]
-    model, data = mujoco.build(friction, step, capsule)
-    return [mujoco.hold(model, data, torque) for torque in torques][-1]
+    if friction:
+        model, data = mujoco.build(friction, step, capsule)
+        return [mujoco.hold(model, data, torque) for torque in torques][-1]
+    periods = {"control_dt": task.CONTROL_DT, "physics_dt": step}
+    return sensitivity(START, torques, (), capsule=capsule, **periods).states[-1]
 
 
 def cell(values: Sequence[float]) -> str:
@@ -238,35 +241,53 @@ def cell(values: Sequence[float]) -> str:
 
 def compare_mujoco() -> list[list[str]]:
     """The table of the comparison with MuJoCo."""
-    table, cases = [["", f"hold at {LOAD:.0%}, m/s"]], []
+    head, cases = ["", f"hold at {LOAD:.0%}, m/s"], []
     for mu, amplitude in MUJOCO_CASES:
         solved = expected_trajectories([Capsule(mu=mu)] * TRAJECTORIES, amplitude)
         for step in MUJOCO_STEPS:
             cases.append((solved, step))
-            table[0].append(f"error of x, mm: μ = {mu:g}, ±{amplitude:g} N m, {1e3 * step:g} ms")
-    capsule, step = Capsule(mu=MUJOCO_CASES[-1][0]), MUJOCO_STEPS[0]
-    load = LOAD * capsule.mu * (capsule.M + capsule.m) * capsule.g
-    # A floor that slopes by the same load.
-    sloped = Capsule(mu=capsule.mu, slope=-math.atan(LOAD * capsule.mu))
+            head.append(f"error of x, mm: μ = {mu:g}, ±{amplitude:g} N m, {1e3 * step:g} ms")
+    table = [head]
     for friction in tqdm(("", *mujoco.FRICTIONS), desc="MuJoCo"):
-        built = mujoco.build(friction, step, capsule) if friction else None
-        speed = mujoco.creep(*built, load) if built else abs(run(np.zeros(500), sloped, step)[3])
-        row = [
-            f"MuJoCo, {friction}" if friction else "capsule_gym",
-            f"{speed:.0e}" if speed else "0",
-        ]
-        for solved, h in cases:
-            row.append(
-                cell([1e3 * abs(run(u, plant, h, friction)[2] - y[2]) for plant, u, y in solved])
-            )
+        speed = creep(friction)
+        row = [f"MuJoCo, {friction}" if friction else "capsule_gym"]
+        row.append(f"{speed:.0e}" if speed else "0")
+        for solved, step in cases:
+            errors = []
+            for capsule, torques, expected in solved:
+                x = run(torques, capsule, step, friction)[2]
+                errors.append(1e3 * abs(x - expected[2]))
+            row.append(cell(errors))
         table.append(row)
     return table
 
 
+def creep(friction: str) -> float:
+    """The speed, m/s, of a platform that is loaded by a share of its friction limit."""
+    capsule = Capsule(mu=MUJOCO_CASES[-1][0])
+    step = MUJOCO_STEPS[0]
+    if friction:
+        load = LOAD * capsule.mu * (capsule.M + capsule.m) * capsule.g
+        return mujoco.creep(*mujoco.build(friction, step, capsule), load)
+    # A floor that slopes by the same load.
+    sloped = replace(capsule, slope=-math.atan(LOAD * capsule.mu))
+    return abs(run(np.zeros(500), sloped, step)[3])
+
+
+def draw_capsule(seed: int) -> Capsule:
+    """A plant with every constant drawn from its range."""
+    generator = np.random.default_rng(seed)
+    constants: dict[str, Any] = {}
+    for name, limits in RANGES.items():
+        constants[name] = generator.uniform(*limits)
+    return Capsule(**constants)
+
+
 @command(COMMAND, ValueError)
 def main(markdown: Path | None = None) -> None:
-    """The integration error of the plant's step at several step sizes, against an independent
-    reference.
+    """The integration error of the plant's step at several step sizes.
+
+    Errors are those against an independent reference.
 
     Examples:
       python -m benchmarks.accuracy --markdown docs/error_table.md
@@ -275,23 +296,22 @@ def main(markdown: Path | None = None) -> None:
         markdown: Write the tables to this file.
     """
     check_output("--markdown", markdown, overwrite=True)
+    kinds = []
+    for mu in FRICTION:
+        for amplitude in AMPLITUDES:
+            kinds.append((f"μ = {mu:g}", [Capsule(mu=mu)] * TRAJECTORIES, amplitude))
+    kinds.append((f"{PLANTS} random", [*map(draw_capsule, range(PLANTS))], AMPLITUDE))
     table = [["plant", "torque, N m", *(f"{1e3 * step:g} ms" for step in STEPS), "length"]]
-    kinds = [
-        (f"μ = {mu:g}", [Capsule(mu=mu)] * TRAJECTORIES, a) for mu in FRICTION for a in AMPLITUDES
-    ]
-    rngs = map(np.random.default_rng, range(PLANTS))
-    drawn: Any = ({name: rng.uniform(*limits) for name, limits in RANGES.items()} for rng in rngs)
-    kinds.append((f"{PLANTS} random", [Capsule(**constants) for constants in drawn], AMPLITUDE))
     for kind, capsules, amplitude in tqdm(kinds, desc="errors"):
         solved = expected_trajectories(capsules, amplitude)
-        length = task.CONTROL_DT * np.median([len(u) for _, u, _ in solved])
-        cells = [
-            cell([np.abs(run(u, plant, step) - y).max() for plant, u, y in solved])
-            for step in STEPS
-        ]
-        table.append([kind, f"±{amplitude:g}", *cells, f"{length:.1f} s"])
-    further = [compare_mujoco()] if find_spec("mujoco") else []
-    report(COMMAND, markdown, table, *further, f"{machine()}.")
+        row = [kind, f"±{amplitude:g}"]
+        for step in STEPS:
+            errors = [run(torques, plant, step) - state for plant, torques, state in solved]
+            row.append(cell([np.abs(error).max() for error in errors]))
+        length = task.CONTROL_DT * np.median([len(torques) for _, torques, _ in solved])
+        table.append([*row, f"{length:.1f} s"])
+    parts = [table, compare_mujoco()] if find_spec("mujoco") else [table]
+    report(COMMAND, markdown, *parts, f"{machine()}.")
 
 
 if __name__ == "__main__":

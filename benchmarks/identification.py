@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 from tqdm import tqdm
 
 from capsule_gym import CapsuleEnv, Excitation, identify, record
@@ -19,7 +20,10 @@ from capsule_gym.command_line import Count, PositiveCount, command
 from capsule_gym.identification.fit import OTHERS, RANGES
 from capsule_gym.parameters import RANDOMIZATIONS, REAL, Capsule, Disturbances
 
-CONTROL_DT, PHYSICS_DT = 0.01, 2e-3
+CONTROL_DT = 0.01
+PHYSICS_DT = 2e-3
+# Duration that a log must have, s: `record` ends after 20 s.
+WHOLE = 19.9
 FREE: dict[str, Any] = {name: RANGES[name] for name in RANGES if name not in OTHERS}
 DRAWN = replace(RANDOMIZATIONS["real-wide"], **FREE)
 # All of the prior's lags and latencies, which stay inside its range when they are rounded to the
@@ -33,8 +37,9 @@ SENSORS = {"white": replace(ALL, **NONE), "real": ALL}
 def make_logs(
     count: int, seed: int, disturbances: Disturbances, amplitude: float
 ) -> Iterator[tuple[dict[str, np.ndarray], dict[str, float]]]:
-    """Logs of random plants, and their quantities; plants on which the excitation ends the episode
-    are left out.
+    """Logs of random plants, and their quantities.
+
+    Plants on which the excitation ends the episode are left out.
     """
     env = CapsuleEnv(
         randomization=DRAWN, disturbances=disturbances, control_dt=CONTROL_DT, physics_dt=PHYSICS_DT
@@ -43,10 +48,11 @@ def make_logs(
         _, info = env.reset(seed=seed)
         log = record(env, Excitation(seed=seed, amplitude=amplitude), seed=seed)
         seed += 1
-        if len(log["t"]) * CONTROL_DT > 19.9:
+        if len(log["t"]) * CONTROL_DT > WHOLE:
             count -= 1
             truth = {**info["disturbances"], **info["capsule"], "M": info["M"], "mu": info["mu"]}
-            yield log, {**truth, "latency": round(truth["latency"] / PHYSICS_DT) * PHYSICS_DT}
+            truth["latency"] = round(truth["latency"] / PHYSICS_DT) * PHYSICS_DT
+            yield log, truth
 
 
 @command("python -m benchmarks.identification", ValueError)
@@ -56,8 +62,7 @@ def main(
     sensors: Literal["white", "real"] = "real",
     amplitude: float = Excitation.amplitude,
 ) -> None:
-    """Identifies random plants, and prints errors, the coverage of the 95 % intervals, and the
-    time.
+    """Identifies random plants; prints errors, the coverage of the 95 % intervals, and the time.
 
     Examples:
       python -m benchmarks.identification --plants 150
@@ -71,38 +76,41 @@ def main(
             episodes.
     """
     check_number("--amplitude", amplitude, "a number from 0 to 1 (N m)", 0.0, 1.0)
-    rows, seconds, chi2 = [], [], list[float]()
-    for log, truth in tqdm(
-        make_logs(plants, seed, SENSORS[sensors], amplitude), total=plants, mininterval=10.0
-    ):
+    errors: dict[str, list[float]] = {}
+    relative: dict[str, list[float]] = {}
+    covered: dict[str, list[bool]] = {}
+    seconds, chi2 = [], []
+    logs = make_logs(plants, seed, SENSORS[sensors], amplitude)
+    for log, truth in tqdm(logs, total=plants, mininterval=10.0):
         start = time.process_time()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
             fit = identify(log)
         seconds.append(time.process_time() - start)
-        # The error of every estimate, relative to its size, and whether its 95 % interval contains
-        # the truth.
-        errors = {name: fit.estimates[name] - truth[name] for name in fit.estimates}
-        covered = {
-            name: low <= truth[name] <= high for name, (low, high) in fit.intervals(0.95).items()
-        }
-        row = {
-            name: (errors[name], errors[name] / (truth[name] or np.nan), covered[name])
-            for name in errors
-        }
-        rows.append({**row, "latency + lag": (errors["latency"] + errors["lag"], np.nan, np.nan)})
         chi2.append(fit.chi2)
+        intervals = fit.intervals(0.95)
+        for name, estimate in fit.estimates.items():
+            error = estimate - truth[name]
+            errors.setdefault(name, []).append(error)
+            relative.setdefault(name, []).append(error / (truth[name] or np.nan))
+            low, high = intervals[name]
+            covered.setdefault(name, []).append(low <= truth[name] <= high)
     print(f"{'':16}{'median error':>14}{'relative':>10}{'covered':>9}")
-    for name in rows[0]:
-        error, relative, inside = np.abs([row[name] for row in rows]).T.astype(float)
-        share = f"{np.median(relative):.1%}" if name in Capsule.__dataclass_fields__ else ""
-        print(
-            f"{name:16}{np.median(error):14.2g}{share:>10}{f'{inside.mean():.1%}' if name in errors else '':>9}"
-        )
+    for name in errors:
+        error = median_size(errors[name])
+        share = f"{median_size(relative[name]):.1%}" if name in Capsule.__dataclass_fields__ else ""
+        inside = f"{np.mean(covered[name]):.1%}"
+        print(f"{name:16}{error:14.2g}{share:>10}{inside:>9}")
+    delay = median_size(np.add(errors["latency"], errors["lag"]))
+    print(f"{'latency + lag':16}{delay:14.2g}{'':>10}{'':>9}")
     low, middle, high = np.percentile(chi2, (5.0, 50.0, 95.0))
-    print(
-        f"chi2: {middle:.2f}, 90 % within {low:.2f} to {high:.2f}; {np.median(seconds):.1f} s a fit"
-    )
+    duration = np.median(seconds)
+    print(f"chi2: {middle:.2f}, 90 % within {low:.2f} to {high:.2f}; {duration:.1f} s a fit")
+
+
+def median_size(values: ArrayLike) -> float:
+    """The median of the absolute values."""
+    return float(np.median(np.abs(values)))
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ Ratios within one run are comparable between machines; absolute numbers are not.
 
 import os
 import platform
+import re
 from collections.abc import Callable, Mapping
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -28,36 +29,40 @@ def report(command: str, markdown: Path | None, *parts: str | Rows) -> None:
         *(part if isinstance(part, str) else text_table(part, left=1) for part in parts), sep="\n\n"
     )
     if markdown is not None:
-        paragraphs = [part if isinstance(part, str) else markdown_table(part) for part in parts]
-        write_atomically(
-            markdown,
-            "\n\n".join([f"<!-- Written by {command}: do not edit. -->", *paragraphs]) + "\n",
-        )
+        paragraphs = [f"<!-- Written by {command}: do not edit. -->"]
+        for part in parts:
+            paragraphs.append(part if isinstance(part, str) else markdown_table(part))
+        write_atomically(markdown, "\n\n".join(paragraphs) + "\n")
 
 
 def machine() -> str:
-    """One line with the processor, the vectors of the core, the cores, and the versions of
-    installed packages.
-    """
-    versions = [f"{name} {version(name)}" for name in PACKAGES if find_spec(name.replace("-", "_"))]
+    """One line with the processor, the vectors of the core, cores, and versions of packages."""
+    parts = [
+        processor() + VECTORS.get(native.LEVEL, ""),
+        f"{os.cpu_count()} cores",
+        platform.system(),
+        f"Python {platform.python_version()}",
+    ]
+    for name in PACKAGES:
+        if find_spec(name.replace("-", "_")):
+            parts.append(f"{name} {version(name)}")
+    return ", ".join(parts)
+
+
+def processor() -> str:
+    """The name of the processor."""
     info = Path("/proc/cpuinfo")
-    _, _, model = (info.read_text(encoding="utf-8") if info.exists() else "").partition(
-        "model name"
-    )
-    cpu = (
-        model.partition(":")[2].partition("\n")[0].strip()
-        or platform.processor()
-        or platform.machine()
-    )
-    cores, python = f"{os.cpu_count()} cores", f"Python {platform.python_version()}"
-    return ", ".join(
-        [cpu + VECTORS.get(native.LEVEL, ""), cores, platform.system(), python, *versions]
-    )
+    if info.exists():
+        found = re.search(r"model name[^:\n]*:(.*)", info.read_text(encoding="utf-8"))
+        if found and found[1].strip():
+            return found[1].strip()
+    return platform.processor() or platform.machine()
 
 
 def rates(contenders: Mapping[str, Callable[[], float]], turns: int) -> dict[str, float]:
-    """Rates, 1/s, at the 10th percentiles of seconds, measured in turns, so that other processes
-    affect all alike.
+    """Rates, 1/s, at the 10th percentiles of seconds.
+
+    They are measured in turns, so that other processes affect all alike.
     """
     seconds: dict[str, list[float]] = {name: [] for name in contenders}
     for _ in tqdm(range(turns), desc="turns"):

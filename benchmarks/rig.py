@@ -20,9 +20,11 @@ HIDDEN: dict[str, Any] = {"randomization": "real-wide", "disturbances": "real"}
 CONFIG = replace(PRESETS["direct", "ppo"], stack_size=4)
 # Seed of the first hidden plant.
 SEED = 7000
-# Period of the log, s, and amplitudes, N m, of which smaller ones follow where the excitation ends
-# the episode.
-LOGGED_DT, AMPLITUDES = 0.01, (0.45, 0.35, 0.25)
+# Period of the log, and the duration that it must have, s: `record` ends after 20 s.
+LOGGED_DT = 0.01
+WHOLE = 19.9
+# Amplitudes, N m, of which smaller ones follow where the excitation ends the episode.
+AMPLITUDES = (0.45, 0.35, 0.25)
 
 
 def train(seed: int, total_steps: int, **env_kwargs: Any) -> Policy:
@@ -47,7 +49,7 @@ def identified(seed: int) -> dict[str, Any]:
     env = CapsuleEnv(**HIDDEN, control_dt=LOGGED_DT)
     for amplitude in AMPLITUDES:
         log = record(env, Excitation(seed=seed, amplitude=amplitude), seed=seed)
-        if len(log["t"]) * LOGGED_DT > 19.9:
+        if len(log["t"]) * LOGGED_DT > WHOLE:
             break
     return identify(log).env_kwargs(0.95)
 
@@ -67,20 +69,16 @@ def main(plants: PositiveCount = 20, total_steps: PositiveCount = 1_000_000) -> 
     found = []
     for seed in range(SEED, SEED + plants):
         agents = {"identified": train(seed, total_steps, **identified(seed)), **common}
-        found.append([drive(agent, seed) for agent in agents.values()])
-        print(
-            seed,
-            *(
-                f"{name} {speed:.2f} cm/s"
-                for name, (speed, _) in zip(agents, found[-1], strict=True)
-            ),
-        )
-    speeds, failed = np.moveaxis(np.array(found), -1, 0)
+        episodes = {name: drive(agent, seed) for name, agent in agents.items()}
+        found.append([*episodes.values()])
+        print(seed, *(f"{name} {speed:.2f} cm/s" for name, (speed, _) in episodes.items()))
+    # Axes: plant, agent.
+    speeds, failed = np.moveaxis(found, -1, 0)
+    first = speeds[:, 0]
     for name, own, ends in zip(agents, speeds.T, failed.T, strict=True):
-        print(
-            f"{name:10s} mean {own.mean():6.2f} cm/s, lowest {own.min():6.2f}, {ends.sum():.0f} of {len(own)} fail;"
-        )
-        print(f"    the identified agent is faster on {(own < speeds[:, 0]).sum()}")
+        mean, lowest = f"mean {own.mean():6.2f} cm/s", f"lowest {own.min():6.2f}"
+        print(f"{name:10s} {mean}, {lowest}, {ends.sum():.0f} of {plants} fail;")
+        print(f"    the identified agent is faster on {(own < first).sum()}")
 
 
 if __name__ == "__main__":

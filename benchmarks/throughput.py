@@ -1,5 +1,4 @@
-"""Environment steps per second, and their ratios, which must not fall: `python -m
-benchmarks.throughput`.
+"""Environment steps per second, and their ratios: `python -m benchmarks.throughput`.
 
 All actions are drawn beforehand. A single environment runs whole episodes, including resets. A
 batch of this package does not truncate episodes, so that all batch sizes are comparable; an
@@ -17,7 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from importlib.util import find_spec
 from itertools import cycle
@@ -48,15 +47,31 @@ LAW: dict[str, Any] = {
     "controller": "baselines:adaptive",
     "residual_limit": ACTION_SCALE * task.TORQUE_LIMIT,
 }
-# Number of distinct actions, which are repeated; of episodes from the same states; of environments
-# in most batches.
-DRAWS, EPISODE, BATCH = 256, 40, 1024
+# Number of distinct actions, which are repeated.
+DRAWS = 256
+# The same for a batch, each for all of its environments.
+BATCH_DRAWS = 16
+# Number of steps of an episode that begins at the same states.
+EPISODE = 40
+# Number of environments in most batches.
+BATCH = 1024
+# Steps between readings of the clock.
+UNTIMED = 64
 
 # Makes one step of all environments, or a reset of one.
 Step = Callable[[], object]
-# The command of the C compiler, and the settings of plain C.
+# The command of the C compiler, its options, and further ones for the core's level.
 COMPILER = os.environ.get("CC") or shutil.which("cc")
-C_SETTINGS = "m l g k c static_ratio backward_ratio torque_limit physics_dt energy_weight termination_penalty stick_threshold"
+C_OPTIONS = ("-std=c99", "-O3", "-ffast-math", "-fPIC")
+C_LEVELS = {
+    "v4": ("-march=native", "-mprefer-vector-width=512"),
+    "v3": ("-march=x86-64-v3",),
+}
+# The settings of plain C, in its order.
+C_SETTINGS = (
+    *("m", "l", "g", "k", "c", "static_ratio", "backward_ratio", "torque_limit", "physics_dt"),
+    *("energy_weight", "termination_penalty", "stick_threshold"),
+)
 # The smallest ratio of two contenders' rates.
 FLOORS = {
     ("capsule", "CartPole-v1"): 1.3,
@@ -67,94 +82,104 @@ FLOORS = {
 }
 
 
-def environment(env_id: str, num_envs: int = 0, *, reset: bool = False, **kwargs: Any) -> Step:
-    """Steps or resets of one environment with gymnasium's default wrappers, or steps of a native
-    batch.
-    """
-    batch: dict[str, Any] = {"num_envs": num_envs, "vectorization_mode": "vector_entry_point"}
-    env: Any = gym.make_vec(env_id, **batch, **kwargs) if num_envs else gym.make(env_id, **kwargs)
+def environment(env_id: str, *, reset: bool = False) -> Step:
+    """Steps or resets of one environment with gymnasium's default wrappers."""
+    env: Any = gym.make(env_id)
     env.reset(seed=0)
-    env.action_space.seed(0)
-    samples = [env.action_space.sample() for _ in range(16 if num_envs else DRAWS)]
-    discrete = np.asarray(samples[0]).dtype.kind == "i"
-    actions = cycle(
-        samples if discrete else [np.float32(ACTION_SCALE) * sample for sample in samples]
-    )
+    actions = draw_actions(env.action_space, DRAWS)
 
     def step() -> None:
         _, _, terminated, truncated, _ = env.step(next(actions))
         if terminated or truncated:
             env.reset()
 
-    return env.reset if reset else (lambda: env.step(next(actions))) if num_envs else step
+    return env.reset if reset else step
+
+
+def batch(env_id: str, **kwargs: Any) -> Step:
+    """Steps of a native batch of `BATCH` environments."""
+    env: Any = gym.make_vec(
+        env_id, num_envs=BATCH, vectorization_mode="vector_entry_point", **kwargs
+    )
+    env.reset(seed=0)
+    actions = draw_actions(env.action_space, BATCH_DRAWS)
+    return lambda: env.step(next(actions))
+
+
+def draw_actions(space: Any, count: int) -> Iterator[Any]:
+    """Repeats random actions; torques are scaled by `ACTION_SCALE`."""
+    space.seed(0)
+    actions = [space.sample() for _ in range(count)]
+    if np.asarray(actions[0]).dtype.kind != "i":
+        actions = [np.float32(ACTION_SCALE) * action for action in actions]
+    return cycle(actions)
 
 
 def mujoco_physics() -> Step:
-    """The physics of one capsule in MuJoCo under random torques, which restarts where its ball
-    meets the platform.
+    """The physics of one capsule in MuJoCo under random torques.
+
+    It restarts where its ball meets the platform.
     """
-    (model, data), limit = (
-        mujoco.build("frictionloss", DIRECT_PHYSICS_DT, Capsule()),
-        ACTION_SCALE * task.TORQUE_LIMIT,
-    )
+    model, data = mujoco.build("frictionloss", DIRECT_PHYSICS_DT, Capsule())
+    limit = ACTION_SCALE * task.TORQUE_LIMIT
     torques = cycle(np.random.default_rng(0).uniform(-limit, limit, DRAWS).tolist())
 
     def step() -> None:
-        if abs(mujoco.hold(model, data, next(torques))[0]) >= task.THETA_LIMIT:
-            data.qpos[:], data.qvel[:] = (0.0, task.START_THETA), 0.0
+        theta = mujoco.hold(model, data, next(torques))[0]
+        if abs(theta) >= task.THETA_LIMIT:
+            data.qpos[:] = 0.0, task.START_THETA
+            data.qvel[:] = 0.0
 
     return step
+
+
+def compile_plain_c(compiler: str) -> ctypes.CDLL:
+    """Compiles `plain.c` for the core's level of instructions."""
+    source = Path(__file__).with_name("plain.c")
+    options = [*C_OPTIONS, *C_LEVELS.get(native.LEVEL, ())]
+    with tempfile.TemporaryDirectory() as folder:
+        compiled, library = Path(folder, "plain.o"), Path(folder, "plain.so")
+        command = [*compiler.split(), *options, "-c", source, "-o", compiled]
+        subprocess.run(command, check=True)
+        # Linked without -ffast-math, with which gcc makes the whole process lose subnormal numbers.
+        command = [*compiler.split(), "-shared", compiled, "-lm", "-o", library]
+        subprocess.run(command, check=True)
+        return ctypes.CDLL(str(library))
 
 
 def plain_c(
     compiler: str, simulation: Simulation
 ) -> tuple[Callable[[np.ndarray], object], np.ndarray]:
-    """Copies environments of the speed task with direct torque, a multiple of the core's lanes,
-    into plain C.
+    """Copies environments of the speed task with direct torque into plain C.
+
+    Args:
+        compiler: the command of the C compiler.
+        simulation: the environments, a multiple of the core's lanes.
 
     Returns:
         Their `Simulation.step`, and the rows of `Simulation.world` before `Row.clock`.
     """
-    level = {"v4": ("-march=native", "-mprefer-vector-width=512"), "v3": ("-march=x86-64-v3",)}.get(
-        native.LEVEL, ()
-    )
-    options = (
-        "-std=c99",
-        "-O3",
-        "-ffast-math",
-        "-fPIC",
-        *level,
-        "-c",
-        str(Path(__file__).with_name("plain.c")),
-    )
-    with tempfile.TemporaryDirectory() as folder:
-        compiled, path = str(Path(folder, "plain.o")), str(Path(folder, "plain.so"))
-        subprocess.run([*compiler.split(), *options, "-o", compiled], check=True)
-        # Linked without -ffast-math, with which gcc makes the whole process lose subnormal numbers.
-        subprocess.run([*compiler.split(), "-shared", compiled, "-lm", "-o", path], check=True)
-        library = ctypes.CDLL(path)
-    blocks, rows = len(simulation.world), ctypes.c_int.in_dll(library, "ROWS").value
-    world, observations = (
-        native.aligned_zeros((blocks, rows, LANES)),
-        np.zeros((simulation.num_envs, 5), np.float32),
-    )
-    settings = np.array([getattr(simulation.settings, name) for name in C_SETTINGS.split()])
-    first = world[:, : Row.clock]
-    first[...] = simulation.world[:, : Row.clock]
+    library = compile_plain_c(compiler)
+    blocks = len(simulation.world)
+    rows = ctypes.c_int.in_dll(library, "ROWS").value
+    world = native.aligned_zeros((blocks, rows, LANES))
+    settings = np.array([getattr(simulation.settings, name) for name in C_SETTINGS])
+    observations = np.zeros((simulation.num_envs, 5), np.float32)
+    copied = world[:, : Row.clock]
+    copied[...] = simulation.world[:, : Row.clock]
+
+    def pointer(array: np.ndarray) -> ctypes.c_void_p:
+        return ctypes.c_void_p(native.address(array))
 
     def step(actions: np.ndarray) -> None:
-        b, q, u, out = (
-            ctypes.c_void_p(native.address(each))
-            for each in (world, settings, actions, observations)
-        )
-        library.step(b, blocks, q, u, out)
+        arrays = map(pointer, (settings, actions, observations))
+        library.step(pointer(world), blocks, *arrays)
 
-    return step, first
+    return step, copied
 
 
 def from_the_start(compiler: str | None = None) -> tuple[Step, np.ndarray]:
-    """Steps of the core, or with a compiler of plain C, always from the same states in episodes of
-    `EPISODE` steps.
+    """Steps of the core or, with a compiler, of plain C, in episodes from the same states.
 
     Returns:
         The function and the rows of the environments that it changes, see `plain_c`.
@@ -163,9 +188,10 @@ def from_the_start(compiler: str | None = None) -> tuple[Step, np.ndarray]:
     for i in range(BATCH):
         simulation.seed(i, i)
     simulation.reset(np.arange(BATCH))
-    advance, world = (
-        plain_c(compiler, simulation) if compiler else (simulation.step, simulation.world)
-    )
+    advance: Callable[[np.ndarray], object] = simulation.step
+    world = simulation.world
+    if compiler:
+        advance, world = plain_c(compiler, simulation)
     start = world.copy()
     torques = ACTION_SCALE * np.random.default_rng(0).uniform(-1.0, 1.0, (EPISODE, BATCH))
     actions = cycle(enumerate(torques))
@@ -180,24 +206,22 @@ def from_the_start(compiler: str | None = None) -> tuple[Step, np.ndarray]:
 
 
 def contenders() -> dict[str, Callable[[], Step]]:
-    """Functions that create what is measured; the number of environments is at the end of the names
-    of batches.
+    """Functions that create what is measured.
+
+    The number of environments is at the end of the names of batches.
     """
-    endless: dict[str, Any] = {"max_episode_steps": sys.maxsize}
-    found: dict[str, Callable[[], Step]] = {
-        "capsule": partial(environment, ENV_ID),
-        f"capsule, {BATCH}": partial(environment, ENV_ID, BATCH, **endless),
-        f"capsule, law, {BATCH}": partial(environment, ENV_ID, BATCH, **LAW, **endless),
-        f"capsule, 1 ms, {BATCH}": partial(
-            environment, ENV_ID, BATCH, physics_dt=LAW_PHYSICS_DT, **endless
-        ),
-        "CartPole-v1": partial(environment, "CartPole-v1"),
-        f"CartPole-v1, {BATCH}": partial(environment, "CartPole-v1", BATCH),
-        "Pendulum-v1": partial(environment, "Pendulum-v1"),
-        "capsule, reset": partial(environment, ENV_ID, reset=True),
-        "CartPole-v1, reset": partial(environment, "CartPole-v1", reset=True),
-        f"capsule, core, {BATCH}": lambda: from_the_start()[0],
-    }
+    capsules = partial(batch, ENV_ID, max_episode_steps=sys.maxsize)
+    found: dict[str, Callable[[], Step]] = {}
+    found["capsule"] = partial(environment, ENV_ID)
+    found[f"capsule, {BATCH}"] = capsules
+    found[f"capsule, law, {BATCH}"] = partial(capsules, **LAW)
+    found[f"capsule, 1 ms, {BATCH}"] = partial(capsules, physics_dt=LAW_PHYSICS_DT)
+    found["CartPole-v1"] = partial(environment, "CartPole-v1")
+    found[f"CartPole-v1, {BATCH}"] = partial(batch, "CartPole-v1")
+    found["Pendulum-v1"] = partial(environment, "Pendulum-v1")
+    found["capsule, reset"] = partial(environment, ENV_ID, reset=True)
+    found["CartPole-v1, reset"] = partial(environment, "CartPole-v1", reset=True)
+    found[f"capsule, core, {BATCH}"] = lambda: from_the_start()[0]
     if COMPILER:
         found[f"capsule, plain C, {BATCH}"] = lambda: from_the_start(COMPILER)[0]
     if find_spec("mujoco"):
@@ -207,9 +231,10 @@ def contenders() -> dict[str, Callable[[], Step]]:
 
 def seconds_per_step(step: Step, environments: int) -> float:
     """Makes steps for `TURN_SECONDS`; returns the processor time of a step of one environment."""
-    start, steps, seconds = time.process_time(), 0, 0.0
+    start = time.process_time()
+    seconds, steps = 0.0, 0
     while seconds < TURN_SECONDS:
-        for _ in range(max(1, 64 // environments)):
+        for _ in range(max(1, UNTIMED // environments)):
             step()
             steps += environments
         seconds = time.process_time() - start
@@ -218,19 +243,18 @@ def seconds_per_step(step: Step, environments: int) -> float:
 
 def draw(measured: Mapping[str, float], stem: Path) -> None:
     """Draws the rates as bars on a logarithmic axis, those of this package in blue."""
+    # From bottom to top.
+    names = [*measured][::-1]
+    found = [measured[name] for name in names]
+    others = "CartPole", "Pendulum", "plain C", "MuJoCo"
+    colours = [MUTED if any(other in name for other in others) else BLUE for name in names]
     with style():
         figure = new_figure(0.24 * len(measured) + 0.6)
         axes = figure.add_subplot()
-        names = [*measured][::-1]
-        others = "CartPole", "Pendulum", "plain C", "MuJoCo"
-        colours = [MUTED if any(other in name for other in others) else BLUE for name in names]
-        bars = axes.barh(names, [measured[name] for name in names], color=colours, height=0.7)
-        axes.bar_label(
-            bars, [f"{measured[name]:,.0f}" for name in names], padding=3.0, fontsize=7.5
-        )
-        axes.set(
-            xscale="log", xlim=(1e4, 3e7), xlabel="environment steps per second of processor time"
-        )
+        bars = axes.barh(names, found, color=colours, height=0.7)
+        axes.bar_label(bars, [f"{rate:,.0f}" for rate in found], padding=3.0, fontsize=7.5)
+        label = "environment steps per second of processor time"
+        axes.set(xscale="log", xlim=(1e4, 3e7), xlabel=label)
         axes.grid(visible=False, axis="y")
         save(figure, stem)
 
@@ -239,10 +263,10 @@ def draw(measured: Mapping[str, float], stem: Path) -> None:
 def main(
     markdown: Path | None = None, figure: Path | None = None, turns: PositiveCount = 30
 ) -> int:
-    """Environment steps per second, and ratios to other environments and to plain C; fails if a
-    ratio is too small.
+    """Environment steps per second, and ratios to other environments and to plain C.
 
-    Plain C needs a compiler, MuJoCo the extra `bench`; what is not installed is left out.
+    Fails if a ratio is too small. Plain C needs a compiler, MuJoCo the extra `bench`; what is not
+    installed is left out.
 
     Examples:
       python -m benchmarks.throughput --markdown docs/speed_tables.md --figure docs/figures/speed
@@ -255,23 +279,25 @@ def main(
     """
     check_output("--markdown", markdown, overwrite=True)
     check_output("--figure", figure, overwrite=True)
-    found = contenders()
-    floors = {pair: floor for pair, floor in FLOORS.items() if set(pair) <= set(found)}
-    sizes = {name: BATCH if name.endswith(f", {BATCH}") else 1 for name in found}
-    seconds = {name: partial(seconds_per_step, make(), sizes[name]) for name, make in found.items()}
+    seconds = {}
+    for name, make in contenders().items():
+        size = BATCH if name.endswith(f", {BATCH}") else 1
+        seconds[name] = partial(seconds_per_step, make(), size)
     measured = rates(seconds, turns)
-    ratios = {pair: measured[pair[0]] / measured[pair[1]] for pair in floors}
-    compared = {
-        pair[0]: [f"{ratios[pair]:.2f}", pair[1], f"{floor:g}"] for pair, floor in floors.items()
-    }
     table = [["", "env-steps/s", "ratio", "to", "at least"]]
-    table += [
-        [name, f"{rate:,.0f}", *compared.get(name, ["", "", ""])] for name, rate in measured.items()
-    ]
+    failed = False
+    for name, rate in measured.items():
+        compared = ["", "", ""]
+        for (first, other), floor in FLOORS.items():
+            if first == name and other in measured:
+                ratio = rate / measured[other]
+                failed |= ratio < floor
+                compared = [f"{ratio:.2f}", other, f"{floor:g}"]
+        table.append([name, f"{rate:,.0f}", *compared])
     report(COMMAND, markdown, table, f"{machine()}.")
     if figure:
         draw(measured, figure)
-    return int(any(ratios[pair] < floor for pair, floor in floors.items()))
+    return int(failed)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,4 @@
-"""Writes the tables and figures of the documentation's result pages: `python -m agents.analysis
---help`.
-"""
+"""Writes tables and figures of the documentation's results: `python -m agents.analysis --help`."""
 
 import sys
 from pathlib import Path
@@ -41,28 +39,24 @@ def main(
         output: Folder of the files, which are replaced.
     """
     stale = False
-    if not check:
-        (output / "figures").mkdir(parents=True, exist_ok=True)
     for name in names or DOCUMENTS:
-        (sections, figures), path = DOCUMENTS[name].document(), output / f"{name}_tables.md"
+        sections, figures = DOCUMENTS[name].document()
+        path = output / f"{name}_tables.md"
         parts = [f"<!-- Written by {COMMAND}: do not edit. -->"]
         for section, table in sections.items():
-            parts.append(
-                f"<!-- --8<-- [start:{section}] -->\n{table}\n<!-- --8<-- [end:{section}] -->"
-            )
+            begin, end = (f"<!-- --8<-- [{edge}:{section}] -->" for edge in ("start", "end"))
+            parts.append(f"{begin}\n{table}\n{end}")
         text = "\n\n".join(parts) + "\n"
-        if check:
-            if not path.is_file() or path.read_text(encoding="utf-8") != text:
-                print(
-                    f"{path} is not up to date: run `{COMMAND} {name}` and commit what it writes."
-                )
-                stale = True
-            continue
-        with style():
-            for figure, draw in figures.items():
-                save(draw(), output / "figures" / figure)
-        write_atomically(path, text)
-        print(f"Written: {name}", flush=True)
+        if not check:
+            (output / "figures").mkdir(parents=True, exist_ok=True)
+            with style():
+                for figure, draw in figures.items():
+                    save(draw(), output / "figures" / figure)
+            write_atomically(path, text)
+            print(f"Written: {name}", flush=True)
+        elif not path.is_file() or path.read_text(encoding="utf-8") != text:
+            print(f"{path} is not up to date: run `{COMMAND} {name}` and commit what it writes.")
+            stale = True
     return 1 if stale else 0
 
 

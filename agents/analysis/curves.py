@@ -1,6 +1,4 @@
-"""Learning curves, and speed against cost of transport: a table and figures of the leaderboard's
-results.
-"""
+"""Learning curves, and speed against cost of transport, from the leaderboard's results."""
 
 import csv
 import math
@@ -20,7 +18,7 @@ from baselines.dynamic_programming.archive import optimal_front
 from baselines.tables import markdown_table
 from capsule_gym.evaluation.candidates import CHECKPOINTS
 from capsule_gym.evaluation.episodes import TABLE_METRICS
-from capsule_gym.evaluation.statistics import estimate
+from capsule_gym.evaluation.statistics import Estimate, estimate
 
 ROOT = Path(__file__).resolve().parents[2]
 SPEED = TABLE_METRICS["mean_speed"]
@@ -36,11 +34,10 @@ def document() -> tuple[dict[str, str], dict[str, Callable[[], Any]]]:
     ranking_set = CRITERIA["speed"].ranking_set
     rows.sort(key=lambda row: (-row.score(ranking_set, SPEED.name).mean(), row.name))
     learning = read_learning([row.name for row in rows if row.trained], "speed")
+    evaluated = {name: runs for name, runs in learning.items() if runs}
     figures: dict[str, Callable[[], Any]] = {
-        "curves_transport": lambda: draw_transport(rows),
-        "curves_learning": lambda: draw_learning(
-            {name: runs for name, runs in learning.items() if runs}
-        ),
+        "curves_transport": partial(draw_transport, rows),
+        "curves_learning": partial(draw_learning, evaluated),
     }
     for task in ("goal", "velocity"):
         names = [candidate.name for candidate in all_candidates(task) if candidate.trained]
@@ -53,61 +50,58 @@ def read_learning(names: Sequence[str], task: str) -> dict[str, Learning]:
     """The evaluations of all committed runs of rows, of rows without evaluations an empty dict."""
     found: dict[str, Learning] = {}
     for name in names:
-        paths = sorted((CHECKPOINTS / name).glob(f"seed-*/{EVALUATIONS}"))
-        found[name] = {
-            int(path.parts[-2].removeprefix("seed-")): read_evaluations(path, task)
-            for path in paths
-        }
+        found[name] = {}
+        for path in sorted((CHECKPOINTS / name).glob(f"seed-*/{EVALUATIONS}")):
+            seed = int(path.parent.name.removeprefix("seed-"))
+            found[name][seed] = read_evaluations(path, task)
     return found
 
 
 def read_evaluations(path: Path, task: str = "speed") -> tuple[np.ndarray, np.ndarray]:
     """The steps and the values of the task's metric in the evaluations of a run."""
+    column = CRITERIA[task].column
     with path.open(newline="", encoding="utf-8") as file:
         # A run may be evaluated twice at the end of a stage; the last line is used.
-        lines = {
-            int(line["steps"]): float(line[CRITERIA[task].column]) for line in csv.DictReader(file)
-        }
+        lines = {int(line["steps"]): float(line[column]) for line in csv.DictReader(file)}
     steps, values = np.array(sorted(lines.items()), np.float64).T
     return steps, values
 
 
 def learning_curve(runs: Learning) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The steps and, at each, the interquartile mean over the seeds with its interval; all runs
-    have the same steps.
+    """The steps and, at each, the interquartile mean over the seeds with its interval.
+
+    All runs have the same steps.
     """
     (steps,) = {tuple(steps) for steps, _ in runs.values()}
-    found = [
-        estimate(column[:, None]) for column in np.array([speeds for _, speeds in runs.values()]).T
-    ]
-    value, low, high = np.array([[each.value, each.low, each.high] for each in found]).T
+    columns = np.transpose([speeds for _, speeds in runs.values()])
+    found = [estimate(column[:, None]) for column in columns]
+    value, low, high = np.transpose([(each.value, each.low, each.high) for each in found])
     return np.array(steps), value, low, high
 
 
 def table(learning: Mapping[str, Learning]) -> str:
     """A Markdown table of the speed at the end of training, and the steps to 90 % of this speed."""
-    lines = [
-        ["policy", "training seeds", "steps", f"{SPEED.label} at the end", "steps to 90 % of that"]
-    ]
+    end = f"{SPEED.label} at the end"
+    lines = [["policy", "training seeds", "steps", end, "steps to 90 % of that"]]
+    without = []
     for name, runs in learning.items():
-        if runs:
-            steps, value, low, high = learning_curve(runs)
-            reached = steps[value >= 0.9 * value[-1]][0]
-            cells = (
-                f"{steps[-1]:,.0f}",
-                SPEED.with_interval((value[-1], low[-1], high[-1])),
-                f"{reached:,.0f}",
-            )
-            lines.append([name, str(len(runs)), *cells])
-    without = [name for name, runs in learning.items() if not runs]
-    return markdown_table(lines) + (
-        f"\n\nWithout committed evaluations: {', '.join(without)}." if without else ""
-    )
+        if not runs:
+            without.append(name)
+            continue
+        steps, value, low, high = learning_curve(runs)
+        reached = steps[value >= 0.9 * value[-1]][0]
+        speed = SPEED.with_interval((value[-1], low[-1], high[-1]))
+        lines.append([name, str(len(runs)), f"{steps[-1]:,.0f}", speed, f"{reached:,.0f}"])
+    text = markdown_table(lines)
+    if without:
+        text += f"\n\nWithout committed evaluations: {', '.join(without)}."
+    return text
 
 
 def draw_learning(learning: Mapping[str, Learning], label: str = SPEED.label) -> Any:
-    """Draws the metric of all seeds over steps, and its interquartile mean, one panel per row of
-    `learning`.
+    """Draws the metric of all seeds over steps, and its interquartile mean.
+
+    There is a panel per row of `learning`.
     """
     from matplotlib.ticker import LogLocator
 
@@ -119,7 +113,8 @@ def draw_learning(learning: Mapping[str, Learning], label: str = SPEED.label) ->
         axes.set_title(name, parse_math=False)
         for steps, values in runs.values():
             # A run with a single evaluation is drawn as a point.
-            axes.plot(steps / 1e6, values, "." if len(values) == 1 else "-", color=MUTED, alpha=0.3)
+            kind = "." if len(values) == 1 else "-"
+            axes.plot(steps / 1e6, values, kind, color=MUTED, alpha=0.3)
         steps, value, low, high = learning_curve(runs)
         axes.fill_between(steps / 1e6, low, high, facecolor=BLUE, alpha=0.2)
         axes.plot(steps / 1e6, value, color=BLUE)
@@ -139,15 +134,16 @@ def draw_learning(learning: Mapping[str, Learning], label: str = SPEED.label) ->
     figure.supylabel(label, fontsize="medium")
     add_note(
         figure,
-        "Horizontal: millions of agent steps. Evaluations on each run's validation plants, never on a frozen set; "
-        "grey: the training seeds; blue: their interquartile mean, band: 95 %.",
+        "Horizontal: millions of agent steps. Evaluations on each run's validation plants, never "
+        "on a frozen set; grey: the training seeds; blue: their interquartile mean, band: 95 %.",
     )
     return figure
 
 
 def draw_transport(rows: Sequence[LeaderboardRow]) -> Any:
-    """Draws speed against cost of transport on the nominal plant, with the front of dynamic
-    programming.
+    """Draws speed against cost of transport on the nominal plant.
+
+    The front is that of dynamic programming.
     """
     from matplotlib.ticker import LogLocator
 
@@ -158,20 +154,13 @@ def draw_transport(rows: Sequence[LeaderboardRow]) -> Any:
     axes.plot(*zip(*optimal_front(), strict=True), ".-", color=GREEN, label="dynamic programming")
     marks, absent = [], []
     for row in rows:
-        cost, speed = (
-            estimate(row.score("nominal", metric)) for metric in ("cost_of_transport", SPEED.name)
-        )
-        if not math.isfinite(cost.value):
+        cost = estimate(row.score("nominal", "cost_of_transport"))
+        speed = estimate(row.score("nominal", SPEED.name))
+        if math.isfinite(cost.value):
+            marks.append((cost.value, speed.value, row))
+            draw_policy(axes, row, cost, speed)
+        else:
             absent.append(row.name)
-            continue
-        colour = BLUE if row.trained else INK
-        if row.trained and all(
-            math.isfinite(end) for end in (cost.low, cost.high, speed.low, speed.high)
-        ):
-            axes.plot([cost.low, cost.high], [speed.value] * 2, color=colour)
-            axes.plot([cost.value] * 2, [speed.low, speed.high], color=colour)
-        axes.plot(cost.value, speed.value, "o" if row.trained else "s", color=colour)
-        marks.append((cost.value, speed.value, row.name, colour))
     axes.plot([], [], "o-", color=BLUE, label="trained, 95 % over seeds")
     axes.plot([], [], "s", color=INK, label="scripted")
     # Logarithmic: outside its training range, a policy can have thirty times the cost of the
@@ -182,25 +171,41 @@ def draw_transport(rows: Sequence[LeaderboardRow]) -> Any:
     axes.xaxis.set_minor_formatter("")
     axes.set(xlabel="cost of transport", ylabel="mean speed (cm/s)")
     # Names next to the axes, the highest mark's first, with a line to each mark.
-    for n, (x, y, name, colour) in enumerate(sorted(marks, key=lambda mark: -mark[1])):
-        place = {
-            "xytext": (1.01, 1.0 - (n + 0.5) / len(marks)),
-            "textcoords": "axes fraction",
-            "va": "center",
-        }
-        line = {"arrowstyle": "-", "color": FAINT, "relpos": (0.0, 0.5)}
+    marks.sort(key=lambda mark: -mark[1])
+    for n, (x, y, row) in enumerate(marks):
         axes.annotate(
-            name, (x, y), **place, color=colour, parse_math=False, arrowprops=line, zorder=1
+            row.name,
+            (x, y),
+            xytext=(1.01, 1.0 - (n + 0.5) / len(marks)),
+            textcoords="axes fraction",
+            va="center",
+            color=colour_of(row),
+            parse_math=False,
+            arrowprops={"arrowstyle": "-", "color": FAINT, "relpos": (0.0, 0.5)},
+            zorder=1,
         )
     # Outside: every corner inside the axes contains a front, a policy or a label's line.
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=4)
     axes.set_title("Speed against cost of transport, the paper's plant from 100 starts")
-    no_progress = (
-        f" Without forward progress, and so without a cost: {', '.join(absent)}." if absent else ""
+    note = (
+        "Interquartile means over all episodes on nominal. Dynamic programming: with energy "
+        "weights, over 33 s from one start at rest."
     )
-    add_note(
-        figure,
-        "Interquartile means over all episodes on nominal. Dynamic programming: with energy weights, over 33 s from "
-        f"one start at rest.{no_progress}",
-    )
+    if absent:
+        note += f" Without forward progress, and so without a cost: {', '.join(absent)}."
+    add_note(figure, note)
     return figure
+
+
+def colour_of(row: LeaderboardRow) -> str:
+    """The colour of a trained or scripted policy."""
+    return BLUE if row.trained else INK
+
+
+def draw_policy(axes: Any, row: LeaderboardRow, cost: Estimate, speed: Estimate) -> None:
+    """Draws the mark of a policy, with its intervals if it is trained."""
+    colour = colour_of(row)
+    if row.trained and np.isfinite([cost.low, cost.high, speed.low, speed.high]).all():
+        axes.plot([cost.low, cost.high], [speed.value] * 2, color=colour)
+        axes.plot([cost.value] * 2, [speed.low, speed.high], color=colour)
+    axes.plot(cost.value, speed.value, "o" if row.trained else "s", color=colour)

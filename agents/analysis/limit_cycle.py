@@ -1,7 +1,7 @@
 """One steady cycle of some policies on the paper's plant: a table and a figure."""
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,8 @@ from capsule_gym.evaluation.candidates import find_candidate
 from capsule_gym.parameters import NOMINAL
 from capsule_gym.tasks.task import CONTROL_DT, HORIZON, TORQUE_LIMIT
 
+# Columns of samples.
+THETA, THETA_DOT, X, X_DOT, NORMAL_FORCE, TORQUE = range(6)
 POLICIES = ("adaptive", "pd", "gait-guarded", "direct-ppo", "dp-nominal")
 # The last part of an episode, in which a cycle is searched, s: two of the paper's cycles fit.
 WINDOW = 20.0
@@ -28,8 +30,7 @@ LABELS = ("θ (deg)", "x' (cm/s)", "N / ((M + m) g)", "u (N m)", "θ' (rad/s)")
 
 
 def sample_episode(policy: Any) -> np.ndarray:
-    """Samples an episode on the paper's plant: theta, theta_dot, x, x_dot, normal force and torque,
-    `DT` apart.
+    """Samples an episode on the paper's plant: its columns, `DT` apart.
 
     The policy acts every `CONTROL_DT`; its action is held in between.
     """
@@ -49,69 +50,51 @@ def sample_episode(policy: Any) -> np.ndarray:
 def find_cycle(samples: np.ndarray) -> np.ndarray:
     """The cycle in the last `WINDOW` that is closest to periodic, from its smallest theta on."""
     samples = samples[-round(WINDOW / DT) :]
-    theta = samples[:, 0]
+    theta = samples[:, THETA]
     middle = 0.5 * (theta.min() + theta.max())
     rises = 1 + np.flatnonzero((theta[:-1] < middle) & (theta[1:] >= middle))
     periods = np.diff(rises)
     # The cycle from the smallest theta on reaches up to a period further.
     fits = rises[1:] + periods < len(theta)
-    rates = samples[:, [1, 3]]
-    changes = (np.abs(np.diff(rates[rises], axis=0)) / rates.std(axis=0)).max(axis=1)
+    rates = samples[:, [THETA_DOT, X_DOT]]
+    steps = np.abs(np.diff(rates[rises], axis=0))
+    changes = (steps / rates.std(axis=0)).max(axis=1)
     chosen = int(np.where(fits, changes, np.inf).argmin())
-    begin = rises[chosen] + int(theta[rises[chosen] : rises[chosen + 1]].argmin())
+    first, last = rises[chosen], rises[chosen + 1]
+    begin = first + int(theta[first:last].argmin())
     return samples[begin : begin + periods[chosen] + 1]
 
 
 def document() -> tuple[dict[str, str], dict[str, Callable[[], Any]]]:
     """The table and the figure."""
-    cycles = {
-        name: find_cycle(sample_episode(find_candidate(name).policies[0])) for name in POLICIES
-    }
-    lines = [
-        [
-            "policy",
-            "period (s)",
-            "distance (cm)",
-            "speed (cm/s)",
-            "time in stick",
-            "time at 1.5 N m",
-        ]
-    ]
-    for name, cycle in cycles.items():
-        period, distance = DT * (len(cycle) - 1), 100.0 * (cycle[-1, 2] - cycle[0, 2])
-        shares = (cycle[1:, 3] == 0.0).mean(), (np.abs(cycle[1:, 5]) >= TORQUE_LIMIT).mean()
+    head = "policy", "period (s)", "distance (cm)", "speed (cm/s)", "time in stick"
+    lines: list[Sequence[str]] = [(*head, "time at 1.5 N m")]
+    cycles = {}
+    for name in POLICIES:
+        policy = find_candidate(name).policies[0]
+        cycle = cycles[name] = find_cycle(sample_episode(policy))
+        period = DT * (len(cycle) - 1)
+        distance = 100.0 * (cycle[-1, X] - cycle[0, X])
         numbers = [f"{each:.2f}" for each in (period, distance, distance / period)]
-        lines.append([name, *numbers, *(f"{100.0 * share:.0f} %" for share in shares)])
+        stuck = cycle[1:, X_DOT] == 0.0
+        limited = np.abs(cycle[1:, TORQUE]) >= TORQUE_LIMIT
+        shares = [f"{100.0 * each.mean():.0f} %" for each in (stuck, limited)]
+        lines.append((name, *numbers, *shares))
     return {"cycles": markdown_table(lines)}, {"limit_cycle": lambda: draw(cycles)}
 
 
 def draw(cycles: dict[str, np.ndarray]) -> Any:
-    """Draws angle, velocity, normal force and torque over time, and the phase portrait, one column
-    per cycle.
+    """Draws angle, velocity, normal force and torque over time, and the phase portrait.
+
+    There is a column of panels per cycle.
     """
     from matplotlib.patches import Patch
 
     figure = new_figure(8.2)
     grid = figure.subplots(5, len(cycles), sharey="row")
     for column, (name, cycle) in zip(grid.T, cycles.items(), strict=True):
-        t, degrees, begin = DT * np.arange(len(cycle)), np.degrees(cycle[:, 0]), 0
-        for phase, group in itertools.groupby(np.sign(np.diff(cycle[:, 2])).tolist()):
-            end = begin + len(list(group))
-            for axes in column[:-1]:
-                axes.axvspan(t[begin], t[end], facecolor=PHASES[phase][1])
-            begin = end
-        weight = (NOMINAL.M + NOMINAL.m) * NOMINAL.g
-        series = degrees, 100.0 * cycle[:, 3], cycle[:, 4] / weight, cycle[:, 5]
-        for axes, values, level in zip(column[:-1], series, (0.0, 0.0, 1.0, 0.0), strict=True):
-            axes.axhline(level, color=MUTED)
-            axes.plot(t, values, color=INK)
-            axes.set_xlim(0.0, t[-1])
-            axes.grid(visible=False)
-            axes.tick_params(labelbottom=axes is column[3])
-        column[3].set_xlabel("time (s)")
-        column[4].plot(degrees, cycle[:, 1], color=BLUE)
-        column[4].set_xlabel("θ (deg)")
         column[0].set_title(name)
+        draw_column(column, cycle)
     for axes, label in zip(grid[:, 0], LABELS, strict=True):
         axes.set_ylabel(label)
     figure.align_ylabels(grid[:, 0])
@@ -119,3 +102,33 @@ def draw(cycles: dict[str, np.ndarray]) -> Any:
     figure.legend(handles=patches, loc="outside upper left", ncols=len(patches))
     add_note(figure, "The time axes differ. A growing θ pushes the platform forward.")
     return figure
+
+
+def draw_column(panels: np.ndarray, cycle: np.ndarray) -> None:
+    """Draws a cycle into its five panels: four over time, and the phase portrait."""
+    *over_time, portrait = panels
+    t = DT * np.arange(len(cycle))
+    begin = 0
+    for phase, group in itertools.groupby(np.sign(np.diff(cycle[:, X])).tolist()):
+        end = begin + len(list(group))
+        for axes in over_time:
+            axes.axvspan(t[begin], t[end], facecolor=PHASES[phase][1])
+        begin = end
+    degrees = np.degrees(cycle[:, THETA])
+    weight = (NOMINAL.M + NOMINAL.m) * NOMINAL.g
+    # Each with the level of its grey line.
+    series = (
+        (degrees, 0.0),
+        (100.0 * cycle[:, X_DOT], 0.0),
+        (cycle[:, NORMAL_FORCE] / weight, 1.0),
+        (cycle[:, TORQUE], 0.0),
+    )
+    for axes, (values, level) in zip(over_time, series, strict=True):
+        axes.axhline(level, color=MUTED)
+        axes.plot(t, values, color=INK)
+        axes.set_xlim(0.0, t[-1])
+        axes.grid(visible=False)
+        axes.tick_params(labelbottom=axes is over_time[-1])
+    over_time[-1].set_xlabel("time (s)")
+    portrait.plot(degrees, cycle[:, THETA_DOT], color=BLUE)
+    portrait.set_xlabel("θ (deg)")

@@ -23,7 +23,8 @@ from capsule_gym.parameters import DISTURBANCES, REAL, SENSORS, Disturbances
 
 SPEED = TABLE_METRICS["mean_speed"]
 # Number and first seed of the episodes, on plants of randomization="paper".
-EPISODES, FIRST_SEED = 50, 23_000_000
+EPISODES = 50
+FIRST_SEED = 23_000_000
 
 
 def _sized_as_real(*names: str) -> dict[str, Any]:
@@ -31,22 +32,19 @@ def _sized_as_real(*names: str) -> dict[str, Any]:
 
 
 ALL = 'all of "real"'
-_WHITE = _sized_as_real(*(f"{name}_noise" for name in SENSORS))
 # Each disturbance by its name in tables: as in "real" (mean latency), if "real" contains it.
 DISTURBED: dict[str, dict[str, Any]] = {
-    "white noise": _WHITE,
+    "white noise": _sized_as_real(*(f"{name}_noise" for name in SENSORS)),
     "bias": _sized_as_real(*(f"{name}_bias" for name in SENSORS)),
     "drift": _sized_as_real(*(f"{name}_drift" for name in SENSORS)),
-    "resolution": {
-        **{name.replace("noise", "resolution"): size for name, size in _WHITE.items()},
-        "torque_resolution": 0.05,
-    },
+    "resolution": {f"{name}_resolution": getattr(REAL, f"{name}_noise") for name in SENSORS},
     "latency": {"latency": float(np.mean(REAL.latency))},
     "motor lag": _sized_as_real("lag"),
     "motor friction": _sized_as_real("motor_friction"),
     "pushes": {"push": 0.5},
     ALL: _sized_as_real(*(name for name in DISTURBANCES if name != "drift_time")),
 }
+DISTURBED["resolution"]["torque_resolution"] = 0.05
 NONE = "none"
 # The interquartile mean of the speed (cm/s) and the number of failures, by disturbance.
 Cells = Mapping[str, tuple[float, int]]
@@ -64,41 +62,35 @@ def run(candidates: Sequence[Candidate], horizon: float | None = None) -> dict[s
     Returns:
         The results by the policy's name, sorted by the speed without disturbances, fastest first.
     """
-    plants, found = validation_set("paper", "sensitivity", FIRST_SEED, EPISODES), {}
+    plants = validation_set("paper", "sensitivity", FIRST_SEED, EPISODES)
+    found = {}
     for candidate in tqdm(candidates, "evaluating", file=sys.stderr, disable=None):
         cells = {}
         for condition, disturbances in conditions().items():
-            episodes = evaluate(
-                candidate.policies[0], replace(plants, disturbances=disturbances), horizon=horizon
-            )
-            cells[condition] = (
-                float(interquartile_mean(scores(episodes, SPEED.name)[0])),
-                failures(episodes),
-            )
+            disturbed = replace(plants, disturbances=disturbances)
+            episodes = evaluate(candidate.policies[0], disturbed, horizon=horizon)
+            speeds = scores(episodes, SPEED.name)[0]
+            cells[condition] = float(interquartile_mean(speeds)), failures(episodes)
         found[candidate.name] = cells
     return dict(sorted(found.items(), key=lambda row: -row[1][NONE][0]))
 
 
 def document() -> tuple[dict[str, str], dict[str, Any]]:
     """The tables for all rows; there is no figure."""
-    fields = {
-        name: ", ".join(f"`{each}={size}`" for each, size in given.items())
-        for name, given in DISTURBED.items()
-    }
-    fields[ALL] = '`disturbances="real"`'
-    sizes = markdown_table(
-        [["disturbance", "size"], *([name, text] for name, text in fields.items())]
-    )
-    return {"sizes": sizes, "speeds": table(run(all_candidates()))}, {}
+    sizes = [["disturbance", "size"]]
+    for name, given in DISTURBED.items():
+        fields = ", ".join(f"`{each}={size}`" for each, size in given.items())
+        sizes.append([name, '`disturbances="real"`' if name == ALL else fields])
+    speeds = table(run(all_candidates()))
+    return {"sizes": markdown_table(sizes), "speeds": speeds}, {}
 
 
 def table(results: Mapping[str, Cells]) -> str:
     """Speed (cm/s), and failures in brackets, under every disturbance."""
     lines = [["policy", *conditions()]]
     for policy, cells in results.items():
-        texts = [
-            SPEED.format(speed) + (f" ({failed})" if failed else "")
-            for speed, failed in cells.values()
-        ]
-        lines.append([policy, *texts])
+        line = [policy]
+        for speed, failed in cells.values():
+            line.append(SPEED.format(speed) + (f" ({failed})" if failed else ""))
+        lines.append(line)
     return markdown_table(lines)

@@ -14,8 +14,9 @@ def main(
     known: dict[str, float] | None = None,
     report: Path | None = None,
 ) -> None:
-    """Estimates a rig's plant from a log with columns t, torque and some of theta, theta_dot, x,
-    x_dot (SI units).
+    """Estimates a rig's plant from a log.
+
+    Its columns are t, torque and some of theta, theta_dot, x, x_dot (SI units).
 
     Examples:
       python -m capsule_gym.identification log.csv --known lag 0.005 --report fit.png

@@ -15,8 +15,9 @@ from capsule_gym.parameters import CONSTANTS, NOMINAL, Capsule
 from capsule_gym.tasks.task import CONTROL_DT
 
 STATE = ("theta", "theta_dot", "x", "x_dot")
-# The constants by which a trajectory can be differentiated, in the order of the inputs.
+# The constants by which a trajectory can be differentiated.
 PLANT = ("M", "mu", *CONSTANTS)
+KNOWN = (*PLANT, "torque", "torques", "state")
 
 
 class Sensitivity(NamedTuple):
@@ -35,13 +36,20 @@ class Sensitivity(NamedTuple):
     events: np.ndarray
 
 
+def trajectory_inputs(capsule: Capsule, state: Any, torques: Any) -> np.ndarray:
+    """The inputs of a trajectory: the numbers of `_core.TRAJECTORY`, then the torques, N m."""
+    values = {**vars(capsule), **dict(zip(STATE, state, strict=True))}
+    values["paper"] = float(capsule.normal_force == "paper")
+    return np.append(ordered(_core.TRAJECTORY, values), torques)
+
+
 def simulate(
     inputs: np.ndarray, partials: np.ndarray, steps: int, physics_dt: float
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """A trajectory and its derivatives along several directions, without checks.
 
     Args:
-        inputs: the numbers of `_core.TRAJECTORY` and n torques, N m.
+        inputs: those of `trajectory_inputs` for n torques.
         partials: the derivatives of the inputs along the directions, shape (inputs, directions).
         steps: integrator steps of the interval in which a torque acts.
         physics_dt: the integrator's step, s.
@@ -50,27 +58,19 @@ def simulate(
         States and number of events so far, shape (n + 1, 5); their derivatives, shape (n + 1, 4,
         directions); the first interval in which an episode would have terminated, or -1.
     """
-    count, directions, width = (
-        len(inputs) - len(_core.TRAJECTORY),
-        partials.shape[1],
-        _core.DIRECTIONS,
-    )
-    states, slopes = np.empty((count + 1, 5)), np.empty((count + 1, 4, directions))
+    count = len(inputs) - len(_core.TRAJECTORY)
+    directions = partials.shape[1]
+    width = _core.DIRECTIONS
+    states = np.empty((count + 1, 5))
+    slopes = np.empty((count + 1, 4, directions))
     for first in range(0, max(directions, 1), width):
-        part = partials[:, first : first + width]
-        seeds, found = np.zeros((len(inputs), width)), np.empty((count + 1, 4, width))
-        seeds[:, : part.shape[1]] = part
-        ended = call(
-            "trajectory",
-            inputs,
-            seeds if directions else 0,
-            count,
-            steps,
-            physics_dt,
-            states,
-            found,
-        )
-        slopes[..., first : first + width] = found[..., : part.shape[1]]
+        block = partials[:, first : first + width]
+        seeds = np.zeros((len(inputs), width))
+        seeds[:, : block.shape[1]] = block
+        given = seeds if directions else 0
+        found = np.empty((count + 1, 4, width))
+        ended = call("trajectory", inputs, given, count, steps, physics_dt, states, found)
+        slopes[..., first : first + width] = found[..., : block.shape[1]]
     return states, slopes, ended
 
 
@@ -105,7 +105,7 @@ def sensitivity(
             meets the platform, or the platform leaves the floor.
 
     Examples:
-        >>> found = sensitivity([-1.0, 0.0, 0.0, 0.0], [0.8] * 5, wrt=("mu",), capsule=Capsule(mu=0.05))
+        >>> found = sensitivity([-1.0, 0.0, 0.0, 0.0], [0.8] * 5, ["mu"], capsule=Capsule(mu=0.05))
         >>> found.states.shape, found.derivatives["mu"].shape
         ((6, 4), (6, 4))
     """
@@ -115,63 +115,66 @@ def sensitivity(
     check_periods(options, settings, law=False)
     check_step(capsule, capsule.M, capsule.mu, settings)
     (start,) = check_state("state", state, 1)
+    inputs = trajectory_inputs(capsule, start, check_torques(torques))
+    check_wrt(wrt, capsule)
+    partials = [partials_by(name, inputs) for name in wrt]
+    none = np.empty((len(inputs), 0))
+    steps = int(settings.physics_steps * settings.law_steps)
+    states, slopes, ended = simulate(
+        inputs, np.hstack([none, *partials]), steps, settings.physics_dt
+    )
+    if ended >= 0:
+        begin, end = ended * control_dt, (ended + 1) * control_dt
+        raise ValueError(
+            "torques must keep |theta| < pi/2 and the platform on the floor, got an episode that "
+            f"would terminate in torques[{ended}], between {begin:g} and {end:g} s"
+        )
+    derivatives = {}
+    first = 0
+    for name, own in zip(wrt, partials, strict=True):
+        last = first + own.shape[1]
+        several = name in ("torques", "state")
+        derivatives[name] = slopes[..., first:last] if several else slopes[..., first]
+        first = last
+    return Sensitivity(states[:, :4], derivatives, states[:, 4].astype(np.int64))
+
+
+def check_torques(torques: Any) -> np.ndarray:
+    """Returns the torques as an array, or raises an error."""
     accepted = f"a sequence of numbers within +-{LARGEST_TORQUE:g} N m"
     try:
-        commands = np.asarray(torques, np.float64)
+        array = np.asarray(torques, np.float64)
     except (TypeError, ValueError, OverflowError):
         raise TypeError(f"torques must be {accepted}, got {short_repr(torques)}") from None
-    require(
-        commands.ndim == 1 and bool((np.abs(commands) <= LARGEST_TORQUE).all()),
-        "torques",
-        accepted,
-        torques,
-    )
-    inputs = np.concatenate([constant_inputs(capsule), start, commands])
-    first = len(_core.TRAJECTORY)
-    # The first input, and the number of inputs, of each name.
-    spans = {name: (n, 1) for n, name in enumerate(PLANT)}
-    spans |= {"torque": (first, 1), "torques": (first, len(commands)), "state": (first - 4, 4)}
-    known = tuple(spans)
-    if (
-        isinstance(wrt, str)
-        or not isinstance(wrt, Sequence)
-        or not all(isinstance(name, str) for name in wrt)
-    ):
-        raise TypeError(f"wrt must be a sequence of names out of {known}, got {short_repr(wrt)}")
+    fits = array.ndim == 1 and bool((np.abs(array) <= LARGEST_TORQUE).all())
+    require(fits, "torques", accepted, torques)
+    return array
+
+
+def check_wrt(wrt: Any, capsule: Capsule) -> None:
+    """Raises an error unless the trajectory can be differentiated by all names."""
+    sequence = isinstance(wrt, Sequence) and not isinstance(wrt, str)
+    if not sequence or not all(isinstance(name, str) for name in wrt):
+        raise TypeError(f"wrt must be a sequence of names out of {KNOWN}, got {short_repr(wrt)}")
     for name in wrt:
-        if name not in known:
-            raise ValueError(
-                f"wrt must contain names out of {known}, got {name!r}{nearest(name, known)}"
-            )
+        if name not in KNOWN:
+            similar = nearest(name, KNOWN)
+            raise ValueError(f"wrt must contain names out of {KNOWN}, got {name!r}{similar}")
         if name == "stribeck_speed" and capsule.stribeck_speed == 0.0:
             raise ValueError(
                 "wrt may contain 'stribeck_speed' only where capsule.stribeck_speed > 0, got 0.0"
             )
-    factor = np.append(np.zeros(first), commands)[:, None]
-    own = [
-        factor if name == "torque" else np.eye(len(inputs), spans[name][1], -spans[name][0])
-        for name in wrt
-    ]
-    partials = np.hstack([factor[:, :0], *own])
-    steps = int(settings.physics_steps * settings.law_steps)
-    states, slopes, ended = simulate(inputs, partials, steps, settings.physics_dt)
-    if ended >= 0:
-        raise ValueError(
-            f"torques must keep |theta| < pi/2 and the platform on the floor, got an episode that would terminate in "
-            f"torques[{ended}], between {ended * control_dt:g} and {(ended + 1) * control_dt:g} s"
-        )
-    ends = np.cumsum([spans[name][1] for name in wrt], dtype=int)
-    parts = zip(
-        wrt, np.split(slopes, ends, axis=-1), strict=False
-    )  # nothing is behind the last end
-    derivatives = {
-        name: part if name in ("torques", "state") else part[..., 0] for name, part in parts
-    }
-    return Sensitivity(states[:, :4], derivatives, states[:, 4].astype(np.int64))
 
 
-def constant_inputs(capsule: Capsule) -> np.ndarray:
-    """The constants among the inputs of a trajectory."""
-    return ordered(
-        _core.TRAJECTORY[:-4], {**vars(capsule), "paper": float(capsule.normal_force == "paper")}
-    )
+def partials_by(name: str, inputs: np.ndarray) -> np.ndarray:
+    """The derivatives of a trajectory's inputs by a name of `wrt`, shape (inputs, directions)."""
+    names = _core.TRAJECTORY
+    if name == "torque":
+        factor = inputs.copy()
+        factor[: len(names)] = 0.0
+        return factor[:, None]
+    if name == "torques":
+        return np.eye(len(inputs), len(inputs) - len(names), -len(names))
+    if name == "state":
+        return np.eye(len(inputs), len(STATE), -names.index(STATE[0]))
+    return np.eye(len(inputs), 1, -names.index(name))

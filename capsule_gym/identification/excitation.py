@@ -14,8 +14,7 @@ from capsule_gym.checks import check_integer, check_number
 
 @dataclass(frozen=True, kw_only=True)
 class Excitation:
-    """A policy for `record` that moves a rig so that a log determines its plant: a multisine under
-    a weak PD law.
+    """A policy for `record`: a multisine under a weak PD law, from which a plant can be identified.
 
     `start` returns the policy of an episode. It observes theta and theta_dot first, as the
     environment's agents do.
@@ -35,22 +34,24 @@ class Excitation:
     def __post_init__(self) -> None:
         check_integer("Excitation.seed", self.seed, "an integer >= 0", 0, sys.maxsize)
         for name in ("amplitude", "torque_limit", "control_dt"):
-            check_number(
-                f"Excitation.{name}", getattr(self, name), "a finite number > 0", 0.0, open_low=True
-            )
+            value = getattr(self, name)
+            check_number(f"Excitation.{name}", value, "a finite number > 0", 0.0, open_low=True)
 
     def start(self, seeds: Any = (0,)) -> Callable[[Any], np.ndarray]:
         """The policy of an episode, from observations to actions."""
         generator = np.random.default_rng(self.seed)
         frequencies = np.exp(generator.uniform(math.log(0.3), math.log(8.0), 16))
-        phases, steps = generator.uniform(0.0, 2.0 * np.pi, 16), count()
+        phases = generator.uniform(0.0, 2.0 * np.pi, 16)
+        steps = count()
 
         def act(observation: Any) -> np.ndarray:
-            theta, theta_dot = (
-                observation["observation"] if isinstance(observation, dict) else observation
-            )[:2]
+            if isinstance(observation, dict):
+                observation = observation["observation"]
+            theta, theta_dot = observation[:2]
             waves = np.sin(2.0 * np.pi * self.control_dt * next(steps) * frequencies + phases)
-            torque = self.amplitude * waves.sum() / math.sqrt(8.0) - 0.6 * theta - 0.04 * theta_dot
+            # Each wave of amplitude 1 has the mean square 1 / 2.
+            multisine = self.amplitude * waves.sum() / math.sqrt(8.0)
+            torque = multisine - 0.6 * theta - 0.04 * theta_dot
             return np.clip(np.array([torque / self.torque_limit], np.float32), -1.0, 1.0)
 
         return act

@@ -46,34 +46,30 @@ def record(
     plain: Any = getattr(env, "unwrapped", None)
     direct = isinstance(plain, CapsuleEnv) and plain.simulation.controller is None
     require(direct, "env", "an environment with direct torque, without a controller", env)
-    fits = path is None or (os.path.isdir(Path(path).parent) and not os.path.exists(path))
-    require(fits, "path", "that of a new file in a folder that exists", path)
-    settings, dt = plain.simulation.settings, plain.simulation.options.control_dt
+    new = path is None or (os.path.isdir(Path(path).parent) and not os.path.exists(path))
+    require(new, "path", "that of a new file in a folder that exists", path)
+    settings, config = plain.simulation.settings, plain.simulation.options
+    dt = config.control_dt
     scale = settings.torque_limit if settings.total_torque else settings.residual_limit
     limit = min(settings.residual_limit, settings.torque_limit)
     steps = round(check_number("seconds", seconds, f"a finite number >= {dt:g} (s)", dt) / dt)
-    policy = Excitation(torque_limit=scale, control_dt=dt) if policy is None else policy
+    if policy is None:
+        policy = Excitation(torque_limit=scale, control_dt=dt)
     act = policy.start([0]) if hasattr(policy, "start") else policy
-    require(
-        callable(act), "policy", "None, a function, or an object with `start`", policy, TypeError
-    )
+    accepted = "None, a function, or an object with `start`"
+    require(callable(act), "policy", accepted, policy, TypeError)
     observation, info = env.reset(seed=seed, options=options)
-    disturbed = Disturbances.named(plain.simulation.options.disturbances)
-    missing = (
-        ()
-        if disturbed is None
-        else (*disturbed.unmeasured, *(("x",) if disturbed.x_noise is None else ()))
-    )
-    sensors = [name for name in STATE if name not in missing]
+    disturbed = Disturbances.named(config.disturbances)
+    sensors = list(STATE)
+    if disturbed is not None:
+        unmeasured = set(disturbed.unmeasured)
+        if disturbed.x_noise is None:
+            unmeasured.add("x")
+        sensors = [name for name in STATE if name not in unmeasured]
+    source = "state" if disturbed is None else "reading"
     rows = []
     for step in range(steps):
-        reading = dict(
-            zip(
-                STATE,
-                (info["state"] if disturbed is None else info["reading"]).tolist(),
-                strict=True,
-            )
-        )
+        reading = dict(zip(STATE, info[source].tolist(), strict=True))
         observation, _, terminated, truncated, info = env.step(act(observation))
         # That of the innermost environment: wrappers may change it.
         action = plain.simulation.world[0, Row.action, 0]
@@ -83,6 +79,6 @@ def record(
             break
     names = ("t", "torque", *sensors)
     if path is not None:
-        lines = [",".join(names), *(",".join(map(repr, row)) for row in rows)]
+        lines = [",".join(map(str, row)) for row in (names, *rows)]
         write_atomically(Path(path), "\n".join(lines) + "\n")
-    return dict(zip(names, np.array(rows).T, strict=True))
+    return dict(zip(names, np.transpose(rows), strict=True))

@@ -26,125 +26,139 @@ def test_the_last_of_two_evaluations_at_the_same_step_counts(tmp_path):
     assert (steps.tolist(), speeds.tolist()) == ([100, 200], [1.0, 5.0])
 
 
-def test_sensitivity_shows_speed_and_failures_under_each_disturbance(monkeypatch):
+def test_sensitivity_of_a_law_is_that_of_the_documentation():
     row = sensitivity.table(sensitivity.run([find_candidate("pd")])).splitlines()[-1]
-    assert (
-        row
-        in (analysis.ROOT / "docs/sensitivity_tables.md").read_text(encoding="utf-8").splitlines()
-    )
-    monkeypatch.setattr(sensitivity, "EPISODES", 2)
+    page = (analysis.ROOT / "docs/sensitivity_tables.md").read_text(encoding="utf-8")
+    assert row in page.splitlines()
+
+
+def test_disturbances_have_the_sizes_of_real():
     conditions = sensitivity.conditions()
-    assert conditions['all of "real"'] == REAL and conditions["latency"] == Disturbances(
-        latency=0.01
-    )
-    results = sensitivity.run(
-        [Candidate("wild", (Sine(1.5, period=10.0, name="wild"),), "")], horizon=1.0
-    )
-    head, _, wild, still = table(
-        sensitivity.table({**results, "still": dict.fromkeys(conditions, (0.0, 0))})
-    )
+    assert conditions['all of "real"'] == REAL
+    assert conditions["latency"] == Disturbances(latency=0.01)
+
+
+def test_sensitivity_shows_speed_and_failures_under_each_disturbance(monkeypatch):
+    monkeypatch.setattr(sensitivity, "EPISODES", 2)
+    falling = Candidate("wild", (Sine(1.5, period=10.0, name="wild"),), "")
+    results = sensitivity.run([falling], horizon=1.0)
+    results["still"] = dict.fromkeys(sensitivity.conditions(), (0.0, 0))
+    head, _, wild, still = table(sensitivity.table(results))
     assert head == ["policy", "none", *sensitivity.DISTURBED, "no x_dot"]
-    assert wild[1].endswith(" (2)") and still[1:] == ["0.00"] * (len(head) - 1)
+    assert wild[1].endswith(" (2)")
+    assert still[1:] == ["0.00"] * (len(head) - 1)
 
 
 def test_a_limit_cycle_is_the_steady_one_from_its_smallest_angle_on():
     t = np.arange(0.0, 33.0, limit_cycle.DT)
     # A period of 0.8 s that begins at 27 s; before, the motion decays.
-    size = 1.0 + np.exp(-t) + np.where(t < 27.0, 0.2 * np.sin(0.7 * t), 0.0)
+    unsteady = np.where(t < 27.0, 0.2 * np.sin(0.7 * t), 0.0)
+    size = 1.0 + np.exp(-t) + unsteady
     phase = 2.0 * np.pi * t / 0.8
-    samples = np.stack(
-        [size * np.sin(phase), size * np.cos(phase), 0.1 * t, size * np.sin(phase), t, t], axis=1
-    )
-    cycle = limit_cycle.find_cycle(samples)
-    assert len(cycle) == 401 and cycle[0, 4] > 26.0
-    assert cycle[0, 0] == pytest.approx(-1.0) and cycle[-1, 2] - cycle[0, 2] == pytest.approx(0.08)
+    theta, rate = size * np.sin(phase), size * np.cos(phase)
+    cycle = limit_cycle.find_cycle(np.stack([theta, rate, 0.1 * t, theta, t, t], axis=1))
+    assert len(cycle) == 401
+    assert cycle[0, 4] > 26.0
+    assert cycle[0, 0] == pytest.approx(-1.0)
+    assert cycle[-1, 2] - cycle[0, 2] == pytest.approx(0.08)
 
 
-def test_a_cycle_is_drawn_in_its_units_above_the_phases_of_its_contact():
+@pytest.fixture
+def cycle():
+    """A cycle of 0.8 s that moves forward, rests for half of it, and moves back."""
     phase = 2.0 * np.pi * np.arange(401.0) / 400.0
-    x = 0.01 * np.array([*np.arange(101.0), *[100.0] * 200, *np.arange(99.0, -1.0, -1.0)])
-    cycle = np.stack(
-        [np.sin(phase), 3.0 * np.cos(phase), x, np.cos(phase), 3.0 + phase, np.sin(phase)], axis=1
-    )
+    x = np.interp(phase, np.pi * np.array([0.0, 0.5, 1.5, 2.0]), [0.0, 1.0, 1.0, 0.0])
+    sine, cosine = np.sin(phase), np.cos(phase)
+    return np.stack([sine, 3.0 * cosine, x, cosine, 3.0 + phase, sine], axis=1)
+
+
+def test_the_rows_of_a_figure_of_cycles_are_named(cycle):
     figure = limit_cycle.draw({"one": cycle, "two": cycle[:201]})
-    columns, grey = np.reshape(figure.axes, (5, 2)).T, [0.0, 1.0]
-    units, weight = (
-        ("θ (deg)", "x' (cm/s)", "N / ((M + m) g)", "u (N m)", "θ' (rad/s)"),
-        0.638 * 9.81,
-    )
-    assert [axes.get_ylabel() for axes in columns[0]] == list(units)
-    assert figure.get_supxlabel() and texts(figure.legends[0].texts) == [
-        "slips forward",
-        "sticks",
-        "slips backward",
-    ]
-    colours = [to_hex(limit_cycle.PHASES[sign][1]) for sign in (1, 0, -1)]
-    drawings = ("one", cycle, [0.0, 0.2, 0.6, 0.8]), ("two", cycle[:201], [0.0, 0.2, 0.4])
-    for column, (name, drawn, ends) in zip(columns, drawings, strict=True):
-        t, degrees = 0.002 * np.arange(len(drawn)), np.degrees(drawn[:, 0])
-        for n, values in enumerate(
-            (degrees, 100.0 * drawn[:, 3], drawn[:, 4] / weight, drawn[:, 5])
-        ):
-            assert_lines(column[n], (grey, [float(n == 2)] * 2, MUTED), (t, values, INK))
-            spans = [(span.get_x(), span.get_x() + span.get_width()) for span in column[n].patches]
-            np.testing.assert_allclose(spans, list(pairwise(ends)), atol=1e-12)
-            assert [to_hex(span.get_facecolor()) for span in column[n].patches] == colours[
-                : len(spans)
-            ]
-            assert column[n].get_xlim() == (0.0, t[-1])
-        assert_lines(column[4], (degrees, drawn[:, 1], BLUE))
-        assert [column[0].get_title(), *(each.get_xlabel() for each in column[3:])] == [
-            name,
-            "time (s)",
-            "θ (deg)",
-        ]
+    names = ["θ (deg)", "x' (cm/s)", "N / ((M + m) g)", "u (N m)", "θ' (rad/s)"]
+    assert [axes.get_ylabel() for axes in figure.axes[::2]] == names
+    assert texts(figure.legends[0].texts) == ["slips forward", "sticks", "slips backward"]
+    assert figure.get_supxlabel()
 
 
-def test_current_and_stale_tables_are_found(tmp_path, capsys, refused):
+@pytest.mark.parametrize(
+    ("column", "count", "ends"), [(0, 401, [0.0, 0.2, 0.6, 0.8]), (1, 201, [0.0, 0.2, 0.4])]
+)
+def test_a_cycle_is_drawn_in_its_units_above_the_phases_of_its_contact(cycle, column, count, ends):
+    figure = limit_cycle.draw({"one": cycle, "two": cycle[:201]})
+    *over_time, portrait = figure.axes[column::2]
+    t = 0.002 * np.arange(count)
+    theta, theta_dot, _, x_dot, force, torque = cycle[:count].T
+    weight = 0.638 * 9.81
+    series = np.degrees(theta), 100.0 * x_dot, force / weight, torque
+    colours = [to_hex(limit_cycle.PHASES[sign][1]) for sign in (1, 0, -1)][: len(ends) - 1]
+    for axes, values, level in zip(over_time, series, (0.0, 0.0, 1.0, 0.0), strict=True):
+        assert_lines(axes, ([0.0, 1.0], [level, level], MUTED), (t, values, INK))
+        spans = [(span.get_x(), span.get_x() + span.get_width()) for span in axes.patches]
+        np.testing.assert_allclose(spans, list(pairwise(ends)), atol=1e-12)
+        assert [to_hex(span.get_facecolor()) for span in axes.patches] == colours
+        assert axes.get_xlim() == (0.0, t[-1])
+    assert over_time[0].get_title() == ("one", "two")[column]
+    assert over_time[-1].get_xlabel() == "time (s)"
+    assert_lines(portrait, (np.degrees(theta), theta_dot, BLUE))
+    assert portrait.get_xlabel() == "θ (deg)"
+
+
+def test_current_tables_are_found():
     assert analysis.main(["limit_cycle", "curves", "--check"]) == 0
+
+
+def test_a_stale_table_is_found(tmp_path, capsys):
     assert analysis.main(["curves", "--check", "--output", str(tmp_path)]) == 1
-    assert re.search(
-        r"curves_tables\.md is not up to date: run `python -m", capsys.readouterr().out
-    )
+    message = r"curves_tables\.md is not up to date: run `python -m"
+    assert re.search(message, capsys.readouterr().out)
+
+
+def test_the_output_must_be_a_folder(refused):
     refused(analysis.main, ["curves", "--output", __file__])
 
 
-def test_the_curves_of_a_row_are_those_of_its_runs_and_its_table_their_end():
-    steps = np.arange(1.0, 9.0) * 1e5
-    runs = {seed: (steps, 10.0 + seed - 1e6 / steps) for seed in range(3)}
-    figure = curves.draw_learning({"three": runs, **dict.fromkeys("abcdef", runs)})
-    drawn, _, _, above, _, _, _, empty = figure.axes
-    assert (
-        drawn.get_title() == "three"
-        and not empty.get_visible()
-        and figure.get_supylabel().endswith("(cm/s)")
-    )
-    assert drawn.get_xlim()[0] == drawn.get_ylim()[0] == 0.0
-    seeds = [(x / 1e6, y) for x, y in runs.values()]
-    assert_lines(
-        drawn, *((*each, MUTED) for each in seeds), (*seeds[1], BLUE)
-    )  # the middle one is the mean
-    first, last = (estimate(np.array([[0.0], [1.0], [2.0]]) + start) for start in (0.0, 8.75))
-    band = drawn.collections[0].get_paths()[0].vertices
-    assert (band[:, 1].min(), band[band[:, 0] == 0.8][:, 1].max()) == pytest.approx(
-        (first.low, last.high)
-    )
-    other = curves.draw_learning({"goal": runs}, "time to the goal (s)")
-    assert other.axes[0].get_yscale() == "log" and other.get_supylabel() == "time to the goal (s)"
-    assert (
-        other.axes[0].yaxis.get_major_formatter()(20.0) == "20"
-        and above.xaxis.get_tick_params()["labelbottom"]
-    )
-    cells = table(curves.table({"three": runs, "none": {}}))
-    assert cells[0][2:] == ["steps", "mean speed (cm/s) at the end", "steps to 90 % of that"]
+# Speeds that rise from run to run and with the steps.
+STEPS = np.arange(1.0, 9.0) * 1e5
+RUNS = {seed: (STEPS, 10.0 + seed - 1e6 / STEPS) for seed in range(3)}
+FIRST = estimate(np.array([[0.0], [1.0], [2.0]]))
+LAST = estimate(np.array([[8.75], [9.75], [10.75]]))
+
+
+def test_the_curves_of_a_row_are_those_of_its_runs():
+    figure = curves.draw_learning({"three": RUNS})
+    (axes,) = figure.axes
+    assert axes.get_title() == "three"
+    assert axes.get_xlim()[0] == axes.get_ylim()[0] == 0.0
+    assert figure.get_supylabel().endswith("(cm/s)")
+    seeds = [(steps / 1e6, speeds) for steps, speeds in RUNS.values()]
+    # The middle one is the mean.
+    assert_lines(axes, *((*each, MUTED) for each in seeds), (*seeds[1], BLUE))
+    x, y = axes.collections[0].get_paths()[0].vertices.T
+    assert y.min() == pytest.approx(FIRST.low)
+    assert y[x == 0.8].max() == pytest.approx(LAST.high)
+
+
+def test_places_without_a_row_are_empty():
+    figure = curves.draw_learning(dict.fromkeys("abcdefg", RUNS))
+    _, _, _, above, _, _, _, empty = figure.axes
+    assert not empty.get_visible()
+    assert above.xaxis.get_tick_params()["labelbottom"]
+
+
+def test_curves_of_another_metric_are_logarithmic():
+    figure = curves.draw_learning({"goal": RUNS}, "time to the goal (s)")
+    (axes,) = figure.axes
+    assert axes.get_yscale() == "log"
+    assert axes.yaxis.get_major_formatter()(20.0) == "20"
+    assert figure.get_supylabel() == "time to the goal (s)"
+
+
+def test_the_table_of_a_row_is_the_end_of_its_runs():
+    head, _, row, *_ = table(curves.table({"three": RUNS, "none": {}}))
+    assert head[2:] == ["steps", "mean speed (cm/s) at the end", "steps to 90 % of that"]
+    speed = f"9.75 [{LAST.low:.2f},\N{NO-BREAK SPACE}{LAST.high:.2f}]"
     # 11 - 10 / n reaches 90 % of 9.75 at n = 5.
-    assert cells[2] == [
-        "three",
-        "3",
-        "800,000",
-        f"9.75 [{last.low:.2f},\N{NO-BREAK SPACE}{last.high:.2f}]",
-        "500,000",
-    ]
+    assert row == ["three", "3", "800,000", speed, "500,000"]
 
 
 @dataclass
@@ -156,51 +170,61 @@ class FakeRow:
     speed: float
 
     def score(self, set_name, metric):
-        speeds = self.speed * (1.0 + 0.2 * np.linspace(-1.0, 1.0, 101) ** 3) * np.ones((5, 1))
-        return speeds if metric == curves.SPEED.name else np.where(speeds > 0.0, 2.0, np.inf)
+        episodes = 1.0 + 0.2 * np.linspace(-1.0, 1.0, 101) ** 3
+        speeds = self.speed * episodes * np.ones((5, 1))
+        if metric == curves.SPEED.name:
+            return speeds
+        return np.where(speeds > 0.0, 2.0, np.inf)
 
 
-def test_policies_are_named_at_their_cost_and_speed_without_overlap():
-    rows = [FakeRow(f"direct-{n}", True, 15.0 - 0.01 * n) for n in range(6)]
-    figure = curves.draw_transport([*rows, FakeRow("law", False, 3.0), FakeRow("rest", False, 0.0)])
-    axes = figure.axes[0]
-    marks = [
-        tuple(line.get_xydata()[0])
-        for line in axes.lines
-        if line.get_marker() in "os" and len(line.get_xydata())
-    ]
-    np.testing.assert_allclose(marks, [(2.0, row.speed) for row in rows] + [(2.0, 3.0)], rtol=1e-12)
-    assert texts(axes.texts) == [row.name for row in rows] + ["law"]
+TRAINED = [FakeRow(f"direct-{n}", True, 15.0 - 0.01 * n) for n in range(6)]
+LAW = FakeRow("law", False, 3.0)
+
+
+@pytest.fixture(scope="module")
+def transport():
+    return curves.draw_transport([*TRAINED, LAW, FakeRow("rest", False, 0.0)])
+
+
+def test_policies_are_named_at_their_cost_and_speed_without_overlap(transport):
+    (axes,) = transport.axes
+    lines = [line for line in axes.lines if line.get_marker() in "os" and len(line.get_xydata())]
+    marks = [line.get_xydata()[0] for line in lines]
+    expected = [(2.0, row.speed) for row in (*TRAINED, LAW)]
+    np.testing.assert_allclose(marks, expected, rtol=1e-12)
+    assert texts(axes.texts) == [row.name for row in (*TRAINED, LAW)]
     # A line leads from each name to its mark.
     np.testing.assert_allclose([text.xy for text in axes.texts], marks)
     np.testing.assert_allclose([text.xyann[1] for text in axes.texts], np.arange(13, 0, -2) / 14)
+
+
+def test_axes_and_kinds_of_policies_are_named(transport):
+    (axes,) = transport.axes
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("cost of transport", "mean speed (cm/s)")
-    assert "without a cost: rest." in " ".join(figure.get_supxlabel().split())
-    labels, handles = texts(figure.legends[0].texts), figure.legends[0].legend_handles
-    assert [label.partition(",")[0] for label in labels] == [
-        "dynamic programming",
-        "trained",
-        "scripted",
-    ]
-    assert [each.get_color() for each in handles] == [GREEN, BLUE, INK]
-    # The intervals of trained rows; that of a cost without spread is a point.
-    speed, (front, across, along) = (
-        estimate(rows[0].score("nominal", curves.SPEED.name)),
-        axes.lines[:3],
-    )
+    assert "without a cost: rest." in " ".join(transport.get_supxlabel().split())
+    (legend,) = transport.legends
+    kinds = [label.partition(",")[0] for label in texts(legend.texts)]
+    assert kinds == ["dynamic programming", "trained", "scripted"]
+    assert [handle.get_color() for handle in legend.legend_handles] == [GREEN, BLUE, INK]
+
+
+def test_intervals_are_those_of_trained_policies(transport):
+    front, across, along, *_ = transport.axes[0].lines
+    speed = estimate(TRAINED[0].score("nominal", curves.SPEED.name))
     np.testing.assert_allclose(front.get_xydata(), list(optimal_front()))
+    # That of a cost without spread is a point.
     np.testing.assert_allclose(across.get_xydata(), [[2.0, speed.value]] * 2)
     np.testing.assert_allclose(along.get_xydata(), [[2.0, speed.low], [2.0, speed.high]])
 
 
 def test_tables_and_figures_are_written_and_up_to_date(tmp_path, monkeypatch, capsys):
+    folder = tmp_path / "new"
     made = SimpleNamespace(document=lambda: ({"speeds": "|a|"}, {"one": lambda: new_figure(1.0)}))
     monkeypatch.setattr(analysis, "DOCUMENTS", {"curves": made})
-    assert analysis.main(["--output", str(tmp_path / "new")]) == 0
+    assert analysis.main(["--output", str(folder)]) == 0
     assert capsys.readouterr().out == "Written: curves\n"
-    found = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.*")}
-    assert found == {"new/curves_tables.md", "new/figures/one.png", "new/figures/one.svg"}
-    assert "[start:speeds] -->\n|a|\n" in (tmp_path / "new/curves_tables.md").read_text(
-        encoding="utf-8"
-    )
-    assert analysis.main(["--check", "--output", str(tmp_path / "new")]) == 0
+    found = {path.relative_to(folder).as_posix() for path in folder.rglob("*.*")}
+    assert found == {"curves_tables.md", "figures/one.png", "figures/one.svg"}
+    page = (folder / "curves_tables.md").read_text(encoding="utf-8")
+    assert "[start:speeds] -->\n|a|\n" in page
+    assert analysis.main(["--check", "--output", str(folder)]) == 0

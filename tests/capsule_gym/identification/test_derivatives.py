@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,59 +8,66 @@ from benchmarks.sensitivity import START, draw, errors
 from capsule_gym import Capsule, CapsuleEnv, sensitivity
 from capsule_gym.core import _core
 
-EVERY = (*("M", "mu", "m", "l", "g", "k", "c", "static_ratio", "backward_ratio"),)
-EXTENDED = ("viscous", "stribeck_speed", "slope", "motor_friction")
+PLAIN = Capsule(mu=0.2, static_ratio=1.3, backward_ratio=1.2)
+EXTENDED = replace(PLAIN, viscous=0.3, stribeck_speed=0.2, slope=0.02, motor_friction=0.05)
+_, TORQUES = draw(np.random.default_rng(2))
 
 
 def test_derivatives_through_events_equal_extrapolated_differences():
     found, events = errors(12, seed=3)
-    assert events > 10 and found.max() < 1e-7
+    assert events > 10
+    assert found.max() < 1e-7
 
 
 @pytest.mark.parametrize("level", _core.LEVELS)
 def test_values_have_the_bits_of_the_environment(level, select_level):
     select_level(level)
-    capsule, torques = (
-        Capsule(mu=0.2, static_ratio=1.3),
-        np.float32([0.5, -0.9, 0.9, 0.3, -0.8, 0.6] * 8),
-    )
+    capsule = Capsule(mu=0.2, static_ratio=1.3)
+    torques = np.float32([0.5, -0.9, 0.9, 0.3, -0.8, 0.6] * 8)
     env = CapsuleEnv(capsule=capsule, randomization="none", torque_limit=1.0)
     env.reset(seed=0)
     states = [env.step(np.array([torque]))[4]["state"] for torque in torques]
-    plain = sensitivity((-math.pi / 3, 0.0, 0.0, 0.0), torques.astype(float), (), capsule=capsule)
-    differentiated = sensitivity(
-        (-math.pi / 3, 0.0, 0.0, 0.0), torques.astype(float), capsule=capsule
-    )
+    start = (-math.pi / 3, 0.0, 0.0, 0.0)
+    plain = sensitivity(start, torques.astype(float), (), capsule=capsule)
+    differentiated = sensitivity(start, torques.astype(float), capsule=capsule)
     assert plain.events[-1] > 5
-    assert np.array_equal(plain.states[1:], states) and np.array_equal(
-        plain.states, differentiated.states
-    )
+    assert np.array_equal(plain.states[1:], states)
+    assert np.array_equal(plain.states, differentiated.states)
 
 
-def end(size, name, capsule, state, torques, **periods):
-    """The state at the end of a trajectory, by a change of a constant."""
-    shifted = Capsule(**{**vars(capsule), name: getattr(capsule, name) + size})
-    return sensitivity(state, torques, (), capsule=shifted, **periods).states[-1]
+def central_difference(function, step):
+    """The derivative at 0 by extrapolated central differences."""
+    ends = [function(n * step) for n in (-2.0, -1.0, 1.0, 2.0)]
+    return np.tensordot([1.0, -8.0, 8.0, -1.0], ends, 1) / (12.0 * step)
 
 
-@pytest.mark.parametrize("name", [*EVERY, *EXTENDED, "paper"])
-def test_every_constant_has_its_derivative(name):
-    extended = {"viscous": 0.3, "stribeck_speed": 0.2, "slope": 0.02, "motor_friction": 0.05}
-    capsule = Capsule(
-        mu=0.2, static_ratio=1.3, backward_ratio=1.2, **(extended if name in EXTENDED else {})
-    )
-    if name == "paper":
-        name, capsule = "mu", Capsule(mu=0.2, normal_force="paper")
-    torques = draw(np.random.default_rng(2))[1][:40]
-    slope = sensitivity(START, torques, (name,), capsule=capsule, control_dt=0.01).derivatives[
-        name
-    ][-1]
-    h = 1e-5 * getattr(capsule, name)
-    ends = [
-        end(n * h, name, capsule, START, torques, control_dt=0.01) for n in (-2.0, -1.0, 1.0, 2.0)
-    ]
-    expected = np.array([1.0, -8.0, 8.0, -1.0]) @ ends / (12.0 * h)
-    np.testing.assert_allclose(slope, expected, rtol=1e-5, atol=1e-8)
+def end(capsule, state, torques, **periods):
+    """The state at the end of a trajectory."""
+    return sensitivity(state, torques, (), capsule=capsule, **periods).states[-1]
+
+
+PAPER = Capsule(mu=0.2, normal_force="paper")
+
+
+@pytest.mark.parametrize(
+    ("name", "capsule"),
+    [
+        *((name, PLAIN) for name in ("M", "mu", "m", "l", "g", "k", "c")),
+        *((name, PLAIN) for name in ("static_ratio", "backward_ratio")),
+        *((name, EXTENDED) for name in ("viscous", "stribeck_speed", "slope", "motor_friction")),
+        pytest.param("mu", PAPER, id="paper"),
+    ],
+)
+def test_every_constant_has_its_derivative(name, capsule):
+    torques = TORQUES[:40]
+    value = getattr(capsule, name)
+
+    def shifted(change):
+        return end(replace(capsule, **{name: value + change}), START, torques, control_dt=0.01)
+
+    found = sensitivity(START, torques, (name,), capsule=capsule, control_dt=0.01)
+    expected = central_difference(shifted, 1e-5 * value)
+    np.testing.assert_allclose(found.derivatives[name][-1], expected, rtol=1e-5, atol=1e-8)
 
 
 @pytest.mark.parametrize("name", ["viscous", "slope", "motor_friction", "static_ratio"])
@@ -67,38 +75,53 @@ def test_a_constant_without_effect_has_its_derivative(name):
     """The core skips terms whose factor is 0; with the factor 0 of `static_ratio` the Stribeck
     curve is level."""
     capsule = Capsule(stribeck_speed=0.1)
-    torques, state = draw(np.random.default_rng(2))[1][:6], (-0.3, 0.5, 0.0, 0.2)
+    state = (-0.3, 0.5, 0.0, 0.2)
+    torques = TORQUES[:6]
     slope = sensitivity(state, torques, (name,), capsule=capsule).derivatives[name][-1]
-    expected = (
-        np.array([-3.0, 4.0, -1.0])
-        @ [end(n * 1e-6, name, capsule, state, torques) for n in range(3)]
-        / 2e-6
-    )
+    values = [getattr(capsule, name) + change for change in (0.0, 1e-6, 2e-6)]
+    ends = [end(replace(capsule, **{name: value}), state, torques) for value in values]
+    expected = np.array([-3.0, 4.0, -1.0]) @ ends / 2e-6
     assert abs(slope).max() > 1e-3
     np.testing.assert_allclose(slope, expected, rtol=1e-5, atol=1e-8)
 
 
-def test_torques_and_state_and_no_derivative_by_friction_in_stick():
-    torques = draw(np.random.default_rng(2))[1][:30]
-    found = sensitivity(START, torques, ("torque", "torques", "state"), control_dt=0.01).derivatives
-    np.testing.assert_allclose(found["torques"] @ torques, found["torque"], rtol=1e-12, atol=1e-15)
-    # A torque acts on no earlier state, and x on nothing but itself.
-    assert not np.triu(found["torques"][:, 1]).any()
-    assert np.array_equal(found["state"][0], np.eye(4)) and np.array_equal(
-        found["state"][-1, :, 2], [0, 0, 1, 0]
-    )
+@pytest.fixture(scope="module")
+def by_torques_and_state():
+    names = ("torque", "torques", "state")
+    return sensitivity(START, TORQUES[:30], names, control_dt=0.01).derivatives
+
+
+def test_the_derivative_by_a_factor_is_that_by_all_torques(by_torques_and_state):
+    expected = by_torques_and_state["torques"] @ TORQUES[:30]
+    np.testing.assert_allclose(expected, by_torques_and_state["torque"], rtol=1e-12, atol=1e-15)
+
+
+def test_a_torque_acts_on_no_earlier_state(by_torques_and_state):
+    assert not np.triu(by_torques_and_state["torques"][:, 1]).any()
+
+
+def test_a_position_acts_on_nothing_but_itself(by_torques_and_state):
+    by_state = by_torques_and_state["state"]
+    assert np.array_equal(by_state[0], np.eye(4))
+    assert np.array_equal(by_state[-1, :, 2], [0, 0, 1, 0])
+
+
+def test_derivatives_by_the_state_equal_differences():
     # A platform that sticks loses a velocity of either sign at once.
-    shifted = np.array([-1.0, 0.2, 0.0, 0.0]) + 1e-6 * np.multiply.outer(
-        [-2.0, -1.0, 1.0, 2.0], np.eye(4)
-    )
-    own, plant = [0.3, -0.4] * 9, {"capsule": Capsule(mu=0.2)}
-    ends = [
-        [sensitivity(start, own, (), **plant).states[-1] for start in starts] for starts in shifted
-    ]
-    expected = np.tensordot([1.0, -8.0, 8.0, -1.0], ends, 1).T / 12e-6
-    found = sensitivity([-1.0, 0.2, 0.0, 0.0], own, ("state",), **plant)
-    np.testing.assert_allclose(found.derivatives["state"][-1], expected, rtol=1e-5, atol=1e-6)
-    found = sensitivity(
-        (0.1, 0.0, 0.0, 0.0), [0.0] * 20, ("mu", "static_ratio"), capsule=Capsule(mu=0.5)
-    )
-    assert not found.events.any() and not any(slopes.any() for slopes in found.derivatives.values())
+    start = np.array([-1.0, 0.2, 0.0, 0.0])
+    torques = [0.3, -0.4] * 9
+    capsule = Capsule(mu=0.2)
+
+    def shifted(change):
+        return [end(capsule, start + change * unit, torques) for unit in np.eye(4)]
+
+    found = sensitivity(start, torques, ("state",), capsule=capsule).derivatives["state"]
+    expected = central_difference(shifted, 1e-6).T
+    np.testing.assert_allclose(found[-1], expected, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["mu", "static_ratio"])
+def test_friction_has_no_effect_in_stick(name):
+    found = sensitivity((0.1, 0.0, 0.0, 0.0), [0.0] * 20, (name,), capsule=Capsule(mu=0.5))
+    assert not found.events.any()
+    assert not found.derivatives[name].any()

@@ -1,0 +1,107 @@
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from capsule_gym import CapsuleEnv, Disturbances, Excitation, record
+from tests.capsule_gym.identification.rig import make_env
+
+CONTROL_DT = 0.01
+
+
+@pytest.fixture(scope="module")
+def policies():
+    """Torques, N m, of the same excitation at rest, at an angle, and at a rate."""
+    excitation = Excitation(seed=3, amplitude=0.2, torque_limit=2.0)
+
+    def torques(theta, theta_dot):
+        act = excitation.start()
+        observation = np.float32([theta, theta_dot, 0.0, 0.0, 0.0])
+        return np.concatenate([2.0 * act(observation) for _ in range(4000)])
+
+    return torques(0.0, 0.0), torques(0.1, 0.0), torques(0.0, 1.0)
+
+
+def test_an_excitation_is_a_multisine_of_its_size(policies):
+    rest, _, _ = policies
+    power = np.abs(np.fft.rfft(rest * np.hanning(len(rest)))) ** 2
+    frequencies = np.fft.rfftfreq(len(rest), CONTROL_DT)
+    inside = (frequencies > 0.25) & (frequencies < 8.05)
+    assert np.sqrt(np.mean(rest**2)) == pytest.approx(0.2, rel=0.1)
+    assert power[inside].sum() > 0.999 * power.sum()
+
+
+def test_an_excitation_contains_a_weak_pd_law(policies):
+    rest, leant, swung = policies
+    assert leant - rest == pytest.approx(-0.06, abs=1e-6)
+    assert swung - rest == pytest.approx(-0.04, abs=1e-6)
+
+
+@pytest.mark.parametrize(("theta", "action"), [(9.0, -1.0), (-9.0, 1.0)])
+def test_an_excitation_is_limited(theta, action):
+    assert Excitation().start()(np.float32([theta, 0.0]))[0] == action
+
+
+@pytest.fixture
+def recorded(tmp_path):
+    """The actions of a policy, the log, and its file."""
+    actions = []
+
+    def policy(observation):
+        actions.append(np.float32([0.5 - 0.2 * observation[0]]))
+        return actions[-1]
+
+    path = tmp_path / "log.csv"
+    log = record(make_env(torque_limit=1.0), policy, path, seconds=0.5, seed=0)
+    return actions, log, path
+
+
+def test_a_log_contains_what_happens(recorded):
+    actions, log, _ = recorded
+    assert list(log) == ["t", "torque", "theta", "theta_dot", "x", "x_dot"]
+    assert len(log["t"]) == 50
+    assert np.array_equal(log["torque"], np.ravel(actions).astype(float))
+    states = np.transpose([log[name] for name in list(log)[2:]])
+    env = make_env(torque_limit=1.0)
+    env.reset(seed=0)
+    for action, following in zip(actions, states[1:], strict=False):
+        assert np.array_equal(following, env.step(action)[4]["state"])
+
+
+def test_the_file_contains_the_bits_of_the_log(recorded):
+    _, log, path = recorded
+    read = np.genfromtxt(path, delimiter=",", names=True)
+    for name, column in log.items():
+        assert np.array_equal(read[name], column)
+
+
+def test_an_existing_file_is_not_replaced(recorded):
+    with pytest.raises(ValueError, match="path must be that of a new file"):
+        record(make_env(), path=recorded[-1])
+
+
+def test_an_environment_with_a_controller_raises_an_error():
+    with pytest.raises(ValueError, match="env must be an environment with direct torque"):
+        record(CapsuleEnv(controller="baselines:gait"))
+
+
+TOTAL = {"residual_limit": 0.5, "total_torque": True}
+
+
+@pytest.mark.parametrize(
+    ("action", "torque", "options"),
+    [(0.2, 0.3, TOTAL), (0.9, 0.5, TOTAL), (0.9, 1.5, {"residual_limit": 2.0})],
+)
+def test_the_torque_is_that_of_the_environment(action, torque, options):
+    log = record(make_env(**options), lambda _: np.float32([action]), seconds=CONTROL_DT)
+    assert log["torque"] == pytest.approx([torque])
+
+
+def test_the_torque_is_that_behind_wrappers():
+    env = gym.wrappers.RescaleAction(make_env(), np.float32(0.0), np.float32(1.0))
+    log = record(env, lambda _: np.float32([0.75]), seconds=CONTROL_DT)
+    assert log["torque"] == pytest.approx([0.75])
+
+
+def test_sensors_that_do_not_exist_are_left_out():
+    env = make_env(disturbances=Disturbances(latency=0.01, unmeasured=("x_dot",)))
+    assert list(record(env, seconds=0.1, seed=0)) == ["t", "torque", "theta", "theta_dot"]
