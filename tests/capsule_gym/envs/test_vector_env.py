@@ -334,7 +334,7 @@ def test_one_environment_that_diverges_ends_alone(mode):
 def test_an_interrupted_step_waits_for_its_other_threads():
     simulation, done = CapsuleVectorEnv(130, threads=2).simulation, []
     with pytest.raises(ZeroDivisionError):
-        simulation._share(lambda first, last: done.append(time.sleep(0.1)) if first else 1 // first)
+        simulation._threads.share(lambda first, last: done.append(time.sleep(0.1)) if first else 1 // first)
     assert len(done) == 1
 
 
