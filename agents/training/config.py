@@ -16,8 +16,7 @@ from tyro.conf import Fixed, Suppress
 
 from capsule_gym.checks import check_integer, check_number, prefix_errors
 from capsule_gym.command_line import Count
-from capsule_gym.envs.config import EnvConfig
-from capsule_gym.envs.env import DOCS
+from capsule_gym.envs.config import DOCS, EnvConfig
 from capsule_gym.parameters import Capsule, Randomization
 from capsule_gym.policies.policy import MOST_UNITS
 from capsule_gym.tasks.registry import TASKS

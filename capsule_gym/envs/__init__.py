@@ -1,3 +1,1 @@
-"""The environments: a single one, a batch, and a batch for Stable-Baselines3; their arguments and
-their state.
-"""
+"""The environments, single, as a batch, and for Stable-Baselines3, with their arguments."""

@@ -1,8 +1,10 @@
-"""What follows from the options of an environment: the core describes it
-(`capsule_gym/core/step/contract.hpp`).
+"""What follows from the options of an environment, and the checks of options together.
+
+The core describes what follows (`capsule_gym/core/step/contract.hpp`).
 """
 
 import math
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -24,6 +26,7 @@ from capsule_gym.parameters import (
     Randomization,
 )
 from capsule_gym.tasks.registry import find_task
+from capsule_gym.tasks.task import Task
 
 DEFAULTS = EnvConfig()
 SPEED = find_task(DEFAULTS.task)
@@ -52,8 +55,7 @@ STABLE = 2.6
 
 
 def describe(options: EnvConfig, controller: Controller | None) -> Description:
-    """The settings of the step, the layout, the entries of the observation and the draws, without
-    checks.
+    """The settings, layout, entries of the observation and draws of an environment, unchecked.
 
     Args:
         options: options of the environment.
@@ -63,9 +65,7 @@ def describe(options: EnvConfig, controller: Controller | None) -> Description:
 
 
 def core_options(options: EnvConfig, controller: Controller | None) -> dict[str, float | None]:
-    """The options by the names of the core, `_core.OPTIONS`; those that are not given are missing
-    or None.
-    """
+    """The options by the names of `_core.OPTIONS`; those not given are missing or None."""
     task = find_task(options.task)
     given: dict[str, float | None] = {name: getattr(options, name) for name in NUMBERS}
     given["task"] = task.number
@@ -73,12 +73,9 @@ def core_options(options: EnvConfig, controller: Controller | None) -> dict[str,
         given["task_low"], given["task_high"] = task.draw_range
     if options.initial_range is not None:
         given["initial_theta"], given["initial_theta_dot"] = options.initial_range
-    return {
-        **given,
-        **controller_options(controller),
-        **plant_options(options.capsule or NOMINAL, Randomization.named(options.randomization)),
-        **disturbance_options(Disturbances.named(options.disturbances)),
-    }
+    given |= controller_options(controller)
+    given |= plant_options(options.capsule or NOMINAL, Randomization.named(options.randomization))
+    return given | disturbance_options(Disturbances.named(options.disturbances))
 
 
 def controller_options(controller: Controller | None) -> dict[str, float | None]:
@@ -93,9 +90,7 @@ def controller_options(controller: Controller | None) -> dict[str, float | None]
 
 
 def plant_options(capsule: Capsule, randomization: Randomization) -> dict[str, float | None]:
-    """The constants of the plant and the ranges from which episodes draw them, as options of the
-    core.
-    """
+    """The constants of the plant, and the ranges of drawn ones, as options of the core."""
     given: dict[str, float | None] = {
         "paper_normal_force": capsule.normal_force == "paper",
         "log_mu": randomization.log_mu,
@@ -109,9 +104,7 @@ def plant_options(capsule: Capsule, randomization: Randomization) -> dict[str, f
 
 
 def disturbance_options(disturbances: Disturbances | None) -> dict[str, float | None]:
-    """The disturbances as options of the core; plants that vary draw those of an ideal environment,
-    too.
-    """
+    """The disturbances as options of the core; varied plants draw those of an ideal environment."""
     found = disturbances or Disturbances()
     given: dict[str, float | None] = {
         "disturbed": disturbances is not None,
@@ -134,49 +127,82 @@ def ends(value: float | tuple[float, float]) -> tuple[float, float]:
     return value if isinstance(value, tuple) else (value, value)
 
 
-def check_periods(options: EnvConfig, settings: Settings, *, law: bool) -> None:
-    """Raises a ValueError if the steps of integrator, law and agent do not divide each other, or
-    are too many.
+def check_law_task(controller: Controller | None, task: Task) -> None:
+    """Raises a ValueError if the law is for another task."""
+    if controller is None or controller.task is None:
+        return
+    law_task = find_task(controller.task).name
+    if law_task != task.name:
+        raise ValueError(
+            f"controller must be a law for the task {task.name!r} or for any, "
+            f"got {controller.name!r}, which is for the task {law_task!r}"
+        )
+
+
+def check_options(options: EnvConfig, settings: Settings, *, law: bool) -> None:
+    """Raises a ValueError if options contradict each other, or a plant is too stiff for the step.
+
+    Args:
+        options: options of the environment.
+        settings: the settings that follow from them.
+        law: whether a control law runs inside the step.
     """
-    dt = settings.physics_dt
-    accepted = f"at most {_core.MOST_SUBSTEPS} times physics_dt={dt!r} s"
-    require(
-        options.control_dt / dt <= _core.MOST_SUBSTEPS, "control_dt", accepted, options.control_dt
-    )
-    law_name, step_name = (
-        ("the law's step", "the controller's dt") if law else ("control_dt", "physics_dt")
-    )
-    _check_division(law_name, settings.law_dt, "physics_dt", dt, settings.physics_steps)
-    _check_division(
-        "control_dt", options.control_dt, step_name, settings.law_dt, settings.law_steps
-    )
+    check_periods(options, settings, law=law)
+    noise = options.initial_noise
+    if options.initial_range and noise > 0.0:
+        raise ValueError(f"initial_noise must be 0 where initial_range is given, got {noise}")
+    disturbances = Disturbances.named(options.disturbances) or Disturbances()
+    _, largest_friction = ends(disturbances.motor_friction)
+    randomization = Randomization.named(options.randomization)
+    # The lightest platform on the roughest floor is the stiffest plant.
+    for corner in randomization.corners(options.capsule or NOMINAL):
+        stiffest = replace(corner, motor_friction=corner.motor_friction + largest_friction)
+        check_step(stiffest, corner.M, corner.mu, settings)
+
+
+def check_periods(options: EnvConfig, settings: Settings, *, law: bool) -> None:
+    """Raises a ValueError if the steps of integrator, law and agent do not fit together.
+
+    Each divides the next longer one, at most `_core.MOST_SUBSTEPS` times.
+    """
+    control_dt = options.control_dt
+    physics_dt = settings.physics_dt
+    few = control_dt / physics_dt <= _core.MOST_SUBSTEPS
+    accepted = f"at most {_core.MOST_SUBSTEPS} times physics_dt={physics_dt!r} s"
+    require(few, "control_dt", accepted, control_dt)
+    # Without a law, one step of the law is a step of the agent.
+    law_name = "the law's step" if law else "control_dt"
+    step_name = "the controller's dt" if law else "physics_dt"
+    law_dt = settings.law_dt
+    _check_division(law_name, law_dt, "physics_dt", physics_dt, settings.physics_steps)
+    _check_division("control_dt", control_dt, step_name, law_dt, settings.law_steps)
 
 
 def _check_division(name: str, whole: float, part_name: str, part: float, count: float) -> None:
     """Raises a ValueError if `part` does not fit `count` times into `whole`, both in seconds."""
-    fits = 1 <= count <= _core.MOST_SUBSTEPS and abs(count * part - whole) <= 1e-9 * whole
-    require(
-        fits,
-        part_name,
-        f"{name}={whole!r} s over a whole number, at most {_core.MOST_SUBSTEPS}",
-        part,
-    )
+    possible = 1 <= count <= _core.MOST_SUBSTEPS
+    rounding = 1e-9 * whole
+    divides = possible and abs(count * part - whole) <= rounding
+    accepted = f"{name}={whole!r} s over a whole number, at most {_core.MOST_SUBSTEPS}"
+    require(divides, part_name, accepted, part)
 
 
 def check_step(capsule: Capsule, M: float, mu: float, settings: Settings) -> None:
-    """Raises a ValueError for a plant, with its M in kg and mu, that is too stiff for the
-    integrator's step.
-    """
-    h, rate = settings.physics_dt, capsule.fastest_rate(M, mu)
+    """Raises a ValueError if a plant, with M in kg and mu, is too stiff for the step."""
+    h = settings.physics_dt
+    rate = capsule.fastest_rate(M, mu)
     if rate * h <= STABLE:
         return
-    held, longest = settings.physics_steps * h, STABLE / rate
-    enough = held * rate / STABLE * (1.0 + 1e-9)
-    fits = enough * settings.law_steps < _core.MOST_SUBSTEPS
-    would_do = f"physics_dt={held / math.ceil(enough)!r} would do" if fits else "no step would do"
+    law_dt = settings.physics_steps * h
+    # Steps of the integrator in one of the law; the margin is for rounding.
+    enough = law_dt * rate / STABLE * (1.0 + 1e-9)
+    advice = "no step would do"
+    if enough * settings.law_steps < _core.MOST_SUBSTEPS:
+        advice = f"physics_dt={law_dt / math.ceil(enough)!r} would do"
     raise ValueError(
-        f"physics_dt must be at most {longest:.4g} s for this capsule with M={M:.6g} kg and mu={mu:.6g}, whose fastest "
-        f"rate is {rate:.4g} 1/s: beyond {STABLE} / rate the integrator is unstable; {would_do}, got {h!r} s"
+        f"physics_dt must be at most {STABLE / rate:.4g} s for this capsule with M={M:.6g} kg and "
+        f"mu={mu:.6g}, whose fastest rate is {rate:.4g} 1/s: beyond {STABLE} / rate the integrator "
+        f"is unstable; {advice}, got {h!r} s"
     )
 
 
@@ -184,8 +210,8 @@ def check_step(capsule: Capsule, M: float, mu: float, settings: Settings) -> Non
 def _plant_draws(randomization: Randomization, capsule: Capsule) -> np.ndarray:
     """The lines of the draw table for M and mu."""
     description = describe(EnvConfig(randomization=randomization, capsule=capsule), None)
-    last = description.layout.task_draws
-    return np.array(description.draws[last - 2 : last])
+    end = description.layout.task_draws
+    return np.array(description.draws[end - 2 : end])
 
 
 def draw_plant(
@@ -193,17 +219,22 @@ def draw_plant(
 ) -> tuple[float, float]:
     """Draws M in kg and mu as an episode does."""
     *_, low, width, distribution = _plant_draws(randomization, capsule).T
-    M, mu = evaluate("number_at", rng.random(2), low, width, distribution)[0].tolist()
+    (drawn,) = evaluate("number_at", rng.random(2), low, width, distribution)
+    M, mu = drawn.tolist()
     return M, mu
 
 
 def entries_of(options: EnvConfig) -> dict[str, tuple[float, float]]:
-    """The entries of the observation in order, each with its bounds; those of n steps ago end with
-    their number.
+    """The entries of the observation in order, each with its bounds.
 
-    The controller of the options is not needed, and not imported.
+    The names of entries of n steps ago end with n. The controller of the options is not imported.
     """
-    description = describe(options, None if options.controller is None else NO_CONTROLLER)
+    controller = None if options.controller is None else NO_CONTROLLER
+    return bounds(describe(options, controller))
+
+
+def bounds(description: Description) -> dict[str, tuple[float, float]]:
+    """The bounds of the observation's entries by name, in order."""
     return {name: (low, high) for name, low, high in description.entries}
 
 

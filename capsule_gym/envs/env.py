@@ -1,7 +1,6 @@
 """The Gymnasium environment."""
 
 import math
-import re
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, SupportsFloat, TypeVar
@@ -9,10 +8,11 @@ from typing import Any, SupportsFloat, TypeVar
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from typing_extensions import Unpack
 
 from capsule_gym.checks import check_count, require, short_repr
 from capsule_gym.core.layout import Row
-from capsule_gym.envs.config import RENDER_MODES, EnvConfig
+from capsule_gym.envs.config import RENDER_MODES, EnvConfig, EnvOptions
 from capsule_gym.envs.contract import SPEED
 from capsule_gym.envs.simulation import GOAL_BOUND, Simulation, check_seed
 from capsule_gym.parameters import CONSTANTS, DISTURBANCES
@@ -22,8 +22,11 @@ from capsule_gym.tasks import goal, task
 Value = TypeVar("Value")
 RESET_OPTIONS = ("M", "mu", "state", "changes", "capsule", "disturbances")
 # Constants: looking them up in `Row` and numpy takes a tenth of a step.
-_STATE, _REWARD, _TERMINATION = slice(Row.theta, Row.M), Row.reward, Row.termination
-_ARRAY, _FLOAT32 = np.ndarray, np.dtype(np.float32)
+_STATE = slice(Row.theta, Row.M)
+_REWARD = Row.reward
+_TERMINATION = Row.termination
+_ARRAY = np.ndarray
+_FLOAT32 = np.dtype(np.float32)
 _FIRST = np.zeros(1, np.int64)
 # Entries of a task's info that are places on the floor, m; renderings mark them.
 _PLACES = ("goal", "target")
@@ -32,8 +35,9 @@ _VIEWS = ("_rows", "_state", "_memory", "_reading", "_drawn", "_observe", "_step
 
 
 def goal_reward(env: Any) -> Callable[[Any, Any, Any], Any]:
-    """`capsule_gym.tasks.goal.compute_reward`, only with `goal_env=True`: libraries recognise goal
-    environments by it.
+    """`capsule_gym.tasks.goal.compute_reward`, only with `goal_env=True`.
+
+    Libraries recognise goal environments by this attribute.
     """
     if not env.simulation.options.goal_env:
         raise AttributeError("compute_reward needs goal_env=True")
@@ -170,8 +174,8 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
     ```python
     import gymnasium as gym
 
-    gym.make("capsule_gym:CapsuleStickSlip-v0", controller="baselines:adaptive",
-    randomization="paper") ```
+    env = gym.make("capsule_gym:CapsuleStickSlip-v0", controller="baselines:adaptive")
+    ```
 
     The prefix `capsule_gym:` imports the package, which registers the environment, also in spawned
     and remote workers.
@@ -209,12 +213,13 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 50}  # noqa: RUF012 (as Gymnasium declares it)
     compute_reward = property(goal_reward)
 
-    def __init__(self, *, render_mode: str | None = None, **options: Any) -> None:
+    def __init__(self, *, render_mode: str | None = None, **options: Unpack[EnvOptions]) -> None:
         self.simulation = make_simulation(1, EnvConfig(render_mode=render_mode, **options))
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "render_fps": frames_per_second(self.simulation)}
         self.action_space, self.observation_space = make_spaces(self.simulation)
-        self._running = self._seeded = False
+        self._running = False
+        self._seeded = False
         self._bind()
 
     def __getstate__(self) -> dict[str, Any]:
@@ -226,22 +231,20 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
         self._bind()
 
     def _bind(self) -> None:
-        """Creates views of the only environment, since creating them takes a considerable part of a
-        step.
-        """
-        self._rows = self.simulation.world[0, : Row.steps, 0]
+        """Creates views of the only environment, which take a considerable part of a step."""
+        simulation = self.simulation
+        world = simulation.world[0, :, 0]
+        self._rows = world[: Row.steps]
         self._state = self._rows[_STATE]
         # Further entries of `info` in tasks other than speed.
-        memory = self.simulation.world[0, self.simulation.layout.task :, 0]
-        self._memory = None if self.simulation.task is SPEED else memory
+        self._memory = None if simulation.task is SPEED else world[simulation.layout.task :]
         # Further entries of `info` for varied plants.
-        self._reading = self.simulation.world[0, Row.read_theta : Row.late_theta, 0]
+        self._reading = world[Row.read_theta : Row.late_theta]
         self._bind_drawn()
-        simulation = self.simulation
         self._observe: Callable[[], Any] = simulation.observations[0].copy
         if simulation.options.goal_env:
             self._observe = lambda: {name: part[0] for name, part in simulation.observe().items()}
-        self._step = self.simulation.step_one
+        self._step = simulation.step_one
         self._renderer: Renderer | None = None
 
     def reset(
@@ -261,24 +264,22 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
             ValueError: if the seed is out of range, an option is unknown or out of range, or the
                 control law returned a torque that is not finite.
         """
-        seed = None if seed is None else check_seed(seed)
+        if seed is not None:
+            seed = check_seed(seed)
         super().reset(seed=seed)
         # Reading `np_random` seeds the generator, but not the simulation.
         if seed is not None or not self._seeded:
             self.simulation.seed(0, self.np_random_seed)
             self._seeded = True
-        if options is None:
-            self.simulation.reset(_FIRST)
-        else:
-            task_options = self.simulation.task.option_sizes
-            check_options(options, (*RESET_OPTIONS, *task_options))
-            # One environment is a batch of one.
-            given = {
-                name: [value]
-                for name, value in options.items()
-                if value is not None and name != "state"
-            }
-            self.simulation.reset(_FIRST, state=options.get("state"), **given)
+        task_options = self.simulation.task.option_sizes
+        options = check_options(options, (*RESET_OPTIONS, *task_options))
+        # One environment is a batch of one.
+        given: dict[str, Any] = {
+            name: [value] for name, value in options.items() if value is not None
+        }
+        if "state" in given:
+            given["state"] = options["state"]
+        self.simulation.reset(_FIRST, **given)
         self._bind_drawn()
         self._running = True
         if self.render_mode == "human":
@@ -342,8 +343,7 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
         self._drawn = name_drawn(drawn.tolist()) if self.simulation.settings.varied else ()
 
     def episode_metrics(self, horizon: int | None) -> dict[str, float]:
-        """The metrics of the episode so far: those of `capsule_gym.tasks.task.METRICS`, and those
-        of the task.
+        """The metrics of the episode so far: those of `task.METRICS`, and those of the task.
 
         Args:
             horizon: agent steps of a whole episode, `env.spec.max_episode_steps`, since gymnasium's
@@ -351,13 +351,14 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
                 None, without a limit, takes the elapsed time.
         """
         steps = None if horizon is None else check_count("horizon", horizon)
-        return {
-            name: float(value[0]) for name, value in self.simulation.metrics(_FIRST, steps).items()
-        }
+        metrics = self.simulation.metrics(_FIRST, steps)
+        return {name: float(value[0]) for name, value in metrics.items()}
 
     def render(self) -> np.ndarray | None:
-        """Draws the current state; returns a frame (height, width, 3), uint8, in the mode
-        "rgb_array", else None.
+        """Draws the current state.
+
+        Returns:
+            A frame (height, width, 3), uint8, in the mode "rgb_array", else None.
         """
         if self.render_mode is None:
             gym.logger.warn(
@@ -365,8 +366,7 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
             )
             return None
         if self._renderer is None:
-            capsule, limit = self.simulation.capsule, self.simulation.settings.torque_limit
-            self._renderer = Renderer(capsule, self.render_mode, self.metadata["render_fps"], limit)
+            self._renderer = make_renderer(self)
         return self._renderer.draw(**shown_state(self.simulation, 0))
 
     def close(self) -> None:
@@ -376,26 +376,25 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
             self._renderer = None
 
 
-# The descriptions of the arguments in the table of `CapsuleEnv`.
-DOCS: dict[str, str] = dict(
-    re.findall(r"(?m)^ *\| `(\w+)` \| .* \| (.*) \|$", CapsuleEnv.__doc__ or "")
-)
-
-
 def make_simulation(num_envs: int, config: EnvConfig) -> Simulation:
     """The simulation of an environment; raises an error if the action has no effect."""
     # `Simulation` itself accepts 0, to run a control law alone.
     if config.residual_limit == 0.0:
-        raise ValueError(
-            "residual_limit must be > 0 (N m), got 0.0: the action would have no effect"
-        )
+        message = "residual_limit must be > 0 (N m), got 0.0: the action would have no effect"
+        raise ValueError(message)
     return Simulation(num_envs, config)
 
 
+def make_renderer(env: Any) -> Renderer:
+    """The renderer of a single environment or a batch."""
+    simulation = env.simulation
+    fps = env.metadata["render_fps"]
+    return Renderer(simulation.capsule, env.render_mode, fps, simulation.settings.torque_limit)
+
+
 def frames_per_second(simulation: Simulation) -> float:
-    """The frames per second of real time, one frame per agent step; an int if it is whole, and
-    within what ffmpeg accepts.
-    """
+    """The frames per second of real time, one frame per agent step; an int if it is whole."""
+    # Limits of what ffmpeg accepts.
     fps = min(max(1.0 / simulation.options.control_dt, 0.01), 1000.0)
     return round(fps) if math.isclose(fps, round(fps)) else fps
 
@@ -406,10 +405,11 @@ def describe(values: Any, state: np.ndarray, termination: Any) -> dict[str, Any]
     `values` are the rows of `Row` before `steps`: a list of floats for one environment, shape
     (rows, num_envs) for a batch, with the state of shape (num_envs, 4) and the terminations, int64.
     """
+    # Unpacking and a literal: with subscripts or a dict of pairs a step takes a sixth longer.
     (
-        _,
-        _,
-        _,
+        _theta,
+        _theta_dot,
+        _x,
         x_dot,
         M,
         mu,
@@ -421,20 +421,30 @@ def describe(values: Any, state: np.ndarray, termination: Any) -> dict[str, Any]
         energy_cost,
         penalty,
         cost,
-        _,
-        _,
+        _reward,
+        _termination,
     ) = values
-    # A literal takes a third of the time of a dict from pairs: a step takes a sixth less.
     return {
-        "state": state, "stick": x_dot == 0.0, "M": M, "mu": mu, "torque": torque, "law_torque": law_torque,
-        "normal_force": normal_force, "energy": energy, "reward_progress": progress, "reward_energy": energy_cost,
-        "reward_termination": penalty, "termination": termination, "cost": cost,
-    }  # fmt: skip
+        "state": state,
+        "stick": x_dot == 0.0,
+        "M": M,
+        "mu": mu,
+        "torque": torque,
+        "law_torque": law_torque,
+        "normal_force": normal_force,
+        "energy": energy,
+        "reward_progress": progress,
+        "reward_energy": energy_cost,
+        "reward_termination": penalty,
+        "termination": termination,
+        "cost": cost,
+    }
 
 
 def add_task(info: dict[str, Any], current: task.Task, memory: Any) -> None:
-    """Adds the entries of a task other than speed to an info; `memory` is a list, or the rows of a
-    batch.
+    """Adds the entries of a task other than speed to an info.
+
+    `memory` is the task's memory: a list, or the rows of a batch.
     """
     info[current.term] = info.pop("reward_progress")
     for name, place in current.places:
@@ -442,33 +452,34 @@ def add_task(info: dict[str, Any], current: task.Task, memory: Any) -> None:
 
 
 def name_drawn(drawn: Sequence[Value]) -> tuple[dict[str, Value], dict[str, Value]]:
-    """The constants of the plant and the disturbances by their names, from the rows `drawn_m` to
-    `push` of `Row`.
-    """
+    """The drawn constants of the plant and disturbances, from the rows `drawn_m` to `push`."""
     constants = dict(zip(CONSTANTS, drawn, strict=False))
-    return constants, dict(zip(DISTURBANCES, drawn[len(CONSTANTS) :], strict=True))
+    disturbances = dict(zip(DISTURBANCES, drawn[len(CONSTANTS) :], strict=True))
+    return constants, disturbances
 
 
 def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Space[Any]]:
     """The action and the observation space of one environment."""
+    action = spaces.Box(-1.0, 1.0, (1,), np.float32)
     low, high = np.array(list(simulation.entries.values()), np.float32).T
-    action, observation = (
-        spaces.Box(-1.0, 1.0, (1,), np.float32),
-        spaces.Box(low, high, dtype=np.float32),
-    )
+    observation = spaces.Box(low, high, dtype=np.float32)
     if not simulation.options.goal_env:
         return action, observation
-    goals = {
-        name: spaces.Box(-GOAL_BOUND, GOAL_BOUND, (2,), np.float64)
-        for name in ("achieved_goal", "desired_goal")
+    goal = partial(spaces.Box, -GOAL_BOUND, GOAL_BOUND, (2,), np.float64)
+    parts: dict[str, spaces.Space[Any]] = {
+        "observation": observation,
+        "achieved_goal": goal(),
+        "desired_goal": goal(),
     }
-    return action, spaces.Dict({"observation": observation, **goals})
+    return action, spaces.Dict(parts)
 
 
 def as_actions(actions: Any) -> np.ndarray | None:
     """Actions as contiguous float32, or None if they are not numbers."""
     try:
-        return None if np.iscomplexobj(actions) else np.asarray(actions, np.float32, order="C")
+        if np.iscomplexobj(actions):
+            return None
+        return np.asarray(actions, np.float32, order="C")
     except (TypeError, ValueError, OverflowError):
         return None
 
@@ -490,5 +501,6 @@ def shown_state(simulation: Simulation, i: int) -> dict[str, Any]:
     found["time"] = row[Row.duration]
     for name, place in simulation.task.places:
         if name in _PLACES:
-            found["ghost"] = name, 0.0, row[simulation.layout.task + place]
+            position = row[simulation.layout.task + place]
+            found["ghost"] = (name, 0.0, position)
     return found

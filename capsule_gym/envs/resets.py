@@ -1,13 +1,11 @@
-"""The start of an episode: given values, which replace the draws of the core
-(`capsule_gym/core/step/resets.hpp`).
-"""
+"""The start of an episode: given values replace the draws of `core/step/resets.hpp`."""
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from capsule_gym.checks import check_number, short_repr
+from capsule_gym.checks import check_number, require, short_repr
 from capsule_gym.core import _core
 from capsule_gym.core.layout import Description
 from capsule_gym.parameters import CONSTANTS, DISTURBANCES, Disturbances
@@ -24,8 +22,7 @@ def make_key(seed: int) -> tuple[int, int]:
 
 
 def random_stream(seed: int, episode: int, stream: str) -> np.random.Generator:
-    """The random numbers of one purpose in one episode of one environment, counted since its
-    seeding.
+    """The random numbers of one purpose in one episode of one environment.
 
     A counter-based generator needs no state between episodes, and an environment draws the same
     numbers alone and in a batch.
@@ -57,16 +54,16 @@ def write_options(
         ValueError: if a value is out of range.
     """
     layout = description.layout
-    first = layout.task_draws
+    row = layout.task_draws
     for name, count in task.option_sizes.items():
         for n, value in enumerate(options.get(name, ())):
-            drawn[first : first + count, n] = task.parse(name, value)
-        first += count
+            drawn[row : row + count, n] = task.parse(name, value)
+        row += count
     for n, values in enumerate(options.get("capsule", ())):
         for name, number in _check_values("capsule", values, CONSTANT_LIMITS).items():
             drawn[layout.constant_draws + CONSTANTS.index(name), n] = number
+    limits = {**DISTURBANCE_LIMITS, "latency": (0.0, description.settings.longest_latency)}
     for n, values in enumerate(options.get("disturbances", ())):
-        limits = {**DISTURBANCE_LIMITS, "latency": (0.0, description.settings.longest_latency)}
         for name, number in _check_values("disturbances", values, limits).items():
             drawn[layout.disturbance_draws + DISTURBANCES.index(name), n] = number
 
@@ -75,38 +72,34 @@ def _check_values(
     option: str, values: Any, limits: dict[str, tuple[float, float]]
 ) -> dict[str, float]:
     """The numbers of a dict in a reset option, by names with these limits."""
+    option = f"options[{option!r}]"
     accepted = f"a dict with keys out of {tuple(limits)}"
-    if not isinstance(values, dict) or set(values) - set(limits):
-        error = ValueError if isinstance(values, dict) else TypeError
-        raise error(f"options[{option!r}] must be {accepted}, got {short_repr(values)}")
+    require(isinstance(values, dict), option, accepted, values, TypeError)
+    require(set(values) <= set(limits), option, accepted, values)
     numbers: dict[str, float] = {}
     for name, value in values.items():
         low, high = limits[name]
-        whose = f"options[{option!r}][{name!r}]"
+        whose = f"{option}[{name!r}]"
         number = check_number(whose, value, f"a number from {low:g} to {high:g}", low, high)
         numbers[name] = check_divisor(name, whose, number)
     return numbers
 
 
 def check_state(name: str, state: Any, count: int) -> np.ndarray:
-    """The states of `count` episodes as float64, shape (count, 4), from one for each or one for
-    all.
-    """
-    _, *rest = LARGEST_STATE
-    accepted = (
-        "|theta| < pi/2, |theta_dot| <= {:g} rad/s, |x| <= {:g} m and |x_dot| <= {:g} m/s".format(
-            *rest
-        )
-    )
-    message = (
-        f"{name} must be [theta, theta_dot, x, x_dot] with {accepted}, got {short_repr(state)}"
-    )
+    """The states of episodes, float64, shape (count, 4), from one for each or one for all."""
+    _, theta_dot, x, x_dot = LARGEST_STATE
+    limits = f"|theta_dot| <= {theta_dot:g} rad/s, |x| <= {x:g} m and |x_dot| <= {x_dot:g} m/s"
+    accepted = f"[theta, theta_dot, x, x_dot] with |theta| < pi/2, {limits}"
+    message = f"{name} must be {accepted}, got {short_repr(state)}"
     try:
         array = np.asarray(state, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise (ValueError if isinstance(error, OverflowError) else TypeError)(message) from None
+    except OverflowError:
+        raise ValueError(message) from None
+    except (TypeError, ValueError):
+        raise TypeError(message) from None
     if array.shape not in ((4,), (count, 4)):
         raise ValueError(f"{message} of shape {array.shape}")
-    if not ((np.abs(array) <= LARGEST_STATE).all() and (np.abs(array[..., 0]) < THETA_LIMIT).all()):
+    sizes = np.abs(array)
+    if not (sizes <= LARGEST_STATE).all() or not (sizes[..., 0] < THETA_LIMIT).all():
         raise ValueError(message)
     return np.broadcast_to(array, (count, 4))

@@ -1,8 +1,7 @@
-"""The native batch as a `VecEnv` of Stable-Baselines3, the only module that needs that library
-(extra `sb3`).
+"""The native batch as a `VecEnv` of Stable-Baselines3.
 
-A model saved with `AsymmetricPolicy` loads wherever this package and Stable-Baselines3 are
-installed.
+This is the only module that needs that library (extra `sb3`). A model saved with `AsymmetricPolicy`
+loads wherever this package and Stable-Baselines3 are installed.
 """
 
 from collections.abc import Sequence
@@ -30,9 +29,8 @@ try:
     )
     from torch import Tensor, nn
 except ImportError as error:
-    raise ImportError(
-        'capsule_gym.sb3 needs Stable-Baselines3: pip install "capsule-gym[sb3]"'
-    ) from error
+    message = 'capsule_gym.sb3 needs Stable-Baselines3: pip install "capsule-gym[sb3]"'
+    raise ImportError(message) from error
 
 # A critic observes the logarithm of mu, which may be 0.
 LEAST_MU = 1e-3
@@ -73,26 +71,27 @@ class CapsuleSB3VecEnv(VecEnv):
         self.batch = CapsuleVectorEnv(
             num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **env_kwargs
         )
-        goal_env = self.batch.simulation.options.goal_env
-        require(not (privileged and goal_env), "privileged", "False with goal_env=True", privileged)
+        simulation = self.batch.simulation
+        self._goals = simulation.options.goal_env
+        fits = not (self.privileged and self._goals)
+        require(fits, "privileged", "False with goal_env=True", privileged)
         self._actions: np.ndarray | None = None
         # Creating empty infos at every step takes longer than what SB3 does with them.
-        self._no_infos: list[dict[str, Any]] = [{} for _ in range(self.batch.num_envs)]
+        self._no_infos: list[dict[str, Any]] = [{} for _ in range(num_envs)]
         self._returns = np.zeros(num_envs)
         self._lengths = np.zeros(num_envs, np.int64)
         space: gym.spaces.Space[Any] = self.batch.single_observation_space
         if self.privileged:
-            simulation = self.batch.simulation
             disturbed = Disturbances.named(simulation.options.disturbances) or Disturbances()
-            # The names in `info` of what episodes draw besides M and mu.
-            self._drawn = {
-                "capsule": simulation.randomization.drawn,
-                "disturbances": [
-                    name for name in DISTURBANCES if isinstance(getattr(disturbed, name), tuple)
-                ],
-            }
+            self._drawn_constants = simulation.randomization.drawn
+            ranges = {name: getattr(disturbed, name) for name in DISTURBANCES}
+            self._drawn_disturbances = [
+                name for name, value in ranges.items() if isinstance(value, tuple)
+            ]
             self._reads = simulation.settings.agent_reads
-            entries = (3 if self._reads else 0) + 2 + sum(map(len, self._drawn.values()))
+            entries = 2 + len(self._drawn_constants) + len(self._drawn_disturbances)
+            if self._reads:
+                entries += 3
             critic = gym.spaces.Box(-np.inf, np.inf, (entries,), np.float32)
             space = gym.spaces.Dict({"policy": space, "critic": critic})
         super().__init__(num_envs, space, self.batch.single_action_space)
@@ -100,8 +99,7 @@ class CapsuleSB3VecEnv(VecEnv):
             self.seed(check_seed(seed, count=num_envs))
 
     def reset(self) -> VecEnvObs:
-        """Begins a new episode in every environment, with the options of `set_options`; returns the
-        observations.
+        """Begins new episodes with the options of `set_options`; returns the observations.
 
         Raises:
             ValueError: if the options of the environments have different keys, or an option is
@@ -125,7 +123,8 @@ class CapsuleSB3VecEnv(VecEnv):
         if not self.privileged:
             return observations
         columns = [info["M"], np.log(np.maximum(info["mu"], LEAST_MU))]
-        columns += [info[key][name] for key, names in self._drawn.items() for name in names]
+        columns += [info["capsule"][name] for name in self._drawn_constants]
+        columns += [info["disturbances"][name] for name in self._drawn_disturbances]
         if self._reads:
             theta, theta_dot, _, x_dot = info["state"].T
             columns += [theta, theta_dot, x_dot]
@@ -142,36 +141,30 @@ class CapsuleSB3VecEnv(VecEnv):
         dones = terminated | truncated
         self._returns += rewards
         self._lengths += 1
-        infos = self._no_infos
-        if self.batch.simulation.options.goal_env:
-            last, infos = (
-                info["final_info"] if dones.any() else info,
-                [{} for _ in range(self.num_envs)],
-            )
-            for name in ("reward_energy", "reward_termination"):
-                for own, value in zip(infos, np.where(dones, last[name], info[name]), strict=True):
-                    own[name] = float(value)
+        infos = self._goal_infos(info, dones) if self._goals else self._no_infos
         if dones.any():
             infos = infos.copy()
+            last = self._with_critic(info["final_obs"], info["final_info"])
             metrics = info["final_info"]["metrics"]
-            final = self._with_critic(info["final_obs"], info["final_info"])
-            for i in np.flatnonzero(dones):
-                last = (
-                    {name: part[i] for name, part in final.items()}
-                    if isinstance(final, dict)
-                    else final[i]
-                )
-                infos[i] = infos[i] | {
-                    "terminal_observation": last,
+            names = [name for name in metrics if not name.startswith("_")]
+            for i in np.flatnonzero(dones).tolist():
+                infos[i] = {
+                    **infos[i],
+                    "terminal_observation": _row(last, i),
                     "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
                     "episode": {"r": float(self._returns[i]), "l": int(self._lengths[i])},
-                    "metrics": {
-                        name: float(values[i]) for name, values in metrics.items() if name[0] != "_"
-                    },
+                    "metrics": {name: float(metrics[name][i]) for name in names},
                 }
             self._returns[dones] = 0.0
             self._lengths[dones] = 0
         return self._with_critic(observations, info), rewards.astype(np.float32), dones, infos
+
+    def _goal_infos(self, info: dict[str, Any], dones: np.ndarray) -> list[dict[str, Any]]:
+        """The terms of the rewards that do not depend on the goal, for each environment."""
+        last = info["final_info"] if dones.any() else info
+        names = ("reward_energy", "reward_termination")
+        terms = [np.where(dones, last[name], info[name]).tolist() for name in names]
+        return [dict(zip(names, values, strict=True)) for values in zip(*terms, strict=True)]
 
     def close(self) -> None:
         """Ends the threads of the batch."""
@@ -183,7 +176,7 @@ class CapsuleSB3VecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """The attribute of the batch, once per requested environment."""
-        return [getattr(self.batch, attr_name)] * len(list(self._get_indices(indices)))
+        return [getattr(self.batch, attr_name)] * self._count(indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Raises an AttributeError, since the environments of a batch share their settings."""
@@ -194,13 +187,12 @@ class CapsuleSB3VecEnv(VecEnv):
     def env_method(
         self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
     ) -> list[Any]:
-        """Calls `compute_reward`; other methods raise an AttributeError: a batch has no separate
-        environments.
+        """Calls `compute_reward`; other methods raise an AttributeError.
+
+        A batch has no separate environments.
         """
         if method_name == "compute_reward":
-            return [self.batch.compute_reward(*args, **kwargs)] * len(
-                list(self._get_indices(indices))
-            )
+            return [self.batch.compute_reward(*args, **kwargs)] * self._count(indices)
         raise AttributeError(
             f"cannot call {method_name!r} of one environment: call it of the attribute `batch`"
         )
@@ -208,10 +200,19 @@ class CapsuleSB3VecEnv(VecEnv):
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper], indices: VecEnvIndices = None
     ) -> list[bool]:
-        """False except for `Monitor`, whose infos a batch contains: with True, SB3 evaluates whole
-        episodes.
-        """
-        return [wrapper_class is Monitor] * len(list(self._get_indices(indices)))
+        """False except for `Monitor`: then SB3 evaluates whole episodes, which infos contain."""
+        return [wrapper_class is Monitor] * self._count(indices)
+
+    def _count(self, indices: VecEnvIndices) -> int:
+        """The number of requested environments."""
+        return len(list(self._get_indices(indices)))
+
+
+def _row(observations: Any, i: int) -> Any:
+    """The observation of environment i from an array or a dict of arrays."""
+    if isinstance(observations, dict):
+        return {name: part[i] for name, part in observations.items()}
+    return observations[i]
 
 
 class FixedScale(RunningMeanStd):
@@ -247,8 +248,7 @@ class _Last(nn.Module):
 
 
 class AsymmetricPolicy(MultiInputActorCriticPolicy):
-    """A policy of SB3's `PPO` for `CapsuleSB3VecEnv(privileged=True)`, whose critic sees more than
-    its actor.
+    """A policy of SB3's `PPO` whose critic sees more: for `CapsuleSB3VecEnv(privileged=True)`.
 
     The actor takes the observation "policy", the critic that and the observation "critic" (Pinto et
     al., "Asymmetric actor critic for image-based robot learning", 2018). `predict` also takes both,

@@ -1,12 +1,9 @@
 """The simulation of N environments, which `CapsuleEnv` and `CapsuleVectorEnv` share."""
 
 import math
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
 from functools import partial
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -17,25 +14,10 @@ from capsule_gym.control.lookup import find_controller
 from capsule_gym.control.user_law import bind_user_law
 from capsule_gym.core import _core, native
 from capsule_gym.core.layout import LANES, Row
-from capsule_gym.envs import resets
+from capsule_gym.envs import contract, resets
 from capsule_gym.envs.config import EnvConfig
-from capsule_gym.envs.contract import (
-    DEFAULTS,
-    NO_CONTROLLER,
-    as_arrays,
-    check_periods,
-    check_step,
-    describe,
-    ends,
-)
-from capsule_gym.parameters import (
-    CONSTANTS,
-    DISTURBANCES,
-    NOMINAL,
-    Capsule,
-    Disturbances,
-    Randomization,
-)
+from capsule_gym.envs.threads import Threads
+from capsule_gym.parameters import CONSTANTS, DISTURBANCES, NOMINAL, Capsule, Randomization
 from capsule_gym.parameters.limits import LARGEST
 from capsule_gym.tasks import task
 from capsule_gym.tasks.registry import find_task
@@ -82,82 +64,43 @@ class Simulation:
         ValueError: if an option is out of range.
     """
 
-    def __init__(self, num_envs: int, options: EnvConfig = DEFAULTS) -> None:
+    def __init__(self, num_envs: int, options: EnvConfig = contract.DEFAULTS) -> None:
         self.num_envs = check_count("num_envs", num_envs, MOST_ENVS)
         self.options = options
         self.capsule = options.capsule or NOMINAL
         self.randomization = Randomization.named(options.randomization)
         self.controller = find_controller(options.controller)
         self.task = find_task(options.task)
-        if (
-            self.controller
-            and self.controller.task
-            and find_task(self.controller.task).name != self.task.name
-        ):
-            raise ValueError(
-                f"controller must be a law for the task {self.task.name!r} or for any, got {self.controller.name!r}, "
-                f"which is for the task {find_task(self.controller.task).name!r}"
-            )
-        self._description = describe(options, self.controller)
+        contract.check_law_task(self.controller, self.task)
+        self._description = contract.describe(options, self.controller)
         self.settings = self._description.settings
         self.layout = self._description.layout
-        check_periods(options, self.settings, law=self.controller is not None)
-        if options.initial_range and options.initial_noise > 0.0:
-            raise ValueError(
-                f"initial_noise must be 0 where initial_range is given, got {options.initial_noise}"
-            )
-        disturbed = Disturbances.named(options.disturbances) or Disturbances()
-        # The lightest platform on the roughest floor is the stiffest plant.
-        for corner in self.randomization.corners(self.capsule):
-            stiffest = replace(
-                corner, motor_friction=corner.motor_friction + ends(disturbed.motor_friction)[1]
-            )
-            check_step(stiffest, corner.M, corner.mu, self.settings)
+        self.entries = contract.bounds(self._description)
+        contract.check_options(options, self.settings, law=self.controller is not None)
         self.lanes = 1 if self.num_envs == 1 else LANES
-        blocks = -(-self.num_envs // self.lanes)
-        self.entries = {name: (low, high) for name, low, high in self._description.entries}
-        try:
-            self.world = native.aligned_zeros((blocks, self.layout.rows, self.lanes))
-            self.observations = np.zeros((self.num_envs, len(self.entries)), np.float32)
-        except MemoryError as error:
-            raise ValueError(
-                f"num_envs must fit into memory, got {self.num_envs}: {error}"
-            ) from None
-        self._keys = np.zeros((self.num_envs, 2), np.uint64)
-        self._episodes = np.zeros(self.num_envs, np.int64)
+        self._allocate()
         # Whether `Row.active` is 1 everywhere.
         self._everyone = False
         self.resets = 0
-        # Each thread has whole blocks, so that two threads never write to the same block.
-        count = min(options.threads, blocks)
-        edges = [min(self.num_envs, self.lanes * (blocks * n // count)) for n in range(count + 1)]
-        self._ranges = list(pairwise(edges))
-        self._pool: ThreadPoolExecutor | None = None
-        # The process that owns the threads.
-        self._owner = os.getpid()
+        self._threads = Threads(self.num_envs, self.lanes, options.threads)
         self._bind()
 
     def __getstate__(self) -> dict[str, Any]:
         """The state of the episodes, without code and threads."""
-        return {
-            name: getattr(self, name)
-            for name in ("num_envs", "options", "_changes", *COPIED_ATTRIBUTES)
-        }
+        names = ("num_envs", "options", "_changes", *COPIED_ATTRIBUTES)
+        return {name: getattr(self, name) for name in names}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         options = state["options"]
         # A function that returns the controller may return another one the second time: a copy
         # passes its own.
-        Simulation.__init__(
-            self,
-            state["num_envs"],
-            replace(options, controller=state.get("controller", options.controller)),
-        )
+        controller = state.get("controller", options.controller)
+        Simulation.__init__(self, state["num_envs"], replace(options, controller=controller))
         self.options = options
         if self.world.shape != state["world"].shape:
             raise ValueError(
-                f"controller={options.controller!r} must be as it was when the simulation was pickled, with as "
-                f"much memory and as many columns of the reference"
+                f"controller={options.controller!r} must be as it was when the simulation was "
+                "pickled, with as much memory and as many columns of the reference"
             )
         for name in COPIED_ATTRIBUTES:
             getattr(self, name)[...] = state[name]
@@ -168,29 +111,30 @@ class Simulation:
         twin.__setstate__({**self.__getstate__(), "controller": self.controller})
         return twin
 
+    def _allocate(self) -> None:
+        """Allocates the arrays of the episodes.
+
+        A MemoryError becomes a ValueError for `num_envs`.
+        """
+        blocks = -(-self.num_envs // self.lanes)
+        try:
+            self.world = native.aligned_zeros((blocks, self.layout.rows, self.lanes))
+            self.observations = np.zeros((self.num_envs, len(self.entries)), np.float32)
+        except MemoryError as error:
+            message = f"num_envs must fit into memory, got {self.num_envs}: {error}"
+            raise ValueError(message) from None
+        self._keys = np.zeros((self.num_envs, 2), np.uint64)
+        self._episodes = np.zeros(self.num_envs, np.int64)
+
     def _bind(self) -> None:
         """Binds the arrays and the law to the core."""
-        acting = self.controller or NO_CONTROLLER
-        self.reference, self.memory = acting.reference, acting.memory
+        acting = self.controller or contract.NO_CONTROLLER
+        self.reference = acting.reference
+        self.memory = acting.memory
         # The environments that begin, and what their episodes draw.
         self._rows = np.zeros(self.num_envs, np.int64)
         self._drawn = np.zeros((self.layout.draws, self.num_envs))
-        # Exceptions of a law that Python calls.
-        self._raised: list[Exception] = []
-        if isinstance(acting.law, CoreLaw):
-            law = {
-                "law": acting.law.number,
-                "law_constants": np.array([*acting.law.constants, 0.0]),
-            }
-        else:
-            observed = Row.read_theta if self.settings.law_reads else Row.theta
-            law = {
-                "law": len(_core.LAWS),
-                **bind_user_law(acting, self.lanes, observed, self._raised),
-            }
         self.fields: dict[str, Any] = {
-            **law,
-            **as_arrays(self._description),
             "world": self.world,
             "num_envs": self.num_envs,
             "lanes": self.lanes,
@@ -204,7 +148,10 @@ class Simulation:
             "rows": self._rows,
             "drawn": self._drawn,
         }
-        self._fields = np.array(native.addressed(self.fields.get(name, 0) for name in _core.BATCH))
+        self.fields |= contract.as_arrays(self._description)
+        self.fields |= self._law_fields()
+        values = [self.fields.get(name, 0) for name in _core.BATCH]
+        self._fields = np.array(native.addressed(values))
         self._batch = native.address(self._fields)
         self._set_changes(np.zeros((0, 4)))
         # Looking the arguments up each time takes a tenth of a step.
@@ -213,14 +160,24 @@ class Simulation:
         # `run`.
         self.step_one = partial(_core.call_locked, "step_one", self._batch)
 
+    def _law_fields(self) -> dict[str, Any]:
+        """The fields of the core's `Batch` that follow from the law."""
+        # Exceptions of a law that Python calls.
+        self._raised: list[Exception] = []
+        acting = self.controller or contract.NO_CONTROLLER
+        if isinstance(acting.law, CoreLaw):
+            constants = np.array([*acting.law.constants, 0.0])
+            return {"law": acting.law.number, "law_constants": constants}
+        observed = Row.read_theta if self.settings.law_reads else Row.theta
+        user_law = bind_user_law(acting, self.lanes, observed, self._raised)
+        return {"law": len(_core.LAWS), **user_law}
+
     def row(self, row: int) -> np.ndarray:
         """A copy of one quantity of every environment, shape (num_envs,)."""
         return self.world[:, row].flatten()[: self.num_envs]
 
     def rows(self, first: int, last: int) -> np.ndarray:
-        """A copy of the quantities first..last-1 of every environment, shape (last - first,
-        num_envs).
-        """
+        """A copy of the rows first..last-1 of every environment, (last - first, num_envs)."""
         part = self.world[:, first:last].transpose(1, 0, 2)
         return np.array(part, order="C").reshape(last - first, -1)[:, : self.num_envs]
 
@@ -262,53 +219,64 @@ class Simulation:
             ValueError: if a value is out of range, or the law returned a torque that is not finite.
             IndexError: if there is no such environment.
         """
-        for name in ("capsule", "disturbances"):
-            # An empty dict sets nothing.
-            given = any(not isinstance(value, dict) or value for value in options.get(name, ()))
-            if given and not self.settings.varied:
-                raise ValueError(
-                    f"options[{name!r}] needs an environment with disturbances other than 'none', or with a "
-                    "Randomization of constants besides M and mu"
-                )
+        self._check_varied(options)
         count = len(rows)
-        fits = count <= self.num_envs
-        if fits:
-            self._rows[:count] = rows
-        if not fits or _core.call("draw_episodes", self._batch, count) >= 0:
-            accepted = f"rows must be indices of environments, from 0 to {self.num_envs - 1}, each at most once"
-            raise IndexError(f"{accepted}, got {short_repr(rows.tolist())}")
+        self._draw(rows)
         drawn = self._drawn[:, :count]
         resets.write_options(drawn, options, self.task, self._description)
-        starts = drawn[: self.layout.task_draws]
         changes: list[tuple[int, float, float, float]] = []
-        if (
-            M is not None
-            or mu is not None
-            or any(map(options.get, ("changes", "capsule", "disturbances")))
-        ):
-            masses = starts[Row.M].tolist() if M is None else M
-            frictions = starts[Row.mu].tolist() if mu is None else mu
+        plant_options = map(options.get, ("changes", "capsule", "disturbances"))
+        if M is not None or mu is not None or any(plant_options):
+            masses = drawn[Row.M].tolist() if M is None else M
+            frictions = drawn[Row.mu].tolist() if mu is None else mu
             schedules = options.get("changes", [()] * count)
-            for n, (mass, friction, schedule) in enumerate(
-                zip(masses, frictions, schedules, strict=True)
-            ):
-                capsule = self._episode_capsule(drawn[self.layout.constant_draws :, n].tolist())
+            capsules = map(self._episode_capsule, drawn[self.layout.constant_draws :].T.tolist())
+            given = zip(rows.tolist(), masses, frictions, capsules, schedules, strict=True)
+            for row, mass, friction, capsule, schedule in given:
                 self._check_plant(mass, friction, capsule)
-                changes += [(int(rows[n]), *change) for change in self._schedule(schedule, capsule)]
-            starts[Row.M], starts[Row.mu] = masses, frictions
+                changes += [(row, *change) for change in self._schedule(schedule, capsule)]
+            drawn[Row.M] = masses
+            drawn[Row.mu] = frictions
         if state is not None:
-            starts[: Row.M] = resets.check_state("options['state']", state, count).T
+            drawn[: Row.M] = resets.check_state("options['state']", state, count).T
 
         # Nothing above changes the environments, so a reset that raises an error leaves them
         # unchanged.
         if changes or len(self._changes):
-            others = self._changes[~np.isin(self._changes[:, 0], rows)]
-            merged = np.concatenate([others, np.reshape(changes, (-1, 4))])
+            kept = self._changes[~np.isin(self._changes[:, 0], rows)]
+            merged = np.concatenate([kept, np.reshape(changes, (-1, 4))])
             self._set_changes(merged[np.argsort(merged[:, 0], kind="stable")])
         _core.call("begin_episodes", self._batch, count)
         self._everyone = False
         self.resets += 1
         self.run(lambda first, last: self._advance(first, last, True))
+
+    def _check_varied(self, options: dict[str, Sequence[Any]]) -> None:
+        """Raises a ValueError for values of constants or disturbances that no episode draws."""
+        if self.settings.varied:
+            return
+        for name in ("capsule", "disturbances"):
+            # An empty dict sets nothing.
+            if any(not isinstance(value, dict) or value for value in options.get(name, ())):
+                raise ValueError(
+                    f"options[{name!r}] needs an environment with disturbances other than 'none', "
+                    "or with a Randomization of constants besides M and mu"
+                )
+
+    def _draw(self, rows: np.ndarray) -> None:
+        """Draws what the next episodes of these environments draw.
+
+        Raises an IndexError if there is no such environment.
+        """
+        count = len(rows)
+        fits = count <= self.num_envs
+        if fits:
+            self._rows[:count] = rows
+        if not fits or _core.call("draw_episodes", self._batch, count) >= 0:
+            raise IndexError(
+                f"rows must be indices of environments, from 0 to {self.num_envs - 1}, "
+                f"each at most once, got {short_repr(rows.tolist())}"
+            )
 
     def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> None:
         """One agent step.
@@ -342,70 +310,49 @@ class Simulation:
             ValueError: as `step`.
         """
         try:
-            broken = max(self._share(work))
+            broken = max(self._threads.share(work))
         except BaseException:
             self.discard_failed()
             raise
         if broken >= 0:
             self.report(broken)
 
-    def _share(self, work: Callable[[int, int], int]) -> list[int]:
-        """The results of `work`, which the threads call for parts of the environments."""
-        (first, last), *others = self._ranges
-        if not others:
-            return [work(first, last)]
-        # A forked process inherits the pool, but none of its threads.
-        if self._pool is None or self._owner != os.getpid():
-            self._owner = os.getpid()
-            self._pool = ThreadPoolExecutor(len(others), thread_name_prefix="capsule")
-        futures = [self._pool.submit(work, *bounds) for bounds in others]
-        try:
-            # The calling thread takes a part too, so one thread less has to be woken up.
-            return [work(first, last), *(future.result() for future in futures)]
-        except BaseException:
-            # The caller may change what the other threads still write.
-            wait(futures)
-            raise
-
     def report(self, broken: int) -> None:
-        """Raises the exception of a law that has failed in an environment, or the error for its
-        torque.
-        """
+        """Raises the exception of an environment's failed law, or an error for its torque."""
         column = self.columns(np.array([broken]))[:, 0]
         raised = self._raised[:]
         self.discard_failed()
         if raised:
             raise raised[0]
-        names = "theta", "theta_dot", "x", "x_dot"
         prefix = "read_" if self.settings.law_reads else ""
+        names = ("theta", "theta_dot", "x", "x_dot")
         state = {name: float(column[getattr(Row, prefix + name)]) for name in names}
         assert self.controller is not None
-        law, reads_task = self.controller.law, self.controller.task is not None
+        law = self.controller.law
         if not isinstance(law, CoreLaw):
             # Compiled code catches the law's exceptions. The arguments are still those of the call
             # that has failed.
             layout = self.layout
-            last = layout.reference_end + reads_task * self.task.rows
-            memory = tuple(column[layout.law_memory : layout.reference].tolist())
-            row = tuple(column[layout.reference : last].tolist())
-            getattr(law, "py_func", law)(*state.values(), memory, row)
+            task_rows = 0 if self.controller.task is None else self.task.rows
+            memory = column[layout.law_memory : layout.reference]
+            row = column[layout.reference : layout.reference_end + task_rows]
+            call = getattr(law, "py_func", law)
+            call(*state.values(), tuple(memory.tolist()), tuple(row.tolist()))
         raise ValueError(
-            f"the control law {self.controller.name!r} returned a torque that is not finite in environment {broken} "
-            f"(step {column[Row.steps]:.0f}, state {state}); a law must return finite numbers"
+            f"the control law {self.controller.name!r} returned a torque that is not finite in "
+            f"environment {broken} (step {column[Row.steps]:.0f}, state {state}); "
+            "a law must return finite numbers"
         )
 
     def discard_failed(self) -> None:
-        """Discards the exceptions of failed laws, and their torques, which a reset of others would
-        return too.
-        """
+        """Discards the exceptions and torques of failed laws, which a later reset would return."""
         self._raised.clear()
         lost = np.flatnonzero(~np.isfinite(self.row(Row.law_torque)))
         self.world[lost // self.lanes, Row.law_torque, lost % self.lanes] = 0.0
         self.observations[lost] = np.nan_to_num(self.observations[lost])
 
     def metrics(self, rows: np.ndarray, horizon: int | None = None) -> dict[str, np.ndarray]:
-        """The metrics of the running episodes with these indices: those of `METRICS`, and those of
-        the task.
+        """The metrics of running episodes: those of `METRICS`, and those of the task.
 
         Args:
             rows: indices of the environments, int64, shape (n,).
@@ -418,65 +365,51 @@ class Simulation:
         seconds = horizon * self.options.control_dt if horizon else math.nan
         names = [*task.METRICS, *self.task.metrics]
         values = np.empty((len(names), len(rows)))
-        native.call(
-            "episode_metrics",
-            self._batch,
-            np.ascontiguousarray(rows, np.int64),
-            len(rows),
-            seconds,
-            values,
-        )
+        indices = np.ascontiguousarray(rows, np.int64)
+        native.call("episode_metrics", self._batch, indices, len(rows), seconds, values)
         return dict(zip(names, values, strict=True))
 
     def observe(self) -> Any:
-        """A copy of the observations; with `goal_env` a dict with the achieved and the desired
-        goals beside them.
-        """
+        """A copy of the observations; with `goal_env` a dict with achieved and desired goals."""
+        observations = self.observations.copy()
         if not self.options.goal_env:
-            return self.observations.copy()
-        x, x_dot = (Row.read_x, Row.read_x_dot) if self.settings.agent_reads else (Row.x, Row.x_dot)
+            return observations
+        reads = self.settings.agent_reads
+        x = self.row(Row.read_x if reads else Row.x)
+        x_dot = self.row(Row.read_x_dot if reads else Row.x_dot)
         goal = self.row(self.layout.task + self.task.fields.index("goal"))
-        goals = {
-            "achieved_goal": (self.row(x), self.row(x_dot)),
-            "desired_goal": (goal, np.zeros(self.num_envs)),
+        achieved = np.stack((x, x_dot), axis=1)
+        desired = np.stack((goal, np.zeros(self.num_envs)), axis=1)
+        return {
+            "observation": observations,
+            "achieved_goal": np.clip(achieved, -GOAL_BOUND, GOAL_BOUND),
+            "desired_goal": np.clip(desired, -GOAL_BOUND, GOAL_BOUND),
         }
-        bounded = {
-            name: np.clip(np.stack(each, 1), -GOAL_BOUND, GOAL_BOUND)
-            for name, each in goals.items()
-        }
-        return {"observation": self.observations.copy(), **bounded}
 
     def close(self) -> None:
         """Ends the threads."""
-        if self._pool is not None and self._owner == os.getpid():
-            self._pool.shutdown()
-        self._pool = None
+        self._threads.close()
 
     def _episode_capsule(self, drawn: Sequence[float]) -> Capsule:
-        """The constants that an episode has drawn, with the whole friction of the motor, for any M
-        and mu.
-        """
+        """The capsule of an episode for any M and mu, with the whole friction of the motor."""
         constants: dict[str, Any] = dict(zip(CONSTANTS, drawn, strict=False))
         if constants:
-            constants["motor_friction"] += drawn[
-                len(CONSTANTS) + DISTURBANCES.index("motor_friction")
-            ]
+            disturbances = drawn[len(CONSTANTS) :]
+            constants["motor_friction"] += disturbances[DISTURBANCES.index("motor_friction")]
         # Heavy and smooth: the check of M and mu is `_check_plant`'s.
         return replace(self.capsule, M=LARGEST, mu=0.0, **constants)
 
     def _check_plant(self, M: float, mu: float, capsule: Capsule) -> None:
-        """Raises an error for M and mu that are invalid, too stiff for the step, or outside their
-        observed bounds.
-        """
+        """Raises an error for M and mu that are invalid, too stiff, or beyond what is observed."""
         capsule.check_plant(M, mu)
-        check_step(capsule, float(M), float(mu), self.settings)
-        if self.settings.with_parameters:
-            for name, value, largest in (
-                ("M", M, self.settings.M_bound),
-                ("mu", mu, self.settings.mu_bound),
-            ):
-                accepted = f"at most {largest:g} where observe_parameters shows it (a wider randomization shows more)"
-                check_number(name, value, accepted, 0.0, largest)
+        contract.check_step(capsule, float(M), float(mu), self.settings)
+        if not self.settings.with_parameters:
+            return
+        M_bound = self.settings.M_bound
+        mu_bound = self.settings.mu_bound
+        shown = "where observe_parameters shows it (a wider randomization shows more)"
+        check_number("M", M, f"at most {M_bound:g} {shown}", 0.0, M_bound)
+        check_number("mu", mu, f"at most {mu_bound:g} {shown}", 0.0, mu_bound)
 
     def _schedule(
         self, changes: Sequence[dict[str, float]], capsule: Capsule
@@ -495,5 +428,5 @@ class Simulation:
     def _set_changes(self, changes: np.ndarray) -> None:
         """Sets the changes of M and mu, as `changes` of the core's `Batch`."""
         self._changes = changes
-        for name, value in (("changes", native.address(changes)), ("num_changes", len(changes))):
-            self._fields[_core.BATCH.index(name)] = value
+        self._fields[_core.BATCH.index("changes")] = native.address(changes)
+        self._fields[_core.BATCH.index("num_changes")] = len(changes)

@@ -11,11 +11,12 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
+from typing_extensions import Unpack
 
 from capsule_gym.checks import check_integer, require, short_repr
 from capsule_gym.core.layout import Row
 from capsule_gym.envs import env
-from capsule_gym.envs.config import EnvConfig
+from capsule_gym.envs.config import EnvConfig, EnvOptions
 from capsule_gym.envs.contract import SPEED
 from capsule_gym.envs.simulation import check_seed
 from capsule_gym.rendering import Renderer
@@ -70,41 +71,35 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         max_episode_steps: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
-        **options: Any,
+        **options: Unpack[EnvOptions],
     ) -> None:
         # Nothing to close after an invalid argument: gymnasium 1.1 closes such a batch, too, when
         # it is deleted.
         self.closed = True
         config = EnvConfig(render_mode=render_mode, **options)
-        require(
-            render_mode != "human", "render_mode of a batch", "None or 'rgb_array'", render_mode
-        )
-        modes = {key: each for each in AutoresetMode for key in (each, each.name, each.value)}
-        accepted = f"an AutoresetMode or one of {list(AutoresetMode.__members__)}"
-        fits = isinstance(autoreset_mode, (AutoresetMode, str)) and autoreset_mode in modes
-        require(fits, "autoreset_mode", accepted, autoreset_mode)
-        self.autoreset_mode = modes[autoreset_mode]
+        supported = render_mode != "human"
+        require(supported, "render_mode of a batch", "None or 'rgb_array'", render_mode)
+        self.autoreset_mode = find_autoreset_mode(autoreset_mode)
         self.simulation = env.make_simulation(num_envs, config)
-        steps = (
-            self.simulation.task.episode_steps if max_episode_steps is None else max_episode_steps
-        )
+        if max_episode_steps is None:
+            max_episode_steps = self.simulation.task.episode_steps
         accepted = "an integer >= 1, or -1 for no limit"
-        count = check_integer("max_episode_steps", steps, accepted, -1, sys.maxsize)
-        require(count != 0, "max_episode_steps", accepted, count)
-        self.max_episode_steps = None if count == -1 else count
+        steps = check_integer("max_episode_steps", max_episode_steps, accepted, -1, sys.maxsize)
+        require(steps != 0, "max_episode_steps", accepted, steps)
+        self.max_episode_steps = None if steps == -1 else steps
         self.num_envs = self.simulation.num_envs
         self.render_mode = render_mode
-        fps = env.frames_per_second(self.simulation)
         self.metadata = {
             **type(self).metadata,
-            "render_fps": fps,
+            "render_fps": env.frames_per_second(self.simulation),
             "autoreset_mode": self.autoreset_mode,
         }
         self.single_action_space, self.single_observation_space = env.make_spaces(self.simulation)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self._ended = np.zeros(self.num_envs, np.bool_)
-        self._started = self._seeded = False
+        self._started = False
+        self._seeded = False
         self._renderer: Renderer | None = None
         self._spec: EnvSpec | None = None
         self._everyone = np.ones(self.num_envs, np.bool_)
@@ -126,7 +121,8 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         vars(self).update(state)
         # A copied array can be written to, and the copied simulation counts its resets from 0 on.
         self._everyone.flags.writeable = False
-        self._masks, self._drawn_at = {}, -1
+        self._masks = {}
+        self._drawn_at = -1
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -157,33 +153,32 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         Returns:
             Observations, float32 of shape (num_envs, entries), and the infos.
         """
-        task_options = self.simulation.task.option_sizes
-        options = env.check_options(options, (*env.RESET_OPTIONS, *task_options, "reset_mask"))
-        given = options.get("reset_mask")
-        mask = np.ones(self.num_envs, np.bool_) if given is None else given
-        name, accepted = (
-            "options['reset_mask']",
-            f"a bool array of shape ({self.num_envs},) with at least one True",
-        )
-        require(
-            isinstance(mask, np.ndarray) and mask.dtype == np.bool_, name, accepted, mask, TypeError
-        )
-        require(mask.shape == (self.num_envs,) and bool(mask.any()), name, accepted, mask)
+        names = (*env.RESET_OPTIONS, *self.simulation.task.option_sizes)
+        options = env.check_options(options, (*names, "reset_mask"))
+        mask = self._reset_mask(options.get("reset_mask"))
         rows = np.flatnonzero(mask)
         self._seed(seed, rows)
-        values = {
-            name: options[name]
-            for name in (*env.RESET_OPTIONS, *task_options)
-            if options.get(name) is not None
-        }
-        self.simulation.reset(
-            rows, **{name: self._per_row(name, value, rows) for name, value in values.items()}
-        )
+        given = {name: options[name] for name in names if options.get(name) is not None}
+        values = {name: self._per_row(name, value, rows) for name, value in given.items()}
+        self.simulation.reset(rows, **values)
         self._ended[rows] = False
         # The mask of the first reset need not name every environment; one that has not begun has no
         # mass.
         self._started = self._started or bool(self.simulation.row(Row.M).all())
-        return self.simulation.observe(), self._info(self.simulation.rows(0, Row.start_x), mask)
+        info = self._info(self.simulation.rows(0, Row.start_x), mask)
+        return self.simulation.observe(), info
+
+    def _reset_mask(self, mask: np.ndarray | None) -> np.ndarray:
+        """The environments to reset, bool, shape (num_envs,), from an option of `reset`."""
+        if mask is None:
+            return np.ones(self.num_envs, np.bool_)
+        name = "options['reset_mask']"
+        accepted = f"a bool array of shape ({self.num_envs},) with at least one True"
+        is_mask = isinstance(mask, np.ndarray) and mask.dtype == np.bool_
+        require(is_mask, name, accepted, mask, TypeError)
+        selects = mask.shape == (self.num_envs,) and bool(mask.any())
+        require(selects, name, accepted, mask)
+        return mask
 
     def step(
         self, actions: np.ndarray
@@ -226,9 +221,8 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         # An environment that began its next episode in this step has taken no step, and one whose
         # episode has ended keeps what its last step has reported.
         terminated = shown[Row.termination] != 0.0
-        truncated = shown[Row.steps] >= (
-            math.inf if self.max_episode_steps is None else self.max_episode_steps
-        )
+        limit = math.inf if self.max_episode_steps is None else self.max_episode_steps
+        truncated = shown[Row.steps] >= limit
         ended = terminated | truncated
         info = self._info(shown, self._everyone)
         if active is not None and self.autoreset_mode is AutoresetMode.DISABLED:
@@ -240,28 +234,23 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         return simulation.observe(), rewards, terminated, truncated, info
 
     def episode_metrics(self) -> dict[str, np.ndarray]:
-        """The metrics of the running episodes, each of shape (num_envs,), defined by `task.METRICS`
-        and the task.
+        """The metrics of the running episodes, each of shape (num_envs,).
 
-        A whole episode takes `max_episode_steps`, or without a limit the elapsed time.
+        `task.METRICS` and the task define them. A whole episode takes `max_episode_steps`, or without a limit the elapsed time.
         """
         return self.simulation.metrics(np.arange(self.num_envs), self.max_episode_steps)
 
     def render(self) -> tuple[np.ndarray, ...] | None:
-        """One frame per environment, each of shape (height, width, 3), uint8; None without a render
-        mode.
-        """
+        """One frame (height, width, 3), uint8, per environment; None without a render mode."""
         if self.render_mode is None:
             gym.logger.warn(
                 "render() draws nothing without a render_mode: gym.make_vec(.., render_mode='rgb_array')"
             )
             return None
         if self._renderer is None:
-            capsule, limit = self.simulation.capsule, self.simulation.settings.torque_limit
-            self._renderer = Renderer(capsule, self.render_mode, self.metadata["render_fps"], limit)
-        frames = (
-            self._renderer.draw(**env.shown_state(self.simulation, i)) for i in range(self.num_envs)
-        )
+            self._renderer = env.make_renderer(self)
+        states = (env.shown_state(self.simulation, i) for i in range(self.num_envs))
+        frames = (self._renderer.draw(**state) for state in states)
         return tuple(frame for frame in frames if frame is not None)
 
     def close_extras(self, **kwargs: Any) -> None:
@@ -271,39 +260,41 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
     def _info(self, rows: np.ndarray, mask: np.ndarray) -> dict[str, Any]:
         """The infos of the environments that the mask selects, from the first rows of `Row`."""
         simulation = self.simulation
-        info = env.describe(
-            rows[: Row.steps], rows[Row.theta : Row.M].T, rows[Row.termination].astype(np.int64)
-        )
+        states = rows[Row.theta : Row.M].T
+        terminations = rows[Row.termination].astype(np.int64)
+        info = env.describe(rows[: Row.steps], states, terminations)
         if simulation.task is not SPEED:
-            env.add_task(
-                info,
-                simulation.task,
-                simulation.rows(simulation.layout.task, simulation.layout.task_end),
-            )
+            memory = simulation.rows(simulation.layout.task, simulation.layout.task_end)
+            env.add_task(info, simulation.task, memory)
         if simulation.settings.varied:
             info["reading"] = simulation.rows(Row.read_theta, Row.late_theta).T
             # Until an episode begins these stay the same.
             if simulation.resets != self._drawn_at:
-                self._drawn_at, drawn = simulation.resets, simulation.rows(Row.drawn_m, Row.key)
-                drawn.flags.writeable = False
-                capsule, disturbances = (
-                    _masked(part, self._everyone) for part in env.name_drawn(list(drawn))
-                )
-                self._drawn = {"capsule": capsule, "disturbances": disturbances}
-        if mask is self._everyone:
+                self._read_drawn()
+        everyone = mask is self._everyone
+        if everyone:
             self._masks = self._masks or {f"_{name}": mask for name in info}
             info |= self._masks
         else:
             info |= {f"_{name}": mask for name in info}
         for name, part in self._drawn.items():
-            info[name] = part.copy() if mask is self._everyone else _masked(part, mask)
+            info[name] = part.copy() if everyone else _masked(part, mask)
             info[f"_{name}"] = mask
         return info
 
+    def _read_drawn(self) -> None:
+        """Reads what the running episodes have drawn."""
+        drawn = self.simulation.rows(Row.drawn_m, Row.key)
+        drawn.flags.writeable = False
+        capsule, disturbances = env.name_drawn(list(drawn))
+        self._drawn = {
+            "capsule": _masked(capsule, self._everyone),
+            "disturbances": _masked(disturbances, self._everyone),
+        }
+        self._drawn_at = self.simulation.resets
+
     def _begin_next(self, info: dict[str, Any], ended: np.ndarray) -> None:
-        """Begins the next episodes, and moves the results of the last ones to the info's
-        `final_..`.
-        """
+        """Begins the next episodes; the results of the last ones become `final_..` of the info."""
         simulation = self.simulation
         rows = np.flatnonzero(ended)
         metrics = {}
@@ -314,32 +305,32 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         info["final_obs"] = np.full(self.num_envs, None, dtype=object)
         last = simulation.observe()
         for i in rows:
-            one = (
-                {name: part[i].copy() for name, part in last.items()}
-                if isinstance(last, dict)
-                else last[i].copy()
-            )
-            info["final_obs"][i] = one
-        info["_final_obs"] = info["_final_info"] = ended
+            if isinstance(last, dict):
+                info["final_obs"][i] = {name: part[i].copy() for name, part in last.items()}
+            else:
+                info["final_obs"][i] = last[i].copy()
+        info["_final_obs"] = ended
+        info["_final_info"] = ended
         simulation.reset(rows)
         info |= self._info(simulation.rows(0, Row.start_x), self._everyone)
 
     def _seed(self, seed: int | Sequence[int | None] | None, rows: np.ndarray) -> None:
-        """Gives seeds to the environments `rows`, the first time to all: with a seed s, environment
-        i gets s + i.
+        """Gives seeds to the environments `rows`, the first time to all.
+
+        With a seed s, environment i gets s + i.
         """
         n = self.num_envs
-        accepted = f"an integer from 0 to 2**128 - {n}, None, or a sequence of {n} integers in [0, 2**128) or None"
-        # Reading `np_random` seeds the generator, but no environment.
-        fresh = first_time = not self._seeded
+        accepted = (
+            f"an integer from 0 to 2**128 - {n}, None, "
+            f"or a sequence of {n} integers in [0, 2**128) or None"
+        )
         given: list[int | None] = [None] * n
-        if seed is not None and isinstance(seed, (Sequence, np.ndarray)):
-            require(
-                (not isinstance(seed, np.ndarray) or seed.ndim == 1) and len(seed) == n,
-                "seed",
-                accepted,
-                seed,
-            )
+        # Reading `np_random` seeds the generator, but no environment.
+        first_time = not self._seeded
+        fresh = first_time
+        if isinstance(seed, (Sequence, np.ndarray)):
+            flat = not isinstance(seed, np.ndarray) or seed.ndim == 1
+            require(flat and len(seed) == n, "seed", accepted, seed)
             given = [None if each is None else check_seed(each, accepted) for each in seed]
         elif seed is not None:
             super().reset(seed=check_seed(seed, accepted, n))
@@ -350,40 +341,47 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         self._seeded = True
         for i in range(n) if first_time else rows.tolist():
             chosen = given[i]
-            if chosen is not None or fresh:
-                self.simulation.seed(i, first + i if chosen is None else chosen)
+            if chosen is not None:
+                self.simulation.seed(i, chosen)
+            elif fresh:
+                self.simulation.seed(i, first + i)
 
     def _per_row(self, name: str, values: Any, rows: np.ndarray) -> Any:
         """One value per environment to be reset, from one for all or one for each of the batch."""
         if name == "state":
-            try:
-                array = (
-                    np.asarray(values)
-                    if isinstance(values, (Sequence, np.ndarray))
-                    else np.zeros(0)
-                )
-            except (
-                ValueError
-            ):  # rows of several lengths, which raise an error with the other invalid states
-                return values
-            return array[rows] if array.ndim == 2 and len(array) == self.num_envs else values
-        option, accepted = (
-            f"options[{name!r}]",
-            f"a sequence of one entry per environment ({self.num_envs})",
-        )
-        if not isinstance(values, (Sequence, np.ndarray)) or (
-            isinstance(values, np.ndarray) and values.ndim == 0
-        ):
+            return self._states(values, rows)
+        option = f"options[{name!r}]"
+        accepted = f"a sequence of one entry per environment ({self.num_envs})"
+        scalar = isinstance(values, np.ndarray) and values.ndim == 0
+        if scalar or not isinstance(values, (Sequence, np.ndarray)):
             require(name != "changes", option, accepted, values, TypeError)
             return [values] * len(rows)
         require(len(values) == self.num_envs, option, accepted, len(values))
         return [values[i] for i in rows]
 
+    def _states(self, states: Any, rows: np.ndarray) -> Any:
+        """The states of the environments to be reset, if there is one for each of the batch."""
+        if not isinstance(states, (Sequence, np.ndarray)):
+            return states
+        try:
+            array = np.asarray(states)
+        except ValueError:
+            # Rows of several lengths raise an error with the other invalid states.
+            return states
+        return array[rows] if array.ndim == 2 and len(array) == self.num_envs else states
+
+
+def find_autoreset_mode(mode: Any) -> AutoresetMode:
+    """The autoreset mode, from itself, its name or its value."""
+    modes = {key: each for each in AutoresetMode for key in (each, each.name, each.value)}
+    accepted = f"an AutoresetMode or one of {list(AutoresetMode.__members__)}"
+    known = isinstance(mode, (AutoresetMode, str)) and mode in modes
+    require(known, "autoreset_mode", accepted, mode)
+    return modes[mode]
+
 
 def _masked(values: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:
-    """Gymnasium's form of batched infos: every key has a mask of the environments for which it
-    holds.
-    """
+    """Gymnasium's form of batched infos: every key has a mask of the environments that have it."""
     info: dict[str, Any] = {}
     for key, value in values.items():
         if key.startswith("_"):

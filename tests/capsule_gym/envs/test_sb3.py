@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.vector import AutoresetMode
+from numpy.testing import assert_array_equal
 from stable_baselines3 import PPO
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecNormalize
@@ -12,89 +13,124 @@ from capsule_gym.core.layout import Row
 from capsule_gym.sb3 import AsymmetricPolicy, CapsuleSB3VecEnv, FixedScale
 
 
+def pair(n, **kwargs):
+    """The batch for SB3 and the native one."""
+    ours = CapsuleSB3VecEnv(n, seed=4, **kwargs)
+    privileged = kwargs.pop("privileged", False)
+    assert ours.privileged == privileged
+    return ours, CapsuleVectorEnv(n, autoreset_mode=AutoresetMode.SAME_STEP, **kwargs)
+
+
+def random_actions(rng, n):
+    return rng.uniform(-1, 1, (n, 1)).astype(np.float32)
+
+
 @pytest.mark.parametrize(
     "kwargs", [{"controller": "baselines:adaptive", "residual_limit": 3.0}, {"task": "goal"}]
 )
 def test_sb3_batch_is_the_native_batch_with_terminal_observations(kwargs):
-    kwargs = {**kwargs, "max_episode_steps": 11}
-    ours = CapsuleSB3VecEnv(6, seed=4, **kwargs)
-    native = CapsuleVectorEnv(6, autoreset_mode=AutoresetMode.SAME_STEP, **kwargs)
-    assert (
-        len(
-            {
-                (ours.reset(), ours.step(np.ones((6, 1))), ours.batch.simulation.row(Row.M)[0])[2]
-                for _ in "ab"
-            }
-        )
-        == 2
-    )
-    ours.seed(4)
-    assert ours.reset().tobytes() == native.reset(seed=4)[0].tobytes()
-    with pytest.warns(UserWarning, match="draws nothing without a render_mode"):
-        assert ours.get_images() == [None] * 6
-    rng, seen = np.random.default_rng(0), set()
-    returns, lengths = np.zeros(6), np.zeros(6, int)
+    ours, native = pair(6, max_episode_steps=11, **kwargs)
+    first, _ = native.reset(seed=4)
+    assert ours.reset().tobytes() == first.tobytes()
+    rng = np.random.default_rng(0)
+    seen = set()
+    returns = np.zeros(6)
+    lengths = np.zeros(6, int)
     for _ in range(300):
-        actions = rng.uniform(-1, 1, (6, 1)).astype(np.float32)
+        actions = random_actions(rng, 6)
         observations, rewards, dones, infos = ours.step(actions)
-        expected = native.step(actions)
-        assert observations.tobytes() == expected[0].tobytes()
-        assert np.array_equal(rewards, expected[1].astype(np.float32))
-        assert np.array_equal(dones, expected[2] | expected[3])
-        returns += expected[1]
+        expected, native_rewards, terminated, truncated, info = native.step(actions)
+        assert observations.tobytes() == expected.tobytes()
+        assert_array_equal(rewards, native_rewards.astype(np.float32))
+        assert_array_equal(dones, terminated | truncated)
+        assert [bool(each) for each in infos] == dones.tolist()
+        returns += native_rewards
         lengths += 1
-        for i, info in enumerate(infos):
-            assert bool(info) == bool(dones[i])
-            if dones[i]:
-                assert (
-                    info["terminal_observation"].tobytes() == expected[4]["final_obs"][i].tobytes()
-                )
-                assert not np.array_equal(info["terminal_observation"], observations[i])
-                assert info["TimeLimit.truncated"] == bool(expected[3][i] and not expected[2][i])
-                assert info["episode"] == {"r": pytest.approx(returns[i]), "l": lengths[i]}
-                metrics = expected[4]["final_info"]["metrics"]
-                assert info["metrics"] == {
-                    name: metrics[name][i] for name in metrics if name[0] != "_"
-                }
-                returns[i], lengths[i] = 0.0, 0
-                seen.add((bool(expected[2][i]), bool(expected[3][i])))
+        for i in np.flatnonzero(dones):
+            last = infos[i]["terminal_observation"]
+            assert last.tobytes() == info["final_obs"][i].tobytes()
+            assert not np.array_equal(last, observations[i])
+            assert infos[i]["TimeLimit.truncated"] == (truncated[i] and not terminated[i])
+            assert infos[i]["episode"] == {"r": pytest.approx(returns[i]), "l": lengths[i]}
+            metrics = info["final_info"]["metrics"]
+            own = {name: metrics[name][i] for name in metrics if name[0] != "_"}
+            assert infos[i]["metrics"] == own
+            seen.add((bool(terminated[i]), bool(truncated[i])))
+        returns[dones] = 0.0
+        lengths[dones] = 0
     # Both kinds of end occurred, failures and time limits, also in one step.
     assert seen == {(True, False), (False, True), (True, True)}
+
+
+def test_episodes_go_on_with_the_random_numbers_of_the_seed():
+    env = CapsuleSB3VecEnv(6, seed=4, max_episode_steps=11)
+    masses = set()
+    for _ in range(2):
+        env.reset()
+        env.step(np.ones((6, 1)))
+        masses.add(env.batch.simulation.row(Row.M)[0])
+    assert len(masses) == 2
+
+
+def test_a_new_seed_restarts_the_random_numbers():
+    ours, native = pair(6)
+    ours.reset()
+    ours.seed(4)
+    first, _ = native.reset(seed=4)
+    assert ours.reset().tobytes() == first.tobytes()
+
+
+def test_images_without_a_render_mode():
+    env = CapsuleSB3VecEnv(6)
+    env.reset()
+    with pytest.warns(UserWarning, match="draws nothing without a render_mode"):
+        assert env.get_images() == [None] * 6
 
 
 def test_interface_of_the_vec_env():
     env = CapsuleSB3VecEnv(3, controller="baselines:adaptive", render_mode="rgb_array")
     env.seed(3)
     env.reset()
-    assert (env.get_attr("max_episode_steps"), env.get_attr("render_mode", [0])) == (
-        [1650] * 3,
-        ["rgb_array"],
-    )
-    assert (env.env_is_wrapped(gym.Wrapper), env.env_is_wrapped(Monitor, [0, 2])) == (
-        [False] * 3,
-        [True] * 2,
-    )
+    assert env.get_attr("max_episode_steps") == [1650] * 3
+    assert env.get_attr("render_mode", [0]) == ["rgb_array"]
+    assert env.env_is_wrapped(gym.Wrapper) == [False] * 3
+    assert env.env_is_wrapped(Monitor, [0, 2]) == [True] * 2
     with pytest.raises(AttributeError, match="share their settings"):
         env.set_attr("render_mode", None)
     with pytest.raises(AttributeError, match="attribute `batch`"):
         env.env_method("episode_metrics")
     assert [image.shape[2] for image in env.get_images()] == [3, 3, 3]
-    assert (env.close(), env.batch.closed)[1]
+    env.close()
+    assert env.batch.closed
 
 
 def test_options_of_the_next_reset_reach_each_environment_and_only_that_reset():
     env = CapsuleSB3VecEnv(2, seed=0)
-    env.set_options(
-        [{"M": 0.6, "state": [0.1, 0.0, 0.0, 0.0]}, {"M": 0.7, "state": [0.2, 0.0, 0.0, 0.0]}]
-    )
+    options = [{"M": 0.6, "state": [0.1, 0.0, 0.0, 0.0]}, {"M": 0.7, "state": [0.2, 0.0, 0.0, 0.0]}]
+    env.set_options(options)
     observations = env.reset()
     assert env.batch.simulation.row(Row.M).tolist() == [0.6, 0.7]
     assert observations[:, 0].tolist() == pytest.approx([0.1, 0.2])
     env.reset()
     assert (env.batch.simulation.row(Row.M) <= 0.55).all()
+
+
+def test_options_have_the_same_keys_for_every_environment():
+    env = CapsuleSB3VecEnv(2)
     env.set_options([{"M": 0.6}, {}])
     with pytest.raises(ValueError, match="same keys"):
         env.reset()
+
+
+def privileged_columns(info, disturbed):
+    """What a critic observes, from an info of the native batch."""
+    columns = [info["M"], np.log(info["mu"])]
+    if disturbed:
+        columns += [info["capsule"][name] for name in "mlkc"]
+        names = ("theta_bias", "theta_dot_bias", "x_dot_bias", "latency")
+        columns += [info["disturbances"][name] for name in names]
+        columns += list(info["state"].T[[0, 1, 3]])
+    return np.array(columns, np.float32).T
 
 
 @pytest.mark.parametrize(
@@ -105,29 +141,21 @@ def test_options_of_the_next_reset_reach_each_environment_and_only_that_reset():
     ],
 )
 def test_a_privileged_critic_observes_the_plant_and_the_true_state(kwargs, entries):
-    ours = CapsuleSB3VecEnv(70, seed=4, privileged=True, max_episode_steps=10, **kwargs)
-    native = CapsuleVectorEnv(70, autoreset_mode="SAME_STEP", max_episode_steps=10, **kwargs)
-    assert ours.observation_space["critic"] == gym.spaces.Box(
-        -np.inf, np.inf, (entries,), np.float32
-    )
+    ours, native = pair(70, privileged=True, max_episode_steps=10, **kwargs)
+    disturbed = "disturbances" in kwargs
+    space = gym.spaces.Box(-np.inf, np.inf, (entries,), np.float32)
+    assert ours.observation_space["critic"] == space
 
     def check(found, observations, info, rows):
         assert found["policy"].tobytes() == observations.tobytes()
         assert found["critic"].dtype == np.float32
-        expected = [info["M"], np.log(info["mu"])]
-        if "disturbances" in kwargs:
-            expected += [info["capsule"][name] for name in ("m", "l", "k", "c")]
-            expected += [
-                info["disturbances"][f"{name}_bias"] for name in ("theta", "theta_dot", "x_dot")
-            ]
-            expected += [info["disturbances"]["latency"], *info["state"].T[[0, 1, 3]]]
-        np.testing.assert_array_equal(found["critic"], np.array(expected, np.float32).T[rows])
+        assert_array_equal(found["critic"], privileged_columns(info, disturbed)[rows])
 
     every = np.arange(70)
     check(ours.reset(), *native.reset(seed=4), every)
     rng = np.random.default_rng(0)
     for _ in range(25):
-        actions = rng.uniform(-1, 1, (70, 1)).astype(np.float32)
+        actions = random_actions(rng, 70)
         found, _, dones, infos = ours.step(actions)
         observations, _, _, _, info = native.step(actions)
         check(found, observations, info, every)
@@ -140,9 +168,8 @@ def test_fixed_scales_multiply_observations():
     env = VecNormalize(CapsuleSB3VecEnv(2, seed=0), clip_obs=100.0)
     env.obs_rms = FixedScale(factors)
     env.reset()
-    assert env.normalize_obs(np.array([1.0, -1.0, 0.5, 1.0, 10.0])) == pytest.approx(
-        factors * [1, -1, 0.5, 1, 10]
-    )
+    observation = np.array([1.0, -1.0, 0.5, 1.0, 10.0])
+    assert env.normalize_obs(observation) == pytest.approx(factors * observation)
 
 
 def test_the_actor_ignores_what_only_the_critic_observes(tmp_path):
@@ -150,18 +177,18 @@ def test_the_actor_ignores_what_only_the_critic_observes(tmp_path):
     model = PPO(AsymmetricPolicy, env, n_steps=16, batch_size=32, seed=0, device="cpu")
     before = [parameter.clone() for parameter in model.policy.parameters()]
     model.learn(128)
-    assert all(
-        not torch.equal(*each) for each in zip(before, model.policy.parameters(), strict=True)
-    )
+    for old, new in zip(before, model.policy.parameters(), strict=True):
+        assert not torch.equal(old, new)
     model.save(tmp_path / "model.zip")
     model = PPO.load(tmp_path / "model.zip", device="cpu")
+    actions = []
+    values = []
     observations = env.reset()
-    changed = {**observations, "critic": observations["critic"] + 1.0}
-    np.testing.assert_array_equal(
-        *(model.predict(each, deterministic=True)[0] for each in (observations, changed))
-    )
-    values = [
-        model.policy.predict_values(model.policy.obs_to_tensor(each)[0])
-        for each in (observations, changed)
-    ]
+    for change in (0.0, 1.0):
+        seen = {**observations, "critic": observations["critic"] + np.float32(change)}
+        action, _ = model.predict(seen, deterministic=True)
+        actions.append(action)
+        tensors, _ = model.policy.obs_to_tensor(seen)
+        values.append(model.policy.predict_values(tensors))
+    assert_array_equal(*actions)
     assert (values[0] != values[1]).all()
