@@ -27,6 +27,8 @@ MODULE = SOURCES / "module"
 # The files that capsule.mjs consists of, each after those that it imports from.
 PARTS = ("archive", "checks", "core", "options", "drivers", "reset", "capsule", "episode", "replay")
 IMPORT = re.compile(r'^import \{[^}]*\} from "\./\w+\.mjs";\n', re.MULTILINE)
+EXPORT = re.compile(r"^export ", re.MULTILINE)
+FROM = re.compile(r' from "\./\w+\.mjs"')
 CORE = SOURCES.parent / "capsule_gym" / "core"
 # Features that every engine supports since 2021.
 FEATURES = "-mcpu=generic+bulk_memory+mutable_globals+nontrapping_fptoint+sign_ext"
@@ -65,10 +67,11 @@ def build_module(archive: str) -> str:
     """The text of capsule.mjs, its parts in one file, with the archive inserted."""
     exports = (MODULE / "exports.mjs").read_text("utf-8")
     # Only what this file exports is public, and the parts need no imports in one file.
-    texts = [re.sub(r' from "\./\w+\.mjs"', "", exports)]
+    texts = [FROM.sub("", exports)]
     for part in PARTS:
         text = (MODULE / f"{part}.mjs").read_text("utf-8")
-        texts.append(re.sub("^export ", "", IMPORT.sub("", text), flags=re.MULTILINE))
+        text = IMPORT.sub("", text)
+        texts.append(EXPORT.sub("", text))
     return "\n".join(texts).replace('ARCHIVE = ""', f'ARCHIVE = "{archive}"')
 
 
@@ -89,11 +92,11 @@ def build_style() -> str:
     for name, value in vars(renderer).items():
         if name.isupper() and isinstance(value, tuple) and len(value) == 3:
             colours[name] = "#" + bytes(value).hex()
-    lines = [":root {"]
+    style = ":root {\n"
     for name, colour in colours.items():
-        lines.append(f"  --{name.lower().replace('_', '-')}: {colour};")
-    lines.append("}")
-    return "\n".join(lines) + "\n" + (PAGE / "page.css").read_text("utf-8")
+        css_name = name.lower().replace("_", "-")
+        style += f"  --{css_name}: {colour};\n"
+    return style + "}\n" + (PAGE / "page.css").read_text("utf-8")
 
 
 def build_import_map(module: str) -> str:
@@ -136,8 +139,10 @@ def main(output: Path = Path("site/live")) -> None:
         page = page.replace('<a id="documentation"', '<a id="documentation" hidden')
     types = (SOURCES / "capsule.d.mts").read_text("utf-8")
     for name, text in (("index.html", page), ("capsule.mjs", module), ("capsule.d.mts", types)):
-        write_atomically(output / name, text)
-        print(f"{output / name}: {len(text.encode()) / 1000:.0f} kB")
+        path = output / name
+        write_atomically(path, text)
+        kilobytes = len(text.encode()) / 1000
+        print(f"{path}: {kilobytes:.0f} kB")
 
 
 if __name__ == "__main__":

@@ -60,10 +60,20 @@ LARGEST_MOTOR_FRICTION = 0.2
 # Accepted values of the plant's constants. The largest friction is also accepted at the smallest
 # mass.
 RANGES = Randomization(
-    M=(0.2, _core.M_BOUND * NOMINAL.M), mu=(0.0, _core.MU_BOUND), m=(0.1, 0.18), l=(0.25, 0.35), g=(1.0, 15.0),
-    k=(0.2, 0.6), c=(0.05, 0.15), static_ratio=(1.0, 1.5), backward_ratio=(0.5, 1.5), viscous=(0.0, 2.0),
-    stribeck_speed=(0.02, 1.0), slope=(-0.2, 0.2), motor_friction=(0.0, LARGEST_MOTOR_FRICTION),
-)  # fmt: skip
+    M=(0.2, _core.M_BOUND * NOMINAL.M),
+    mu=(0.0, _core.MU_BOUND),
+    m=(0.1, 0.18),
+    l=(0.25, 0.35),
+    g=(1.0, 15.0),
+    k=(0.2, 0.6),
+    c=(0.05, 0.15),
+    static_ratio=(1.0, 1.5),
+    backward_ratio=(0.5, 1.5),
+    viscous=(0.0, 2.0),
+    stribeck_speed=(0.02, 1.0),
+    slope=(-0.2, 0.2),
+    motor_friction=(0.0, LARGEST_MOTOR_FRICTION),
+)
 
 
 class Archive:
@@ -82,7 +92,8 @@ class Archive:
 
     def add_array(self, array: Any) -> dict[str, int]:
         """Stores a float64 array of one or two dimensions; returns its entry in the header."""
-        table = np.ascontiguousarray(array, "<f8").reshape(len(array), -1)
+        numbers = np.ascontiguousarray(array, "<f8")
+        table = numbers.reshape(len(numbers), -1)
         rows, columns = table.shape
         significance = table.view(np.uint8).reshape(rows, columns, 8)
         entry = self.add(significance.transpose(1, 2, 0).tobytes())
@@ -101,14 +112,15 @@ def pack_data(module: bytes) -> str:
     header["controllers"] = {name: describe_controller(name, archive) for name in LAW_NAMES}
     header["drivers"] = [describe_driver(policy, archive) for policy in drivers().values()]
     header["torques"] = TORQUES.tolist()
-    header["sets"] = {name: describe_set(sets.load_set(name)) for name in SETS}
+    header["sets"] = {name: describe_set(name) for name in SETS}
     header["ideal"] = asdict(Disturbances())
     header["accepted"] = accepted_values()
     header["constants"] = describe_tasks() | describe_plant()
     header["episodes"] = json.loads(FILE.read_text("utf-8"))
     text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
     size = len(text).to_bytes(4, "little")
-    return base64.b64encode(zlib.compress(size + text + archive.content, 9)).decode()
+    packed = zlib.compress(size + text + archive.content, 9)
+    return base64.b64encode(packed).decode()
 
 
 def accepted_values() -> dict[str, Any]:
@@ -126,7 +138,7 @@ def accepted_values() -> dict[str, Any]:
 
 def option_limits() -> dict[str, tuple[float, float]]:
     """The accepted values of the core's options."""
-    limits: dict[str, tuple[float, float]] = dict.fromkeys(_core.OPTIONS, (-LARGEST, LARGEST))
+    limits = dict.fromkeys(_core.OPTIONS, (-LARGEST, LARGEST))
     limits["stack_size"] = 1, LARGEST_STACK
     for name in ("control_dt", "physics_dt"):
         limits[name] = SHORTEST_STEP, LONGEST_STEP
@@ -143,36 +155,33 @@ def option_limits() -> dict[str, tuple[float, float]]:
 
 def describe_tasks() -> dict[str, Any]:
     """Numbers of the tasks, in SI units."""
-    horizons = {each.name: each.episode_steps * task.CONTROL_DT for each in TASKS.values()}
-    # The initial state and the bounds of the state in the order of the rows.
-    start = dict.fromkeys(_core.ROW_NAMES[: len(task.LARGEST_STATE)], 0.0)
+    state = _core.ROW_NAMES[: len(task.LARGEST_STATE)]
+    start = dict.fromkeys(state, 0.0)
     start["theta"] = task.START_THETA
+    steps = {name: each.episode_steps for name, each in TASKS.items()}
     return {
         "control_dt": task.CONTROL_DT,
+        "steps": task.EPISODE_STEPS,
+        "horizons": {name: count * task.CONTROL_DT for name, count in steps.items()},
         "torque_limit": task.TORQUE_LIMIT,
         "theta_limit": task.THETA_LIMIT,
-        "steps": task.EPISODE_STEPS,
-        "horizons": horizons,
         "start": start,
-        "largest_state": dict(zip(start, task.LARGEST_STATE, strict=True)),
+        "largest_state": dict(zip(state, task.LARGEST_STATE, strict=True)),
     }
 
 
 def describe_plant() -> dict[str, Any]:
     """The constants of the plant and their ranges, in SI units."""
-    ranges = {}
+    nominal = {name: getattr(NOMINAL, name) for name in PLANT}
+    numbers: dict[str, Any] = {name: nominal[name] for name in ("m", "l", "g")}
+    numbers["nominal"] = nominal
+    numbers["ranges"] = {}
     for name, each in parameters.RANDOMIZATIONS.items():
         if each.M:
-            ranges[name] = {"M": each.M, "mu": each.mu}
-    return {
-        "m": NOMINAL.m,
-        "l": NOMINAL.l,
-        "g": NOMINAL.g,
-        "nominal": {name: getattr(NOMINAL, name) for name in PLANT},
-        "ranges": ranges,
-        "limits": {name: getattr(RANGES, name) or (-LARGEST, LARGEST) for name in PLANT},
-        "real": asdict(parameters.REAL),
-    }
+            numbers["ranges"][name] = {"M": each.M, "mu": each.mu}
+    numbers["limits"] = {name: getattr(RANGES, name) or (-LARGEST, LARGEST) for name in PLANT}
+    numbers["real"] = asdict(parameters.REAL)
+    return numbers
 
 
 def as_numbers(options: Options) -> dict[str, float | None]:
@@ -200,16 +209,13 @@ def describe_controller(name: str, archive: Archive) -> dict[str, Any]:
     controller = None if name == DIRECT else find_controller(f"baselines:{name}")
     acting = controller or NO_CONTROLLER
     assert isinstance(acting.law, CoreLaw)
+    tasks = [find_task(acting.task).name] if acting.task else list(TASKS)
+    described: dict[str, Any] = {"law": acting.law.name, "memory": acting.memory, "tasks": tasks}
     # They may be infinite, which JSON lacks, and a law may have none.
-    constants = [*acting.law.constants, 0.0]
-    return {
-        "law": acting.law.name,
-        "constants": archive.add_array(constants),
-        "memory": acting.memory,
-        "table": archive.add_array(acting.reference),
-        "tasks": [find_task(acting.task).name] if acting.task else list(TASKS),
-        "options": as_numbers(controller_options(controller)),
-    }
+    described["constants"] = archive.add_array([*acting.law.constants, 0.0])
+    described["table"] = archive.add_array(acting.reference)
+    described["options"] = as_numbers(controller_options(controller))
+    return described
 
 
 def describe_policy(name: str, policy: Policy | ScriptedPolicy) -> dict[str, Any]:
@@ -222,13 +228,10 @@ def describe_policy(name: str, policy: Policy | ScriptedPolicy) -> dict[str, Any
     law = str(options.controller or DIRECT).removeprefix("baselines:")
     if law not in LAW_NAMES:
         raise ValueError(f"controller must be None or a law of baselines, got {options.controller}")
-    described = {
-        "name": name,
-        "description": policy.description,
-        "task": find_task(options.task).name,
-        "controller": law,
-        "options": pack_options(options),
-    }
+    described: dict[str, Any] = {"name": name, "description": policy.description}
+    described["task"] = find_task(options.task).name
+    described["controller"] = law
+    described["options"] = pack_options(options)
     if isinstance(policy, Policy):
         described["kind"] = "policy"
         described["seed"] = policy.training_seed
@@ -260,21 +263,20 @@ def add_recordings(name: str, archive: Archive) -> dict[str, Any]:
     return recordings
 
 
-def describe_set(found: sets.EvaluationSet) -> dict[str, Any]:
+def describe_set(name: str) -> dict[str, Any]:
     """A frozen set: its hash, the core's options of its environments, and its first plants."""
+    found = sets.load_set(name)
     disturbances = found.env_kwargs["disturbances"]
     # The capsule is given also where it is the default, since a driver may have been trained on
     # another.
     capsule = found.env_kwargs["capsule"] or NOMINAL
     options = plant_options(capsule, Randomization())
     options |= disturbance_options(Disturbances.named(disturbances))
-    return {
-        "hash": found.hash,
-        "task": found.task,
-        "options": as_numbers(options),
-        "disturbances": disturbances if isinstance(disturbances, str) else None,
-        "plants": [describe_frozen(plant) for plant in found.plants[:SEEDS]],
-    }
+    described = {"hash": found.hash, "task": found.task, "options": as_numbers(options)}
+    # The page shows the name of disturbances that have one.
+    described["disturbances"] = disturbances if isinstance(disturbances, str) else None
+    described["plants"] = [describe_frozen(plant) for plant in found.plants[:SEEDS]]
+    return described
 
 
 def describe_frozen(plant: sets.PlantSpec) -> dict[str, Any]:

@@ -14,7 +14,7 @@ import hashlib
 import itertools
 import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -62,24 +62,27 @@ def compute(episode: dict[str, Any]) -> dict[str, Any]:
     plant = found.plants[episode["plant"]]
     env = capsule_gym.CapsuleEnv(**{**policy.env_kwargs, **found.env_kwargs})
     observation, _ = env.reset(seed=plant.seed, options=plant.reset_options())
-    act = policy.start([plant.seed])
-    actions = held_actions(episode) if "actions" in episode else None
+    if "actions" in episode:
+        act = repeated(episode["actions"], episode["hold"])
+    else:
+        act = policy.start([plant.seed])
     rows = compared_rows(env)
     digest = hashlib.sha256()
-    for step in range(env.simulation.layout.steps):
-        action = act(observation[None])[0] if actions is None else next(actions)
-        observation, _, terminated, _, _ = env.step(action)
+    steps = 0
+    terminated = False
+    while not terminated and steps < env.simulation.layout.steps:
+        actions = act(observation[None])
+        observation, _, terminated, _, _ = env.step(actions[0])
         digest.update(env.simulation.world[0, rows, 0].tobytes())
         digest.update(observation.tobytes())
-        if terminated:
-            break
-    return {**episode, "steps": step + 1, "sha256": digest.hexdigest()}
+        steps += 1
+    return {**episode, "steps": steps, "sha256": digest.hexdigest()}
 
 
-def held_actions(episode: dict[str, Any]) -> Iterator[np.ndarray]:
-    """The actions of an episode step by step, from the first again after the last."""
-    actions = np.repeat(episode["actions"], episode["hold"])
-    return itertools.cycle(actions.astype(np.float32)[:, None])
+def repeated(actions: Sequence[float], hold: int) -> Callable[[np.ndarray], np.ndarray]:
+    """A policy that takes these actions in turn, each for `hold` steps."""
+    held = itertools.cycle(np.repeat(np.float32(actions), hold))
+    return lambda observations: np.array([[next(held)]])
 
 
 def compared_rows(env: capsule_gym.CapsuleEnv) -> list[int]:
@@ -101,7 +104,8 @@ def record_actions(name: str, plants: Sequence[PlantSpec]) -> np.ndarray:
     count = len(plants)
     env = capsule_gym.CapsuleVectorEnv(count, autoreset_mode="DISABLED", **policy.env_kwargs)
     starts = [plant.reset_options() for plant in plants]
-    observations, _ = env.reset(options={key: [each[key] for each in starts] for key in starts[0]})
+    options = {key: [start[key] for start in starts] for key in starts[0]}
+    observations, _ = env.reset(options=options)
     act = policy.start([plant.seed for plant in plants])
     running = np.ones(count, bool)
     recorded = np.full((count, EPISODE_STEPS), OVER, np.uint8)
@@ -163,7 +167,8 @@ def main(write: bool = False) -> int:
             differing.append(name)
     for name in differing:
         print(f"{name}: differs")
-    print(f"{len(episodes) + len(recorded)} compared, {len(differing)} differ")
+    compared = len(episodes) + len(recorded)
+    print(f"{compared} compared, {len(differing)} differ")
     return int(bool(differing))
 
 
