@@ -64,8 +64,8 @@ def on_files(files: Any, config: Any) -> Any:
     content = contributing.replace("](docs/", "](")
     files.append(File.generated(config, "contributing.md", content=content))
     for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
-        for name, content in notebook_files(path, config.repo_url or "").items():
-            files.append(File.generated(config, f"notebooks/{name}", content=content))
+        for name, file in notebook_files(path, config.repo_url or "").items():
+            files.append(File.generated(config, f"notebooks/{name}", content=file))
     return files
 
 

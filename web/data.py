@@ -45,7 +45,7 @@ from capsule_gym.policies.policy import MOST_UNITS
 from capsule_gym.policies.scripted import ScriptedPolicy
 from capsule_gym.tasks import task
 from capsule_gym.tasks.registry import TASKS, find_task
-from web.episodes import FILE, OVER, RECORDED, RECORDINGS, SEEDS, drivers
+from web.episodes import OVER, RECORDED, RECORDINGS, SEEDS, committed_episodes, drivers
 
 Options = Mapping[str, float | None]
 
@@ -107,7 +107,7 @@ def pack_data(module: bytes) -> str:
         module: the compiled core.
     """
     archive = Archive()
-    header = {"module": archive.add(module)}
+    header: dict[str, Any] = {"module": archive.add(module)}
     header["tasks"] = {name: pack_options(EnvConfig(task=name)) for name in TASKS}
     header["controllers"] = {name: describe_controller(name, archive) for name in LAW_NAMES}
     header["drivers"] = [describe_driver(policy, archive) for policy in drivers().values()]
@@ -116,7 +116,7 @@ def pack_data(module: bytes) -> str:
     header["ideal"] = asdict(Disturbances())
     header["accepted"] = accepted_values()
     header["constants"] = describe_tasks() | describe_plant()
-    header["episodes"] = json.loads(FILE.read_text("utf-8"))
+    header["episodes"] = committed_episodes()
     text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
     size = len(text).to_bytes(4, "little")
     packed = zlib.compress(size + text + archive.content, 9)
@@ -272,7 +272,8 @@ def describe_set(name: str) -> dict[str, Any]:
     capsule = found.env_kwargs["capsule"] or NOMINAL
     options = plant_options(capsule, Randomization())
     options |= disturbance_options(Disturbances.named(disturbances))
-    described = {"hash": found.hash, "task": found.task, "options": as_numbers(options)}
+    described: dict[str, Any] = {"hash": found.hash, "task": found.task}
+    described["options"] = as_numbers(options)
     # The page shows the name of disturbances that have one.
     described["disturbances"] = disturbances if isinstance(disturbances, str) else None
     described["plants"] = [describe_frozen(plant) for plant in found.plants[:SEEDS]]

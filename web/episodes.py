@@ -46,7 +46,9 @@ OVER = 255
 @cache
 def drivers() -> dict[str, Any]:
     """The policies in the browser by name; of a trained one the run with the lowest seed."""
-    found = {name: policy for name, policy in ALL_SCRIPTED.items() if name not in LEFT_OUT}
+    found: dict[str, Any] = {
+        name: policy for name, policy in ALL_SCRIPTED.items() if name not in LEFT_OUT
+    }
     trained = [capsule_gym.load_policy(name) for name in policy_names()]
     # Policies of other tasks come last.
     trained.sort(key=lambda policy: "task" in policy.env_kwargs)
@@ -81,7 +83,7 @@ def compute(episode: dict[str, Any]) -> dict[str, Any]:
 
 def repeated(actions: Sequence[float], hold: int) -> Callable[[np.ndarray], np.ndarray]:
     """A policy that takes these actions in turn, each for `hold` steps."""
-    held = itertools.cycle(np.repeat(np.float32(actions), hold))
+    held = itertools.cycle(np.repeat(np.array(actions, np.float32), hold))
     return lambda observations: np.array([[next(held)]])
 
 
@@ -126,12 +128,17 @@ def record_all() -> dict[str, np.ndarray]:
     return recorded
 
 
+def committed_episodes() -> list[dict[str, Any]]:
+    """The episodes with their numbers of steps and hashes."""
+    return json.loads(FILE.read_text("utf-8"))
+
+
 def planned_episodes() -> list[dict[str, Any]]:
     """The committed episodes, and one of each driver that has none."""
-    planned = json.loads(FILE.read_text(encoding="utf-8"))
-    committed = {episode["driver"] for episode in planned}
+    planned = committed_episodes()
+    driven = {episode["driver"] for episode in planned}
     for plant, (name, policy) in enumerate(drivers().items()):
-        if name not in committed:
+        if name not in driven:
             set_name = policy.env_kwargs.get("task", "drift")
             planned.append({"name": name, "driver": name, "set": set_name, "plant": plant})
     return planned
@@ -159,7 +166,7 @@ def main(write: bool = False) -> int:
     recorded = record_all()
     if write:
         write_files(episodes, recorded)
-    committed = json.loads(FILE.read_text(encoding="utf-8"))
+    committed = committed_episodes()
     saved = np.load(RECORDINGS)
     differing = [episode["name"] for episode in episodes if episode not in committed]
     for name, actions in recorded.items():

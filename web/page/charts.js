@@ -2,7 +2,7 @@
 
 import {constants} from "capsule.mjs";
 import {clamp, decimals, niceStep, written} from "numbers.js";
-import {colour, disc, font, rem, Sheet} from "paint.js";
+import {colour, disc, font, rectangle, rem, Sheet, stroke} from "paint.js";
 import {END} from "scene.js";
 
 const LIMIT = constants.torque_limit;
@@ -91,8 +91,8 @@ class Plot {
     context.textBaseline = "middle";
     for (let mark = Math.ceil(low / step - 1e-9); mark * step <= high + 1e-9 * step; mark++) {
       const y = Math.round(this.y(mark * step)) + 0.5;
-      context.fillStyle = colour(mark === 0 ? "tick" : "hairline");
-      context.fillRect(this.left, y - 0.5, this.right - this.left, 1);
+      const place = [this.left, y - 0.5, this.right - this.left, 1];
+      rectangle(context, place, colour(mark === 0 ? "tick" : "hairline"));
       context.fillStyle = colour("grey");
       const text = written(mark * step, decimals(step));
       context.fillText(text, this.left - 0.5 * TEXT * rem(), y);
@@ -110,9 +110,8 @@ class Plot {
 
   /** Draws a vertical line. */
   line(value) {
-    const {context} = this.sheet;
-    context.fillStyle = colour("tick");
-    context.fillRect(this.x(value), this.top, 1, this.bottom - this.top);
+    const place = [this.x(value), this.top, 1, this.bottom - this.top];
+    rectangle(this.sheet.context, place, colour("tick"));
   }
 
   /** Restricts what is drawn to the space between the axes, until `restore`. */
@@ -126,11 +125,9 @@ class Plot {
 
   stroke(rival) {
     const {context} = this.sheet;
-    context.lineWidth = rival ? 1.2 : 1.6;
     context.lineJoin = "round";
-    context.strokeStyle = colour(rival ? "rival" : "line");
     context.setLineDash(rival ? [5, 3] : []);
-    context.stroke();
+    stroke(context, rival ? 1.2 : 1.6, colour(rival ? "rival" : "line"));
     context.setLineDash([]);
   }
 }
@@ -182,8 +179,8 @@ export class TimeChart extends Plot {
       while (end <= last && (x_dot[end] === 0) === stuck) end++;
       const left = this.x(begin * lane.dt);
       const right = this.x(Math.min(end, last) * lane.dt);
-      context.fillStyle = colour(stuck ? "stick-shade" : "slip-shade");
-      context.fillRect(left, this.top, right - left, this.bottom - this.top);
+      const place = [left, this.top, right - left, this.bottom - this.top];
+      rectangle(context, place, colour(stuck ? "stick-shade" : "slip-shade"));
       begin = end;
     }
   }

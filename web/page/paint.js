@@ -31,11 +31,22 @@ function trace(context, points) {
 }
 
 /** Draws a line through points. */
-export function line(context, points, width, stroke) {
+export function line(context, points, width, ink) {
   trace(context, points);
+  stroke(context, width, ink);
+}
+
+/** Strokes the current path. */
+export function stroke(context, width, ink) {
   context.lineWidth = width;
-  context.strokeStyle = stroke;
+  context.strokeStyle = ink;
   context.stroke();
+}
+
+/** Draws a filled rectangle. */
+export function rectangle(context, [x, y, width, height], fill) {
+  context.fillStyle = fill;
+  context.fillRect(x, y, width, height);
 }
 
 /** Draws a filled polygon. */

@@ -4,7 +4,7 @@
 import {constants} from "capsule.mjs";
 import {figure} from "figure.js";
 import {clamp, decimals, niceStep, written} from "numbers.js";
-import {colour, disc, font, line, polygon, rem, Sheet} from "paint.js";
+import {colour, disc, font, line, polygon, rectangle, rem, Sheet, stroke} from "paint.js";
 
 const {ROD, BALL, PIVOT, SHELL_HALF, SHELL_HEIGHT, GAUGE} = figure;
 const PER_METRE = ROD / constants.l;
@@ -67,8 +67,7 @@ export class Stage {
    */
   draw(driver, rival, {lanes, still}) {
     const {context, width, height} = this.sheet;
-    context.fillStyle = colour("paper");
-    context.fillRect(0, 0, width, height);
+    rectangle(context, [0, 0, width, height], colour("paper"));
     if (rival && lanes) {
       this.lane({top: 0, height: height / 2}, driver, null, still, "line");
       this.lane({top: height / 2, height: height / 2}, rival, null, still, "rival");
@@ -85,8 +84,7 @@ export class Stage {
     copy.width = canvas.width;
     copy.height = canvas.height + 2 * size;
     const context = copy.getContext("2d");
-    context.fillStyle = colour("paper");
-    context.fillRect(0, 0, copy.width, copy.height);
+    rectangle(context, [0, 0, copy.width, copy.height], colour("paper"));
     context.drawImage(canvas, 0, 0);
     context.fillStyle = colour("ink");
     context.font = `600 ${size}px sans-serif`;
@@ -154,16 +152,15 @@ function traceShell(context) {
 /** Draws the floor with its ruler, and the flag at the start. */
 function drawFloor(context, x, half, scale, height) {
   const start = -x * PER_METRE;
-  context.fillStyle = colour("floor-fill");
-  context.fillRect(-half, 0, 2 * half, BELOW);
+  rectangle(context, [-half, 0, 2 * half, BELOW], colour("floor-fill"));
   drawRuler(context, start, half, scale, height);
   if (Math.abs(start) < half + FLAG) drawFlag(context, start);
-  context.fillStyle = colour("tick");
-  context.fillRect(-half, -1, 2 * half, 2);
+  rectangle(context, [-half, -1, 2 * half, 2], colour("tick"));
 }
 
 function drawRuler(context, start, half, scale, height) {
   const major = MAJOR * PER_METRE;
+  const fine = 1 / scale;
   const centimetres = 100 * MAJOR;
   const labelled = major * scale < NARROW_LABEL ? 2 : 1;
   const first = Math.floor((-half - start) / major);
@@ -172,11 +169,9 @@ function drawRuler(context, start, half, scale, height) {
   context.textAlign = "center";
   for (let mark = first; mark <= last; mark++) {
     const at = start + mark * major;
-    context.fillStyle = colour("grid");
-    context.fillRect(at, -height, 1 / scale, height);
-    context.fillStyle = colour("tick");
-    for (let part = 0; part < 10; part++)
-      context.fillRect(at + (part * major) / 10, 0, 1 / scale, TICKS[part]);
+    rectangle(context, [at, -height, fine, height], colour("grid"));
+    for (const [part, length] of TICKS.entries())
+      rectangle(context, [at + (part * major) / 10, 0, fine, length], colour("tick"));
     if (mark % labelled !== 0) continue;
     context.fillStyle = colour("grey");
     context.fillText(written(mark * centimetres, decimals(centimetres)), at, BELOW - 10);
@@ -186,8 +181,7 @@ function drawRuler(context, start, half, scale, height) {
 function drawFlag(context, at) {
   const ink = colour("ink");
   polygon(context, [[at, -92], [at + FLAG, -82], [at, -72]], ink);
-  context.fillStyle = ink;
-  context.fillRect(at - 1, -92, 2, 92);
+  rectangle(context, [at - 1, -92, 2, 92], ink);
 }
 
 /**
@@ -207,15 +201,12 @@ function drawBody(context, state) {
   context.fillStyle = colour("shell");
   context.fill();
   context.globalAlpha = 0.65;
-  context.lineWidth = 3;
-  context.strokeStyle = contact;
-  context.stroke();
+  stroke(context, 3, contact);
   context.globalAlpha = 1;
   drawPlatform(context);
   drawGauge(context);
   const flat = SHELL_HALF - SHELL_HEIGHT / 2 + 6;
-  context.fillStyle = contact;
-  context.fillRect(-flat, -1, 2 * flat, 7);
+  rectangle(context, [-flat, -1, 2 * flat, 7], contact);
 }
 
 function drawPlatform(context) {
@@ -265,15 +256,12 @@ function drawOutline(context, theta, offset) {
   context.globalAlpha = 0.8;
   context.setLineDash([7, 5]);
   traceShell(context);
-  context.lineWidth = 2.5;
-  context.strokeStyle = ink;
-  context.stroke();
+  stroke(context, 2.5, ink);
   context.setLineDash([]);
   line(context, [polar(0, 0), polar(theta, ROD - BALL)], 4, ink);
   context.beginPath();
   context.arc(...polar(theta, ROD), BALL, 0, TURN);
-  context.lineWidth = 3;
-  context.stroke();
+  stroke(context, 3, ink);
   disc(context, polar(0, 0), 6, ink);
   context.restore();
 }
@@ -303,9 +291,7 @@ function drawTorque(context, share) {
   const base = end - head;
   context.beginPath();
   context.arc(0, -PIVOT, GAUGE, -Math.PI / 2, -Math.PI / 2 - base, end > 0);
-  context.lineWidth = 7;
-  context.strokeStyle = torque;
-  context.stroke();
+  stroke(context, 7, torque);
   const wide = 50 * Math.abs(head);
   const corners = [polar(end, GAUGE), polar(base, GAUGE - wide), polar(base, GAUGE + wide)];
   polygon(context, corners, torque);
