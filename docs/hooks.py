@@ -1,6 +1,4 @@
-"""Hooks of mkdocs: pages of the notebooks, links to the live page, and words without line
-breaks.
-"""
+"""Hooks of mkdocs: pages of notebooks, links to the live page, words without line breaks."""
 
 import base64
 import html
@@ -51,8 +49,9 @@ def drivers() -> frozenset[str]:
 
 
 def on_files(files: Any, config: Any) -> Any:
-    """Adds CONTRIBUTING.md and the notebooks, and moves the page about the live page out of the
-    live page's folder.
+    """Adds CONTRIBUTING.md and the notebooks, and moves the page about the live page.
+
+    Its default place is the live page's own file.
 
     Raises:
         PluginError: if another file would be written into that folder.
@@ -61,11 +60,12 @@ def on_files(files: Any, config: Any) -> Any:
     lost = [file.src_uri for file in files if file.dest_uri.startswith(LIVE)]
     if lost:
         raise PluginError(f"`make web` writes into the same folder {LIVE} as {', '.join(lost)}")
-    contributing = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").replace("](docs/", "](")
-    files.append(File.generated(config, "contributing.md", content=contributing))
+    contributing = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
+    content = contributing.replace("](docs/", "](")
+    files.append(File.generated(config, "contributing.md", content=content))
     for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
-        for name, content in notebook_files(path, config.repo_url or "").items():
-            files.append(File.generated(config, f"notebooks/{name}", content=content))
+        for name, file in notebook_files(path, config.repo_url or "").items():
+            files.append(File.generated(config, f"notebooks/{name}", content=file))
     return files
 
 
@@ -81,37 +81,42 @@ def notebook_files(path: Path, repository: str) -> dict[str, str | bytes]:
     """
     parts: list[str] = []
     pictures: dict[str, bytes] = {}
-    for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+    for cell in json.loads(path.read_text("utf-8"))["cells"]:
         source = "".join(cell["source"])
         if cell["cell_type"] == "markdown":
             # The page lies one folder below the others.
-            parts.append(
-                source.replace("](../docs/", "](../").replace(
-                    "](../LEADERBOARD.md", "](../leaderboard.md"
-                )
-            )
-            continue
-        parts.append(f"```python\n{source}\n```")
-        for output in cell["outputs"]:
-            data = output.get("data", {})
-            if "image/png" in data:
-                name = f"{path.stem}_{len(pictures)}.png"
-                pictures[name] = base64.b64decode(data["image/png"])
-                parts.append(f"![What the cell shows]({name})")
-            else:
-                text = "".join(output.get("text", data.get("text/plain", ""))).rstrip()
-                # A notebook stores what a cell prints in pieces.
-                before = (
-                    parts.pop().removesuffix("```")
-                    if parts[-1].startswith("```text")
-                    else "```text\n"
-                )
-                parts.append(f"{before}{text}\n```")
+            source = source.replace("](../docs/", "](../")
+            source = source.replace("](../LEADERBOARD.md", "](../leaderboard.md")
+            parts.append(source)
+        else:
+            parts.append(f"```python\n{source}\n```")
+            parts += _outputs(cell["outputs"], path.stem, pictures)
     owner = repository.partition("github.com/")[2].strip("/")
     if owner:
-        badge = f"[![Open in Colab](../media/colab.svg)]({COLAB}{owner}/blob/main/notebooks/{path.name})"
-        parts.insert(1, badge)
-    return {f"{path.stem}.md": "\n\n".join(parts) + "\n", **pictures}
+        address = f"{COLAB}{owner}/blob/main/notebooks/{path.name}"
+        parts.insert(1, f"[![Open in Colab](../media/colab.svg)]({address})")
+    page = "\n\n".join(parts) + "\n"
+    return {f"{path.stem}.md": page, **pictures}
+
+
+def _outputs(outputs: list[Any], stem: str, pictures: dict[str, bytes]) -> list[str]:
+    """The outputs of a cell in Markdown; adds its pictures to those of the notebook."""
+    parts: list[str] = []
+    for output in outputs:
+        data = output.get("data", {})
+        if "image/png" in data:
+            name = f"{stem}_{len(pictures)}.png"
+            pictures[name] = base64.b64decode(data["image/png"])
+            parts.append(f"![What the cell shows]({name})")
+            continue
+        lines = output.get("text", data.get("text/plain", ""))
+        text = "".join(lines).rstrip()
+        before = "```text\n"
+        if parts and parts[-1].startswith(before):
+            # A notebook stores what a cell prints in pieces.
+            before = parts.pop().removesuffix("```")
+        parts.append(f"{before}{text}\n```")
+    return parts
 
 
 def metrics_table() -> str:
@@ -119,8 +124,10 @@ def metrics_table() -> str:
     lines = ["|metric|description|", "|---|---|"]
     for task in TASKS.values():
         metrics = {**METRICS, **task.metrics} if task.name == "speed" else task.metrics
-        # A bar would end a cell.
-        lines += [f"|`{name}`|{text.replace('|', '&#124;')}|" for name, text in metrics.items()]
+        for name, text in metrics.items():
+            # A bar would end a cell.
+            escaped = text.replace("|", "&#124;")
+            lines.append(f"|`{name}`|{escaped}|")
     return "\n".join(lines)
 
 
@@ -131,38 +138,54 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
 
 
 def on_page_content(content: str, page: Any, **_: Any) -> str:
-    """Links figures to their files and the policies of rankings to the live page, and keeps short
-    words whole.
-    """
-    content = FIGURE.sub(
-        lambda match: f'<a href="{match["file"]}" title="Open the figure">{match[0]}</a>', content
-    )
-    content = INLINE_CODE.sub(lambda code: re.sub(r"\S+", _whole, code[0]), content)
-    content = TABLE.sub(lambda table: EXPONENTIAL.sub(_whole, table[0]), content)
+    """Links figures to files and ranked policies to the live page; keeps short words whole."""
+    content = FIGURE.sub(_figure_link, content)
+    content = INLINE_CODE.sub(_whole_words, content)
+    content = TABLE.sub(_whole_numbers, content)
     if page.file.src_uri not in RANKINGS:
         return content
-    return TABLE.sub(lambda match: _watched(page, match[0]), content)
+    return TABLE.sub(lambda table: _watched(page, table[0]), content)
+
+
+def _figure_link(image: re.Match[str]) -> str:
+    return f'<a href="{image["file"]}" title="Open the figure">{image[0]}</a>'
+
+
+def _whole_words(code: re.Match[str]) -> str:
+    return re.sub(r"\S+", _whole, code[0])
+
+
+def _whole_numbers(table: re.Match[str]) -> str:
+    return EXPONENTIAL.sub(_whole, table[0])
 
 
 def _whole(word: re.Match[str]) -> str:
     """Prevents line breaks in a short word; returns a longer word unchanged."""
-    short = len(html.unescape(word[0])) <= LONGEST_WHOLE
-    return f'<span class="whole">{word[0]}</span>' if short else word[0]
+    if len(html.unescape(word[0])) > LONGEST_WHOLE:
+        return word[0]
+    return f'<span class="whole">{word[0]}</span>'
 
 
 def _watched(page: Any, table: str) -> str:
-    """Links policies, in the first column of a ranking, to the live page, next to the paper's
-    controller.
-    """
-
-    def watch(cell: re.Match[str]) -> str:
-        words, rival = f"Watch {cell[0]}", {} if cell[0] == BASELINE else {"rival": BASELINE}
-        scene = urlencode({"driver": cell[0], **rival, "set": "paper", "plant": 0})
-        return f"{cell[0]} {_link(page, scene, '&#9654;', {'class': 'watch', 'title': words, 'aria-label': words})}"
-
-    if not {"policy", "senses"} <= {*re.findall("<th>(.*?)</th>", table)}:
+    """Links the policies in the first column of a ranking to the live page."""
+    headings = re.findall("<th>(.*?)</th>", table)
+    if not {"policy", "senses"} <= set(headings):
         return table
-    return POLICY.sub(lambda cell: watch(cell) if cell[0] in drivers() else cell[0], table)
+    return POLICY.sub(lambda cell: _watch(page, cell[0]), table)
+
+
+def _watch(page: Any, policy: str) -> str:
+    """A policy's name with a link to its scene, next to the paper's controller."""
+    if policy not in drivers():
+        return policy
+    scene = {"driver": policy}
+    if policy != BASELINE:
+        scene["rival"] = BASELINE
+    scene |= {"set": "paper", "plant": "0"}
+    title = f"Watch {policy}"
+    attributes = {"class": "watch", "title": title, "aria-label": title}
+    link = _link(page, urlencode(scene), "&#9654;", attributes)
+    return f"{policy} {link}"
 
 
 def _link(page: Any, scene: str, text: str, attributes: dict[str, str]) -> str:
@@ -172,13 +195,13 @@ def _link(page: Any, scene: str, text: str, attributes: dict[str, str]) -> str:
         PluginError: if the live page cannot show a policy of the scene.
     """
     given = parse_qs(scene)
-    strangers = {*given["driver"], *given.get("rival", [])} - drivers()
+    shown = given["driver"] + given.get("rival", [])
+    strangers = ", ".join(set(shown) - drivers())
     if strangers:
-        raise PluginError(
-            f"{page.file.src_uri} links to drivers that the live page lacks: {', '.join(strangers)}"
-        )
-    address = f"{get_relative_url(LIVE + 'index.html', page.url)}#{scene}"
-    written = (
-        f'{name}="{html.escape(value)}"' for name, value in {**attributes, "href": address}.items()
-    )
-    return f"<a {' '.join(written)}>{text}</a>"
+        source = page.file.src_uri
+        raise PluginError(f"{source} links to drivers that the live page lacks: {strangers}")
+    address = get_relative_url(LIVE + "index.html", page.url)
+    written = ""
+    for name, value in {**attributes, "href": f"{address}#{scene}"}.items():
+        written += f' {name}="{html.escape(value)}"'
+    return f"<a{written}>{text}</a>"

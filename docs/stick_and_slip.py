@@ -1,6 +1,4 @@
-"""Draws media/stick_and_slip.gif, the paper's controller above an agent: `python
-docs/stick_and_slip.py`.
-"""
+"""Draws media/stick_and_slip.gif: `python docs/stick_and_slip.py`."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,35 +11,30 @@ from capsule_gym.envs.env import shown_state
 from capsule_gym.evaluation.sets import load_set
 from capsule_gym.rendering import Renderer, write_gif
 
-PERIOD, FRAME_SECONDS = 6.6, 0.07
+FILE = Path(__file__).parent / "media" / "stick_and_slip.gif"
+# Length of the controller's cycle, and time between frames, s.
+PERIOD = 6.6
+FRAME_SECONDS = 0.07
+# The paper's controller is above the agent.
 TITLES = {"adaptive": "the paper's controller", "residual-ppo": "a trained agent"}
 
 
 def frames() -> Iterator[np.ndarray]:
-    """The frames of both episodes on one plant, one above the other, during the second cycle of the
-    controller.
-    """
+    """The frames of both episodes on one plant during the second cycle of the controller."""
     nominal = load_set("nominal")
-    episodes = [Episode(find_policy(name), nominal, nominal.plants[0]) for name in TITLES]
-    renderers = [
-        Renderer(
-            episode.env.simulation.capsule,
-            "rgb_array",
-            1.0 / FRAME_SECONDS,
-            1.5,
-            TITLES[episode.policy.name],
-        )
-        for episode in episodes
-    ]
+    lanes = []
+    for name, title in TITLES.items():
+        episode = Episode(find_policy(name), nominal, nominal.plants[0])
+        capsule = episode.env.simulation.capsule
+        renderer = Renderer(capsule, "rgb_array", 1.0 / FRAME_SECONDS, 1.5, title)
+        lanes.append((episode, renderer))
     for n in range(round(PERIOD / FRAME_SECONDS)):
-        lanes: list[Any] = []
-        for episode, renderer in zip(episodes, renderers, strict=True):
+        drawn: list[Any] = []
+        for episode, renderer in lanes:
             episode.advance(PERIOD + n * FRAME_SECONDS)
-            lanes.append(renderer.draw(**shown_state(episode.env.simulation, 0)))
-        yield np.concatenate(lanes)
+            drawn.append(renderer.draw(**shown_state(episode.env.simulation, 0)))
+        yield np.concatenate(drawn)
 
 
 if __name__ == "__main__":
-    write_gif(
-        frames(), Path(__file__).parent / "media" / "stick_and_slip.gif", FRAME_SECONDS, width=500
-    )
+    write_gif(frames(), FILE, FRAME_SECONDS, width=500)

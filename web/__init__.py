@@ -1,3 +1,1 @@
-"""The environment in a browser: the compiled step as WebAssembly, its data, and the page around
-it.
-"""
+"""The environment in a browser: the core as WebAssembly, its data, and the live page."""

@@ -14,8 +14,6 @@ import tempfile
 from pathlib import Path
 from urllib.parse import quote
 
-import numpy as np
-
 from baselines import drawing
 from capsule_gym.command_line import command, refuse
 from capsule_gym.files import write_atomically
@@ -24,82 +22,99 @@ from web.data import pack_data
 
 PROG = "python -m web.build"
 SOURCES = Path(__file__).parent
+PAGE = SOURCES / "page"
+MODULE = SOURCES / "module"
+# The files that capsule.mjs consists of, each after those that it imports from.
+PARTS = ("archive", "checks", "core", "options", "drivers", "reset", "capsule", "episode", "replay")
+IMPORT = re.compile(r'^import \{[^}]*\} from "\./\w+\.mjs";\n', re.MULTILINE)
+EXPORT = re.compile(r"^export ", re.MULTILINE)
+FROM = re.compile(r' from "\./\w+\.mjs"')
 CORE = SOURCES.parent / "capsule_gym" / "core"
-COMPILER = (
-    *(sys.executable, "-m", "ziglang", "c++", "-std=c++20", "-O3", "-g0", "-I", str(CORE)),
-    # Features that every engine supports since 2021.
-    *(
-        "-target",
-        "wasm32-freestanding",
-        "-mcpu=generic+bulk_memory+mutable_globals+nontrapping_fptoint+sign_ext",
-    ),
-    *(
-        "-ffp-contract=off",
-        "-DCAPSULE_FP_CONTRACT_OFF",
-        "-fno-math-errno",
-        "-fno-exceptions",
-        "-fno-rtti",
-    ),
-    *("-nostdlib++", "-Wl,--no-entry", "-Wl,--strip-all", "-Wl,-z,stack-size=1048576"),
-)
+# Features that every engine supports since 2021.
+FEATURES = "-mcpu=generic+bulk_memory+mutable_globals+nontrapping_fptoint+sign_ext"
+FLAGS = """
+    -std=c++20 -O3 -g0 -target wasm32-freestanding
+    -ffp-contract=off -DCAPSULE_FP_CONTRACT_OFF -fno-math-errno -fno-exceptions -fno-rtti
+    -nostdlib++ -Wl,--no-entry -Wl,--strip-all -Wl,-z,stack-size=1048576
+""".split()
+# Colours of the figures that the page uses, as the renderer names its own.
+FIGURE_COLOURS = {
+    "RIVAL": drawing.PURPLE,
+    "ACCENT": drawing.BLUE,
+    "WARNING": drawing.VERMILION,
+}
 
 
 def compile_wasm(source: Path = CORE / "bindings" / "web.cpp") -> bytes:
-    """The WebAssembly module of a C++ file, the same bytes with the same version of `ziglang`, or a
-    RuntimeError.
+    """The WebAssembly module of a C++ file.
+
+    The same version of `ziglang` gives the same bytes.
+
+    Raises:
+        RuntimeError: if the file does not compile.
     """
+    compiler = [sys.executable, "-m", "ziglang", "c++", *FLAGS, FEATURES, "-I", str(CORE)]
     with tempfile.TemporaryDirectory() as folder:
         module = Path(folder, "core.wasm")
-        done = subprocess.run(
-            [*COMPILER, "-o", str(module), str(source)], capture_output=True, text=True, check=False
-        )
+        compilation = [*compiler, "-o", str(module), str(source)]
+        done = subprocess.run(compilation, capture_output=True, text=True, check=False)
         if done.returncode:
             raise RuntimeError(f"python -m ziglang c++ failed:\n{done.stderr}")
         return module.read_bytes()
 
 
 def build_module(archive: str) -> str:
-    """The text of capsule.mjs with the archive inserted."""
-    return (
-        (SOURCES / "capsule.mjs")
-        .read_text("utf-8")
-        .replace('ARCHIVE = ""', f'ARCHIVE = "{archive}"')
-    )
+    """The text of capsule.mjs, its parts in one file, with the archive inserted."""
+    exports = (MODULE / "exports.mjs").read_text("utf-8")
+    # Only what this file exports is public, and the parts need no imports in one file.
+    texts = [FROM.sub("", exports)]
+    for part in PARTS:
+        text = (MODULE / f"{part}.mjs").read_text("utf-8")
+        text = IMPORT.sub("", text)
+        texts.append(EXPORT.sub("", text))
+    return "\n".join(texts).replace('ARCHIVE = ""', f'ARCHIVE = "{archive}"')
 
 
 def build_page(module: str) -> str:
-    """The text of the page, one HTML file; an import map contains the text of every JavaScript
-    module by its name.
-    """
-    names = {name: value for name, value in vars(renderer).items() if name.isupper()}
-    lengths = {name: value for name, value in names.items() if isinstance(value, float)}
+    """The text of the page, one HTML file that contains every JavaScript module."""
+    parts = {"style": build_style(), "import map": build_import_map(module)}
+    template = (PAGE / "index.html").read_text("utf-8")
+    page = re.sub(r"/\* (style|import map) \*/", lambda match: parts[match[1]], template)
+    # The address of the preview image must be absolute. SITE_URL is set when the site is deployed,
+    # as in mkdocs.yml.
+    site = os.environ.get("SITE_URL") or "../"
+    return page.replace("../media/", site + "media/")
+
+
+def build_style() -> str:
+    """The style sheet; colours are properties, for example --ink for the renderer's INK."""
+    colours = dict(FIGURE_COLOURS)
+    for name, value in vars(renderer).items():
+        if name.isupper() and isinstance(value, tuple) and len(value) == 3:
+            colours[name] = "#" + bytes(value).hex()
+    style = ":root {\n"
+    for name, colour in colours.items():
+        css_name = name.lower().replace("_", "-")
+        style += f"  --{css_name}: {colour};\n"
+    return style + "}\n" + (PAGE / "page.css").read_text("utf-8")
+
+
+def build_import_map(module: str) -> str:
+    """The text of every JavaScript module by its name, as JSON of an import map."""
+    lengths = {}
+    for name, value in vars(renderer).items():
+        if name.isupper() and isinstance(value, float):
+            lengths[name] = value
     sources = {
         "capsule.mjs": module,
         "figure.js": f"export const figure = {json.dumps(lengths)};\n",
     }
-    folder = SOURCES / "page"
-    sources |= {path.name: path.read_text("utf-8") for path in sorted(folder.glob("*.js"))}
-    imports = {
-        name: "data:text/javascript," + quote(text, safe="/+= ;:,()[]{}*!?&|")
-        for name, text in sources.items()
-    }
-    # The colours of the robot and the figures as CSS properties, for example --ink for INK.
-    robot = {
-        name: "#" + bytes(value).hex() for name, value in names.items() if np.shape(value) == (3,)
-    }
-    colours = robot | {
-        "RIVAL": drawing.PURPLE,
-        "ACCENT": drawing.BLUE,
-        "WARNING": drawing.VERMILION,
-    }
-    lines = (f"  --{name.lower().replace('_', '-')}: {value};\n" for name, value in colours.items())
-    style = ":root {\n" + "".join(lines) + "}\n" + (folder / "page.css").read_text("utf-8")
-    parts = {"style": style, "import map": json.dumps({"imports": imports})}
-    template = (folder / "index.html").read_text("utf-8")
-    page = re.sub(r"/\* (style|import map) \*/", lambda match: parts[match[1]], template)
-    # The address of the preview image must be absolute. SITE_URL is set when the site is deployed,
-    # as in mkdocs.yml.
-    return page.replace("../media/", (os.environ.get("SITE_URL") or "../") + "media/")
+    for path in sorted(PAGE.glob("*.js")):
+        sources[path.name] = path.read_text("utf-8")
+    imports = {}
+    for name, source in sources.items():
+        imports[name] = "data:text/javascript," + quote(source, safe="/+= ;:,()[]{}*!?&|")
+    return json.dumps({"imports": imports})
 
 
 @command(PROG, RuntimeError)
@@ -116,17 +131,18 @@ def main(output: Path = Path("site/live")) -> None:
         output.mkdir(parents=True, exist_ok=True)
         module = build_module(pack_data(compile_wasm()))
     except OSError as error:
-        refuse(
-            PROG, f"--output must be a folder that can be written to, got {str(output)!r}: {error}"
-        )
+        accepted = "--output must be a folder that can be written to"
+        refuse(PROG, f"{accepted}, got {str(output)!r}: {error}")
     page = build_page(module)
     if not (output.parent / "index.html").is_file():
         # Hides the link to the documentation, which does not exist in the folder above.
         page = page.replace('<a id="documentation"', '<a id="documentation" hidden')
-    types = (SOURCES / "capsule.d.mts").read_text(encoding="utf-8")
+    types = (SOURCES / "capsule.d.mts").read_text("utf-8")
     for name, text in (("index.html", page), ("capsule.mjs", module), ("capsule.d.mts", types)):
-        write_atomically(output / name, text)
-        print(f"{output / name}: {len(text.encode()) / 1000:.0f} kB")
+        path = output / name
+        write_atomically(path, text)
+        kilobytes = len(text.encode()) / 1000
+        print(f"{path}: {kilobytes:.0f} kB")
 
 
 if __name__ == "__main__":

@@ -1,5 +1,4 @@
-"""Data for the JavaScript: the compiled core, drivers, options, tables, networks, plants and
-episodes.
+"""Data for the JavaScript: the compiled core, drivers, options, tables, networks and episodes.
 
 All data are in one archive: the length of a header in four bytes, the header as JSON, and the
 content, whose positions are in the header. Float64 arrays are stored column by column; for each
@@ -46,7 +45,7 @@ from capsule_gym.policies.policy import MOST_UNITS
 from capsule_gym.policies.scripted import ScriptedPolicy
 from capsule_gym.tasks import task
 from capsule_gym.tasks.registry import TASKS, find_task
-from web.episodes import FILE, OVER, RECORDED, RECORDINGS, SEEDS, drivers
+from web.episodes import OVER, RECORDED, RECORDINGS, SEEDS, committed_episodes, drivers
 
 Options = Mapping[str, float | None]
 
@@ -54,21 +53,27 @@ Options = Mapping[str, float | None]
 DIRECT = "direct"
 LAW_NAMES = (DIRECT, *sorted(LAWS))
 SETS = (*sets.SET_NAMES, *sets.FURTHER_SET_NAMES, *sets.TASK_SET_NAMES)
+# All constants of a plant.
+PLANT = ("M", "mu", *CONSTANTS)
 # Largest friction of the motor, N m, for the capsule and for disturbances.
 LARGEST_MOTOR_FRICTION = 0.2
 # Accepted values of the plant's constants. The largest friction is also accepted at the smallest
 # mass.
 RANGES = Randomization(
-    M=(0.2, _core.M_BOUND * NOMINAL.M), mu=(0.0, _core.MU_BOUND), m=(0.1, 0.18), l=(0.25, 0.35), g=(1.0, 15.0),
-    k=(0.2, 0.6), c=(0.05, 0.15), static_ratio=(1.0, 1.5), backward_ratio=(0.5, 1.5), viscous=(0.0, 2.0),
-    stribeck_speed=(0.02, 1.0), slope=(-0.2, 0.2), motor_friction=(0.0, LARGEST_MOTOR_FRICTION),
-)  # fmt: skip
-# The stiffest plants that the page accepts; motors have the friction of the capsule and of
-# disturbances.
-STIFFEST: dict[str, Any] = {
-    "randomization": RANGES,
-    "disturbances": Disturbances(motor_friction=LARGEST_MOTOR_FRICTION),
-}
+    M=(0.2, _core.M_BOUND * NOMINAL.M),
+    mu=(0.0, _core.MU_BOUND),
+    m=(0.1, 0.18),
+    l=(0.25, 0.35),
+    g=(1.0, 15.0),
+    k=(0.2, 0.6),
+    c=(0.05, 0.15),
+    static_ratio=(1.0, 1.5),
+    backward_ratio=(0.5, 1.5),
+    viscous=(0.0, 2.0),
+    stribeck_speed=(0.02, 1.0),
+    slope=(-0.2, 0.2),
+    motor_friction=(0.0, LARGEST_MOTOR_FRICTION),
+)
 
 
 class Archive:
@@ -81,84 +86,107 @@ class Archive:
         """Stores bytes; returns their entry in the header."""
         at = self.content.find(content)
         if at < 0:
-            at, self.content = len(self.content), self.content + content
+            at = len(self.content)
+            self.content += content
         return {"at": at, "size": len(content)}
 
     def add_array(self, array: Any) -> dict[str, int]:
         """Stores a float64 array of one or two dimensions; returns its entry in the header."""
-        table = np.ascontiguousarray(array, "<f8").reshape(len(array), -1)
+        numbers = np.ascontiguousarray(array, "<f8")
+        table = numbers.reshape(len(numbers), -1)
         rows, columns = table.shape
-        content = table.view(np.uint8).reshape(rows, columns, 8).transpose(1, 2, 0).tobytes()
-        return {**self.add(content), "rows": rows, "columns": columns}
+        significance = table.view(np.uint8).reshape(rows, columns, 8)
+        entry = self.add(significance.transpose(1, 2, 0).tobytes())
+        return {**entry, "rows": rows, "columns": columns}
 
 
 def pack_data(module: bytes) -> str:
-    """The archive with all data for the JavaScript, compressed, in base64; `module` is the compiled
-    core.
+    """The archive with all data for the JavaScript, compressed, in base64.
+
+    Args:
+        module: the compiled core.
     """
     archive = Archive()
-    ranges = parameters.RANDOMIZATIONS.items()
-    header = {
-        "module": archive.add(module),
-        "tasks": {name: pack_options(EnvConfig(task=name)) for name in TASKS},
-        "controllers": {name: describe_controller(name, archive) for name in LAW_NAMES},
-        "drivers": [describe_driver(policy, archive) for policy in drivers().values()],
-        "torques": TORQUES.tolist(),
-        "sets": {name: describe_set(sets.load_set(name)) for name in SETS},
-        "ideal": asdict(Disturbances()),
-        "accepted": {
-            "options": option_limits(),
-            "sensors": SENSORS,
-            "substeps": _core.MOST_SUBSTEPS,
-            "commands": _core.COMMANDS,
-            "command": _core.LARGEST_COMMAND,
-            "units": MOST_UNITS,
-            "padding": _core.PADDING,
-        },
-        "constants": {  # in SI units
-            **{
-                name.lower(): getattr(task, name)
-                for name in ("CONTROL_DT", "TORQUE_LIMIT", "THETA_LIMIT")
-            },
-            "steps": task.EPISODE_STEPS,
-            "horizons": {
-                each.name: each.episode_steps * task.CONTROL_DT for each in TASKS.values()
-            },
-            **{name: getattr(NOMINAL, name) for name in ("m", "l", "g")},
-            "nominal": {name: getattr(NOMINAL, name) for name in ("M", "mu", *CONSTANTS)},
-            "ranges": {name: {"M": each.M, "mu": each.mu} for name, each in ranges if each.M},
-            "limits": {
-                name: getattr(RANGES, name) or (-LARGEST, LARGEST)
-                for name in ("M", "mu", *CONSTANTS)
-            },
-            "real": asdict(parameters.REAL),
-            "start": {"theta": task.START_THETA, "theta_dot": 0.0, "x": 0.0, "x_dot": 0.0},
-            "largest_state": dict(zip(_core.ROW_NAMES, task.LARGEST_STATE, strict=False)),
-        },
-        "episodes": json.loads(FILE.read_text("utf-8")),
-    }
+    header: dict[str, Any] = {"module": archive.add(module)}
+    header["tasks"] = {name: pack_options(EnvConfig(task=name)) for name in TASKS}
+    header["controllers"] = {name: describe_controller(name, archive) for name in LAW_NAMES}
+    header["drivers"] = [describe_driver(policy, archive) for policy in drivers().values()]
+    header["torques"] = TORQUES.tolist()
+    header["sets"] = {name: describe_set(name) for name in SETS}
+    header["ideal"] = asdict(Disturbances())
+    header["accepted"] = accepted_values()
+    header["constants"] = describe_tasks() | describe_plant()
+    header["episodes"] = committed_episodes()
     text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
-    return base64.b64encode(
-        zlib.compress(len(text).to_bytes(4, "little") + text + archive.content, 9)
-    ).decode()
+    size = len(text).to_bytes(4, "little")
+    packed = zlib.compress(size + text + archive.content, 9)
+    return base64.b64encode(packed).decode()
+
+
+def accepted_values() -> dict[str, Any]:
+    """What the JavaScript accepts in options, disturbances, commands and networks."""
+    return {
+        "options": option_limits(),
+        "sensors": SENSORS,
+        "substeps": _core.MOST_SUBSTEPS,
+        "commands": _core.COMMANDS,
+        "command": _core.LARGEST_COMMAND,
+        "units": MOST_UNITS,
+        "padding": _core.PADDING,
+    }
+
+
+def option_limits() -> dict[str, tuple[float, float]]:
+    """The accepted values of the core's options."""
+    limits = dict.fromkeys(_core.OPTIONS, (-LARGEST, LARGEST))
+    limits["stack_size"] = 1, LARGEST_STACK
+    for name in ("control_dt", "physics_dt"):
+        limits[name] = SHORTEST_STEP, LONGEST_STEP
+    for name in ("stick_threshold", "x_noise"):
+        limits[name] = 0.0, LARGEST_DISTURBANCE
+    for name in DISTURBANCES:
+        accepted = Disturbances.limits(name)
+        if name == "motor_friction":
+            accepted = 0.0, LARGEST_MOTOR_FRICTION
+        limits[f"disturbances_{name}_low"] = accepted
+        limits[f"disturbances_{name}_high"] = accepted
+    return limits
+
+
+def describe_tasks() -> dict[str, Any]:
+    """Numbers of the tasks, in SI units."""
+    state = _core.ROW_NAMES[: len(task.LARGEST_STATE)]
+    start = dict.fromkeys(state, 0.0)
+    start["theta"] = task.START_THETA
+    steps = {name: each.episode_steps for name, each in TASKS.items()}
+    return {
+        "control_dt": task.CONTROL_DT,
+        "steps": task.EPISODE_STEPS,
+        "horizons": {name: count * task.CONTROL_DT for name, count in steps.items()},
+        "torque_limit": task.TORQUE_LIMIT,
+        "theta_limit": task.THETA_LIMIT,
+        "start": start,
+        "largest_state": dict(zip(state, task.LARGEST_STATE, strict=True)),
+    }
+
+
+def describe_plant() -> dict[str, Any]:
+    """The constants of the plant and their ranges, in SI units."""
+    nominal = {name: getattr(NOMINAL, name) for name in PLANT}
+    numbers: dict[str, Any] = {name: nominal[name] for name in ("m", "l", "g")}
+    numbers["nominal"] = nominal
+    numbers["ranges"] = {}
+    for name, each in parameters.RANDOMIZATIONS.items():
+        if each.M:
+            numbers["ranges"][name] = {"M": each.M, "mu": each.mu}
+    numbers["limits"] = {name: getattr(RANGES, name) or (-LARGEST, LARGEST) for name in PLANT}
+    numbers["real"] = asdict(parameters.REAL)
+    return numbers
 
 
 def as_numbers(options: Options) -> dict[str, float | None]:
     """Options of the core as JSON contains them."""
     return {name: None if value is None else float(value) for name, value in options.items()}
-
-
-def option_limits() -> dict[str, tuple[float, float]]:
-    """The accepted values of the core's options."""
-    limits: dict[str, tuple[float, float]] = dict.fromkeys(_core.OPTIONS, (-LARGEST, LARGEST))
-    limits["stack_size"] = 1, LARGEST_STACK
-    limits |= dict.fromkeys(("control_dt", "physics_dt"), (SHORTEST_STEP, LONGEST_STEP))
-    limits |= dict.fromkeys(("stick_threshold", "x_noise"), (0.0, LARGEST_DISTURBANCE))
-    own = {"motor_friction": (0.0, LARGEST_MOTOR_FRICTION)}
-    for name in DISTURBANCES:
-        both = f"disturbances_{name}_low", f"disturbances_{name}_high"
-        limits |= dict.fromkeys(both, own.get(name) or Disturbances.limits(name))
-    return limits
 
 
 def pack_options(options: EnvConfig) -> dict[str, float | None]:
@@ -167,10 +195,13 @@ def pack_options(options: EnvConfig) -> dict[str, float | None]:
     Raises:
         ValueError: if the integrator's step is too long for a plant that the page accepts.
     """
-    own = replace(options, task=find_task(options.task).name, **sets.EPISODE_SETTINGS)
-    Simulation(1, replace(own, **STIFFEST))
-    given = core_options(own, find_controller(options.controller))
-    return as_numbers({**dict.fromkeys(_core.OPTIONS), **given})
+    name = find_task(options.task).name
+    frozen = replace(options, task=name, **sets.EPISODE_SETTINGS)
+    # Motors have the friction of the capsule and of disturbances.
+    friction = Disturbances(motor_friction=LARGEST_MOTOR_FRICTION)
+    Simulation(1, replace(frozen, randomization=RANGES, disturbances=friction))
+    given = core_options(frozen, find_controller(options.controller))
+    return as_numbers(dict.fromkeys(_core.OPTIONS) | given)
 
 
 def describe_controller(name: str, archive: Archive) -> dict[str, Any]:
@@ -178,15 +209,13 @@ def describe_controller(name: str, archive: Archive) -> dict[str, Any]:
     controller = None if name == DIRECT else find_controller(f"baselines:{name}")
     acting = controller or NO_CONTROLLER
     assert isinstance(acting.law, CoreLaw)
-    return {
-        "law": acting.law.name,
-        # They may be infinite, which JSON lacks, and a law may have none.
-        "constants": archive.add_array([*acting.law.constants, 0.0]),
-        "memory": acting.memory,
-        "table": archive.add_array(acting.reference),
-        "tasks": [find_task(acting.task).name] if acting.task else list(TASKS),
-        "options": as_numbers(controller_options(controller)),
-    }
+    tasks = [find_task(acting.task).name] if acting.task else list(TASKS)
+    described: dict[str, Any] = {"law": acting.law.name, "memory": acting.memory, "tasks": tasks}
+    # They may be infinite, which JSON lacks, and a law may have none.
+    described["constants"] = archive.add_array([*acting.law.constants, 0.0])
+    described["table"] = archive.add_array(acting.reference)
+    described["options"] = as_numbers(controller_options(controller))
+    return described
 
 
 def describe_policy(name: str, policy: Policy | ScriptedPolicy) -> dict[str, Any]:
@@ -196,57 +225,61 @@ def describe_policy(name: str, policy: Policy | ScriptedPolicy) -> dict[str, Any
         ValueError: if the policy's environment is not one of the browser's.
     """
     options = EnvConfig(**policy.env_kwargs)
-    law = (
-        DIRECT if options.controller is None else str(options.controller).removeprefix("baselines:")
-    )
+    law = str(options.controller or DIRECT).removeprefix("baselines:")
     if law not in LAW_NAMES:
         raise ValueError(f"controller must be None or a law of baselines, got {options.controller}")
-    described: dict[str, Any] = {
-        "name": name,
-        "description": policy.description,
-        "task": find_task(options.task).name,
-    }
-    described |= {"controller": law, "options": pack_options(options)}
+    described: dict[str, Any] = {"name": name, "description": policy.description}
+    described["task"] = find_task(options.task).name
+    described["controller"] = law
+    described["options"] = pack_options(options)
     if isinstance(policy, Policy):
-        described |= {"kind": "policy", "seed": policy.training_seed, "network": policy._network}
+        described["kind"] = "policy"
+        described["seed"] = policy.training_seed
+        described["network"] = policy._network
     return described
 
 
 def describe_driver(policy: Policy | ScriptedPolicy, archive: Archive) -> dict[str, Any]:
     """The description of a driver for the page and the step."""
-    name, described = policy.name, describe_policy(policy.name, policy)
+    described = describe_policy(policy.name, policy)
     if isinstance(policy, Policy):
-        return {**described, "network": archive.add_array(described["network"])}
-    if name in RECORDED:
-        recordings = {}
-        for each in sets.SET_NAMES:
-            taken = np.load(RECORDINGS)[f"{name} {each}"]
-            steps = (taken != OVER).sum(axis=1).tolist()
-            recordings[each] = {**archive.add(taken[taken != OVER].tobytes()), "steps": steps}
-        return {**described, "kind": "recording", "recordings": recordings}
-    return {**described, "kind": "law"}
+        described["network"] = archive.add_array(described["network"])
+    elif policy.name in RECORDED:
+        described["kind"] = "recording"
+        described["recordings"] = add_recordings(policy.name, archive)
+    else:
+        described["kind"] = "law"
+    return described
 
 
-def describe_set(found: sets.EvaluationSet) -> dict[str, Any]:
-    """A frozen set: its hash, the options of the core that its environments share, and its first
-    plants.
-    """
-    plants = [
-        {key: value for key, value in plant.to_dict().items() if value != []}
-        for plant in found.plants[:SEEDS]
-    ]
-    kwargs = found.env_kwargs
+def add_recordings(name: str, archive: Archive) -> dict[str, Any]:
+    """The recorded actions of a policy on the plants of each set."""
+    recordings = {}
+    for set_name in sets.SET_NAMES:
+        actions = np.load(RECORDINGS)[f"{name} {set_name}"]
+        taken = actions != OVER
+        entry = archive.add(actions[taken].tobytes())
+        recordings[set_name] = {**entry, "steps": taken.sum(axis=1).tolist()}
+    return recordings
+
+
+def describe_set(name: str) -> dict[str, Any]:
+    """A frozen set: its hash, the core's options of its environments, and its first plants."""
+    found = sets.load_set(name)
+    disturbances = found.env_kwargs["disturbances"]
     # The capsule is given also where it is the default, since a driver may have been trained on
     # another.
-    options = {
-        **plant_options(kwargs["capsule"] or NOMINAL, Randomization()),
-        **disturbance_options(Disturbances.named(kwargs["disturbances"])),
-    }
-    named = kwargs["disturbances"] if isinstance(kwargs["disturbances"], str) else None
-    return {
-        "hash": found.hash,
-        "task": found.task,
-        "options": as_numbers(options),
-        "disturbances": named,
-        "plants": plants,
-    }
+    capsule = found.env_kwargs["capsule"] or NOMINAL
+    options = plant_options(capsule, Randomization())
+    options |= disturbance_options(Disturbances.named(disturbances))
+    described: dict[str, Any] = {"hash": found.hash, "task": found.task}
+    described["options"] = as_numbers(options)
+    # The page shows the name of disturbances that have one.
+    described["disturbances"] = disturbances if isinstance(disturbances, str) else None
+    described["plants"] = [describe_frozen(plant) for plant in found.plants[:SEEDS]]
+    return described
+
+
+def describe_frozen(plant: sets.PlantSpec) -> dict[str, Any]:
+    """A plant of a frozen set, without jumps if it has none."""
+    return {key: value for key, value in plant.to_dict().items() if value != []}

@@ -1,5 +1,4 @@
-"""Whole episodes that the module replays: `python -m web.episodes` compares Python's with the
-committed ones.
+"""Whole episodes that the module replays: `python -m web.episodes` compares them with Python's.
 
 Every driver has an episode, on a plant of the frozen set `drift`, whose M and mu jump twice, or of
 its task's set. Some have another one on a disturbed plant of the set `real`, or with `actions`,
@@ -12,9 +11,10 @@ of each action. It replays the actions in its own step.
 """
 
 import hashlib
+import itertools
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -45,41 +45,55 @@ OVER = 255
 
 @cache
 def drivers() -> dict[str, Any]:
-    """The policies in the browser by name, scripted and trained; of a trained one the run with the
-    lowest seed.
-    """
-    trained = map(capsule_gym.load_policy, policy_names())
-    # Policies of other tasks come last.
-    scripted = {name: policy for name, policy in ALL_SCRIPTED.items() if name not in LEFT_OUT}
-    return scripted | {
-        each.name: each for each in sorted(trained, key=lambda policy: "task" in policy.env_kwargs)
+    """The policies in the browser by name; of a trained one the run with the lowest seed."""
+    found: dict[str, Any] = {
+        name: policy for name, policy in ALL_SCRIPTED.items() if name not in LEFT_OUT
     }
+    trained = [capsule_gym.load_policy(name) for name in policy_names()]
+    # Policies of other tasks come last.
+    trained.sort(key=lambda policy: "task" in policy.env_kwargs)
+    for policy in trained:
+        found[policy.name] = policy
+    return found
 
 
 def compute(episode: dict[str, Any]) -> dict[str, Any]:
     """Runs an episode in Python's environment; returns it with the number of steps and the hash."""
-    policy, found = drivers()[episode["driver"]], load_set(episode["set"])
-    plant, kwargs = found.plants[episode["plant"]], {**policy.env_kwargs, **found.env_kwargs}
-    env = capsule_gym.CapsuleEnv(**kwargs)
+    policy = drivers()[episode["driver"]]
+    found = load_set(episode["set"])
+    plant = found.plants[episode["plant"]]
+    env = capsule_gym.CapsuleEnv(**{**policy.env_kwargs, **found.env_kwargs})
     observation, _ = env.reset(seed=plant.seed, options=plant.reset_options())
+    if "actions" in episode:
+        act = repeated(episode["actions"], episode["hold"])
+    else:
+        act = policy.start([plant.seed])
+    rows = compared_rows(env)
+    digest = hashlib.sha256()
+    steps = 0
+    terminated = False
+    while not terminated and steps < env.simulation.layout.steps:
+        actions = act(observation[None])
+        observation, _, terminated, _, _ = env.step(actions[0])
+        digest.update(env.simulation.world[0, rows, 0].tobytes())
+        digest.update(observation.tobytes())
+        steps += 1
+    return {**episode, "steps": steps, "sha256": digest.hexdigest()}
+
+
+def repeated(actions: Sequence[float], hold: int) -> Callable[[np.ndarray], np.ndarray]:
+    """A policy that takes these actions in turn, each for `hold` steps."""
+    held = itertools.cycle(np.repeat(np.array(actions, np.float32), hold))
+    return lambda observations: np.array([[next(held)]])
+
+
+def compared_rows(env: capsule_gym.CapsuleEnv) -> list[int]:
+    """The rows that `info` shows, the memories of law and task, a varied plant's last reading."""
     layout = env.simulation.layout
-    # The rows that `info` shows, the memories of law and task, and a varied plant's last reading.
     rows = [*range(Row.clock + 1), *range(layout.law_memory, layout.task_end)]
     if env.simulation.settings.varied:
         rows += range(Row.read_theta, Row.read_x_dot + 1)
-    act = policy.start([plant.seed])
-    digest, terminated, step = hashlib.sha256(), False, 0
-    while not terminated and step < layout.steps:
-        if "actions" in episode:
-            action = np.array(
-                [episode["actions"][step // episode["hold"] % len(episode["actions"])]], np.float32
-            )
-        else:
-            action = act(observation[None])[0]
-        observation, _, terminated, _, _ = env.step(action)
-        digest.update(env.simulation.world[0, rows, 0].tobytes() + observation.tobytes())
-        step += 1
-    return {**episode, "steps": step, "sha256": digest.hexdigest()}
+    return rows
 
 
 def record_actions(name: str, plants: Sequence[PlantSpec]) -> np.ndarray:
@@ -89,25 +103,58 @@ def record_actions(name: str, plants: Sequence[PlantSpec]) -> np.ndarray:
         Shape (plants, `EPISODE_STEPS`), uint8; `OVER` after the end of an episode.
     """
     policy = ALL_SCRIPTED[name]
-    env = capsule_gym.CapsuleVectorEnv(len(plants), autoreset_mode="DISABLED", **policy.env_kwargs)
-    options = [plant.reset_options() for plant in plants]
-    observations, _ = env.reset(
-        options={key: [each[key] for each in options] for key in options[0]}
-    )
-    act, running = policy.start([plant.seed for plant in plants]), np.ones(len(plants), bool)
-    places = np.full((len(plants), EPISODE_STEPS), OVER, np.uint8)
+    count = len(plants)
+    env = capsule_gym.CapsuleVectorEnv(count, autoreset_mode="DISABLED", **policy.env_kwargs)
+    starts = [plant.reset_options() for plant in plants]
+    options = {key: [start[key] for start in starts] for key in starts[0]}
+    observations, _ = env.reset(options=options)
+    act = policy.start([plant.seed for plant in plants])
+    running = np.ones(count, bool)
+    recorded = np.full((count, EPISODE_STEPS), OVER, np.uint8)
     for step in range(EPISODE_STEPS):
         actions = act(observations)
-        places[running, step] = np.searchsorted(TORQUES, actions[running, 0])
+        recorded[running, step] = np.searchsorted(TORQUES, actions[running, 0])
         observations, _, terminated, _, _ = env.step(actions)
         running &= ~terminated
-    return places
+    return recorded
+
+
+def record_all() -> dict[str, np.ndarray]:
+    """The recordings of the module by policy and set."""
+    recorded = {}
+    for name, set_name in itertools.product(RECORDED, SET_NAMES):
+        plants = load_set(set_name).plants[:SEEDS]
+        recorded[f"{name} {set_name}"] = record_actions(name, plants)
+    return recorded
+
+
+def committed_episodes() -> list[dict[str, Any]]:
+    """The episodes with their numbers of steps and hashes."""
+    return json.loads(FILE.read_text("utf-8"))
+
+
+def planned_episodes() -> list[dict[str, Any]]:
+    """The committed episodes, and one of each driver that has none."""
+    planned = committed_episodes()
+    driven = {episode["driver"] for episode in planned}
+    for plant, (name, policy) in enumerate(drivers().items()):
+        if name not in driven:
+            set_name = policy.env_kwargs.get("task", "drift")
+            planned.append({"name": name, "driver": name, "set": set_name, "plant": plant})
+    return planned
+
+
+def write_files(episodes: Sequence[dict[str, Any]], recorded: dict[str, np.ndarray]) -> None:
+    """Writes the episodes, one on a line, and the recordings."""
+    lines = ",\n".join(json.dumps(episode) for episode in episodes)
+    write_atomically(FILE, f"[\n{lines}\n]\n")
+    with replacing(RECORDINGS) as temporary:
+        np.savez_compressed(temporary, allow_pickle=False, **recorded)
 
 
 @command("python -m web.episodes")
 def main(write: bool = False) -> int:
-    """Computes the episodes of the live page and the optimum's actions; the exit status is 1 if
-    they differ.
+    """Computes the episodes and the optimum's actions; the exit status is 1 if they differ.
 
     Examples:
       python -m web.episodes --write
@@ -115,32 +162,21 @@ def main(write: bool = False) -> int:
     Args:
         write: Write them to web/episodes.json and web/recordings.npz.
     """
-    committed = json.loads(FILE.read_text(encoding="utf-8"))
-    for n, (name, policy) in enumerate(drivers().items()):
-        if all(episode["driver"] != name for episode in committed):
-            found_set = policy.env_kwargs.get("task", "drift")
-            committed.append({"name": name, "driver": name, "set": found_set, "plant": n})
-    found = [compute(episode) for episode in committed]
-    pairs = [(name, load_set(each)) for name in RECORDED for each in SET_NAMES]
-    recorded = {
-        f"{name} {each.name}": record_actions(name, each.plants[:SEEDS]) for name, each in pairs
-    }
+    episodes = [compute(episode) for episode in planned_episodes()]
+    recorded = record_all()
     if write:
-        write_atomically(
-            FILE, "[\n" + ",\n".join(json.dumps(episode) for episode in found) + "\n]\n"
-        )
-        with replacing(RECORDINGS) as temporary:
-            np.savez_compressed(temporary, allow_pickle=False, **recorded)
-        committed = found
+        write_files(episodes, recorded)
+    committed = committed_episodes()
     saved = np.load(RECORDINGS)
-    wrong = [f"{episode['name']}: differs" for episode in found if episode not in committed]
-    wrong += [
-        f"{key}: differs"
-        for key, taken in recorded.items()
-        if not np.array_equal(taken, saved[key])
-    ]
-    print(*wrong, f"{len(found) + len(recorded)} compared, {len(wrong)} differ", sep="\n")
-    return int(bool(wrong))
+    differing = [episode["name"] for episode in episodes if episode not in committed]
+    for name, actions in recorded.items():
+        if not np.array_equal(actions, saved[name]):
+            differing.append(name)
+    for name in differing:
+        print(f"{name}: differs")
+    compared = len(episodes) + len(recorded)
+    print(f"{compared} compared, {len(differing)} differ")
+    return int(bool(differing))
 
 
 if __name__ == "__main__":

@@ -1,5 +1,4 @@
-"""The built site, which the tests of the module and of the page share, and JavaScript that uses the
-module."""
+"""The built site, and JavaScript that uses the module."""
 
 import json
 import os
@@ -9,6 +8,29 @@ import subprocess
 import pytest
 
 from web import build
+
+# Functions of JavaScript for the tests.
+PRELUDE = """
+let shown = null;
+const show = (value) => (shown = value);
+const bytes = ({ buffer, byteOffset, byteLength }) =>
+  Buffer.from(buffer, byteOffset, byteLength).toString("hex");
+const swing = (capsule, steps) => {
+  for (let n = 0; n < steps; n++) capsule.step(Math.fround(0.02 * (n % 7 - 3)));
+};
+const errorsOf = async (calls) => {
+  const errors = [];
+  for (const call of calls) {
+    try {
+      await call();
+      errors.push("no error");
+    } catch (error) {
+      errors.push(`${error.name}: ${error.message}`);
+    }
+  }
+  return errors;
+};
+"""
 
 
 @pytest.fixture(scope="session")
@@ -20,22 +42,28 @@ def site(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def node(site):
-    """Runs JavaScript with the module as `live`, and returns the value passed to `show`."""
+def run_node():
+    """Runs JavaScript in node, and returns what it prints last, as JSON."""
     # Optional on a user's machine, and required in CI.
     if shutil.which("node") is None and "CI" not in os.environ:
         pytest.skip("needs node")
 
-    def run(code, *arguments, module=site / "capsule.mjs"):
-        script = (
-            f"import * as live from {json.dumps(module.as_uri())};\n"
-            "let shown = null;\nconst show = (value) => (shown = value);\n"
-            "const bytes = (array) => Buffer.from(array.buffer, array.byteOffset, array.byteLength).toString('hex');\n"
-            f"{code}\nconsole.log(JSON.stringify(shown));\n"
-        )
-        command = ["node", "--input-type=module", "--eval", script, *arguments]
+    def run(code, *files):
+        command = ["node", "--input-type=module", "--eval", code, *map(str, files)]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
         return json.loads(done.stdout.splitlines()[-1])
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def node(site, run_node):
+    """Runs JavaScript with the module as `live`, and returns the value passed to `show`."""
+
+    def run(code, *files, module=site / "capsule.mjs"):
+        imported = f"import * as live from {json.dumps(module.as_uri())};"
+        shown = "console.log(JSON.stringify(shown));"
+        return run_node("\n".join([imported, PRELUDE, code, shown]), *files)
 
     return run

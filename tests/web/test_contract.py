@@ -1,9 +1,9 @@
-"""What follows from the options of an environment is equal in JavaScript and in Python, bit for
-bit."""
+"""What follows from the options of an environment has the same bits in JavaScript and Python."""
 
 import json
 
 import numpy as np
+import pytest
 
 from capsule_gym import CapsuleEnv
 from capsule_gym.control.laws import LAWS
@@ -22,10 +22,19 @@ from capsule_gym.parameters import (
 from capsule_gym.tasks.registry import TASKS, find_task
 from capsule_gym.tasks.velocity import with_commands
 
-COUNT, STEPS = 200, 6
+COUNT = 200
+STEPS = 6
 # Largest values of constants that are 0 on the nominal capsule, and of disturbances.
 LARGEST_CONSTANTS = {"viscous": 1.0, "stribeck_speed": 0.5, "slope": 0.1, "motor_friction": 0.1}
 LARGEST_DISTURBANCES = {"latency": 0.06, "drift_time": 1.0, "lag": 0.01, "push": 3.0}
+
+
+def chance(rng, probability=0.5):
+    return bool(rng.random() < probability)
+
+
+def pick(rng, *names):
+    return str(rng.choice(names))
 
 
 def draw_range(rng, low, high):
@@ -35,91 +44,101 @@ def draw_range(rng, low, high):
 
 def draw_constant(rng, name):
     """A range of a constant of the plant."""
-    value = getattr(NOMINAL, name)
     if name in LARGEST_CONSTANTS:
-        return draw_range(rng, 0.3 * LARGEST_CONSTANTS[name], LARGEST_CONSTANTS[name])
-    return draw_range(
-        rng, max(1.0, 0.9 * value) if name == "static_ratio" else 0.9 * value, 1.1 * value
-    )
+        largest = LARGEST_CONSTANTS[name]
+        return draw_range(rng, 0.3 * largest, largest)
+    value = getattr(NOMINAL, name)
+    lowest = 0.9 * value
+    if name == "static_ratio":
+        lowest = max(1.0, lowest)
+    return draw_range(rng, lowest, 1.1 * value)
 
 
 def draw_capsule(rng):
-    """Some constants of the plant, or None for the default."""
-    if rng.random() < 0.5:
-        return None
-    names = [name for name in CONSTANTS if rng.random() < 0.3]
-    return Capsule(
-        M=rng.uniform(0.4, 0.7),
-        mu=rng.uniform(0.0, 0.3),
-        normal_force=str(rng.choice(["newton", "paper"])),
-        **{name: draw_constant(rng, name)[0] for name in names},
-    )
+    """A capsule of which some constants differ from the nominal one."""
+    constants = {name: draw_constant(rng, name)[0] for name in CONSTANTS if chance(rng, 0.3)}
+    normal_force = pick(rng, "newton", "paper")
+    M = rng.uniform(0.4, 0.7)
+    mu = rng.uniform(0.0, 0.3)
+    return Capsule(M=M, mu=mu, normal_force=normal_force, **constants)
 
 
 def draw_randomization(rng):
     """A named randomization, or ranges of some constants or of all."""
-    if rng.random() < 0.4:
-        return str(rng.choice(["none", "paper", "wide", "sticky", "real", "real-wide"]))
+    if chance(rng, 0.4):
+        return pick(rng, "none", "paper", "wide", "sticky", "real", "real-wide")
     share = rng.choice([0.0, 0.3, 1.0], p=[0.4, 0.55, 0.05])
-    return Randomization(
-        M=draw_range(rng, 0.4, 0.8) if rng.random() < 0.7 else None,
-        mu=draw_range(rng, 0.01, 0.4) if rng.random() < 0.7 else None,
-        log_mu=bool(rng.random() < 0.5),
-        **{name: draw_constant(rng, name) for name in CONSTANTS if rng.random() < share},
-    )
+    ranges = {name: draw_constant(rng, name) for name in CONSTANTS if chance(rng, share)}
+    if chance(rng, 0.7):
+        ranges["M"] = draw_range(rng, 0.4, 0.8)
+    if chance(rng, 0.7):
+        ranges["mu"] = draw_range(rng, 0.01, 0.4)
+    return Randomization(log_mu=chance(rng), **ranges)
 
 
 def draw_disturbances(rng):
     """No disturbances, the real ones, or ranges and numbers for some fields."""
-    if rng.random() < 0.4:
-        return str(rng.choice(["none", "real"]))
+    if chance(rng, 0.4):
+        return pick(rng, "none", "real")
     fields = {}
     for name in DISTURBANCES:
         low, high = draw_range(rng, 1e-3, LARGEST_DISTURBANCES.get(name, 0.05))
-        if rng.random() < 0.5:
-            fields[name] = (low, high) if rng.random() < 0.5 else high
-    return Disturbances(
-        **fields,
-        unmeasured=tuple(name for name in SENSORS if rng.random() < 0.2),
-        controls=str(rng.choice(["both", "law", "agent"])),
-        stick_threshold=rng.uniform(0.0, 0.02),
-        x_noise=rng.uniform(0.0, 0.01) if rng.random() < 0.5 else None,
-    )
+        if chance(rng):
+            fields[name] = (low, high) if chance(rng) else high
+    if chance(rng):
+        fields["x_noise"] = rng.uniform(0.0, 0.01)
+    fields["unmeasured"] = tuple(name for name in SENSORS if chance(rng, 0.2))
+    fields["controls"] = pick(rng, "both", "law", "agent")
+    return Disturbances(stick_threshold=rng.uniform(0.0, 0.02), **fields)
+
+
+def draw_controller(rng, task):
+    """No law, or one that fits the task."""
+    if chance(rng, 0.3):
+        return None
+    laws = [name for name, law in LAWS.items() if law().task in (None, task)]
+    return "baselines:" + pick(rng, *laws)
+
+
+def draw_control_dt(rng, controller):
+    """A length of a step that is a multiple of the law's."""
+    law_dt = find_controller(controller).dt if controller else 0.0
+    if law_dt >= 0.01:
+        return 2.0 * law_dt
+    return float(rng.choice([0.01, 0.02, 0.04]))
 
 
 def draw_kwargs(rng):
-    """Random arguments of an environment."""
-    task = str(rng.choice(list(TASKS)))
-    laws = [f"baselines:{name}" for name, law in LAWS.items() if law().task in (None, task)]
-    controller = None if rng.random() < 0.3 else str(rng.choice(laws))
-    law_dt = find_controller(controller).dt if controller else 0.0
-    period = rng.choice([0.01, 0.02, 0.04])
-    kwargs = {
-        "task": with_commands(*draw_range(rng, -0.2, 0.2))
-        if task == "velocity" and rng.random() < 0.5
-        else task,
-        "controller": controller,
-        "capsule": draw_capsule(rng),
-        "randomization": draw_randomization(rng),
-        "disturbances": draw_disturbances(rng),
-        "torque_limit": rng.uniform(0.5, 2.0),
-        "residual_limit": rng.uniform(0.0, 3.0) if rng.random() < 0.5 else None,
-        "total_torque": bool(rng.random() < 0.3),
-        "energy_weight": rng.uniform(0.0, 5.0),
-        "termination_penalty": rng.uniform(0.0, 100.0),
-        "observe_parameters": bool(rng.random() < 0.5),
-        "observe_estimates": bool(rng.random() < 0.5),
-        "stack_size": int(rng.integers(1, 5)),
-        "goal_env": bool(task == "goal" and rng.random() < 0.5),
-        "control_dt": float(period) if law_dt < 0.01 else 2.0 * law_dt,
-        "physics_dt": float(rng.choice([5e-4, 1e-3])) if rng.random() < 0.5 else None,
-    }
-    if rng.random() < 0.3:
-        kwargs["initial_range"] = (rng.uniform(0.0, 1.0), rng.uniform(0.0, 5.0))
-    else:
-        kwargs["initial_noise"] = rng.uniform(0.0, 0.2) if rng.random() < 0.5 else 0.0
+    """Random arguments of an environment; some are left out."""
+    task = pick(rng, *TASKS)
+    controller = draw_controller(rng, task)
+    kwargs = {"task": task, "controller": controller}
+    if task == "velocity" and chance(rng):
+        kwargs["task"] = with_commands(*draw_range(rng, -0.2, 0.2))
+    if task == "goal":
+        kwargs["goal_env"] = chance(rng)
     # The default capsule is that of the task.
-    return {name: value for name, value in kwargs.items() if (name, value) != ("capsule", None)}
+    if chance(rng):
+        kwargs["capsule"] = draw_capsule(rng)
+    kwargs["randomization"] = draw_randomization(rng)
+    kwargs["disturbances"] = draw_disturbances(rng)
+    kwargs["torque_limit"] = rng.uniform(0.5, 2.0)
+    if chance(rng):
+        kwargs["residual_limit"] = rng.uniform(0.0, 3.0)
+    kwargs["total_torque"] = chance(rng, 0.3)
+    kwargs["energy_weight"] = rng.uniform(0.0, 5.0)
+    kwargs["termination_penalty"] = rng.uniform(0.0, 100.0)
+    kwargs["observe_parameters"] = chance(rng)
+    kwargs["observe_estimates"] = chance(rng)
+    kwargs["stack_size"] = int(rng.integers(1, 5))
+    kwargs["control_dt"] = draw_control_dt(rng, controller)
+    if chance(rng):
+        kwargs["physics_dt"] = float(rng.choice([5e-4, 1e-3]))
+    if chance(rng, 0.3):
+        kwargs["initial_range"] = (rng.uniform(0.0, 1.0), rng.uniform(0.0, 5.0))
+    elif chance(rng):
+        kwargs["initial_noise"] = rng.uniform(0.0, 0.2)
+    return kwargs
 
 
 def draw_environment(rng):
@@ -130,6 +149,35 @@ def draw_environment(rng):
         except ValueError as error:
             if "physics_dt" not in str(error) and "Painleve" not in str(error):
                 raise
+
+
+def describe_case(env, seed, action):
+    """What JavaScript needs for the same environment and episode."""
+    options = env.simulation.options
+    law = str(options.controller or "direct")
+    numbers = core_options(options, env.simulation.controller)
+    for name, value in numbers.items():
+        if value is not None:
+            numbers[name] = float(value)
+    return {
+        "controller": law.removeprefix("baselines:"),
+        "task": find_task(options.task).name,
+        "options": numbers,
+        "seed": seed,
+        "action": action,
+    }
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    """Environments, and what JavaScript needs for the same ones."""
+    rng = np.random.default_rng(11)
+    environments = [draw_environment(rng) for _ in range(COUNT)]
+    cases = []
+    for seed, env in enumerate(environments):
+        action = np.float32(rng.uniform(-0.3, 0.3))
+        cases.append(describe_case(env, seed, float(action)))
+    return environments, cases
 
 
 def hexadecimal(numbers):
@@ -148,9 +196,11 @@ def compute(env, seed, action):
         if terminated:
             break
     metrics = env.episode_metrics(description.layout.steps)
+    layout = zip(_core.Layout.__match_args__, description.layout, strict=True)
+    settings = list(_core.Settings.__match_args__)
     return {
-        "settings": [list(_core.Settings.__match_args__), hexadecimal(description.settings)],
-        "layout": dict(zip(_core.Layout.__match_args__, description.layout, strict=True)),
+        "settings": [settings, hexadecimal(description.settings)],
+        "layout": dict(layout),
         "entries": [list(names), hexadecimal(low), hexadecimal(high)],
         "draws": hexadecimal(description.draws),
         "metrics": [list(metrics), hexadecimal(list(metrics.values()))],
@@ -161,47 +211,43 @@ def compute(env, seed, action):
 SCRIPT = """
 import { readFileSync } from "node:fs";
 const hexadecimal = (numbers) => bytes(Float64Array.from(numbers.flat()));
+const cases = JSON.parse(readFileSync(process.argv[1]));
 const found = [];
-for (const { controller, task, options, seed, action } of JSON.parse(readFileSync(process.argv[1]))) {
+for (const { controller, task, options, seed, action } of cases) {
   const capsule = await live.load(controller, { task, options });
   const { settings, layout, entries, draws } = capsule.description;
   capsule.reset(capsule.draws ? { seed } : {});
   for (let n = 0; n < STEPS && capsule.info.termination === "none"; n++) capsule.step(action);
   const { metrics } = capsule;
+  const column = (n) => entries.map((entry) => entry[n]);
   found.push({
     settings: [Object.keys(settings), hexadecimal(Object.values(settings))],
     layout,
-    entries: [entries.map(([name]) => name), ...[1, 2].map((n) => hexadecimal(entries.map((entry) => entry[n])))],
+    entries: [column(0), hexadecimal(column(1)), hexadecimal(column(2))],
     draws: hexadecimal(draws),
     metrics: [Object.keys(metrics), hexadecimal(Object.values(metrics))],
     world: bytes(capsule.world),
   });
 }
 show(found);
-"""
+""".replace("STEPS", str(STEPS))
 
 
-def test_javascript_asks_the_core_as_python_does(node, tmp_path):
-    rng = np.random.default_rng(11)
-    cases, expected, seen = [], [], set()
-    for seed in range(COUNT):
-        env = draw_environment(rng)
-        action = float(np.float32(rng.uniform(-0.3, 0.3)))
-        expected.append(compute(env, seed, action))
-        options, controller = env.simulation.options, env.simulation.controller
-        law = str(options.controller or "direct").removeprefix("baselines:")
-        task = find_task(options.task).name
-        given = core_options(options, controller)
-        numbers = {name: None if value is None else float(value) for name, value in given.items()}
-        cases.append(
-            {"controller": law, "task": task, "options": numbers, "seed": seed, "action": action}
-        )
-        seen |= {law, task, *(name for name, value in numbers.items() if value)}
-    # Everything is drawn at least once.
-    assert seen >= {"direct", *LAWS, *TASKS, *_core.OPTIONS} - {"task"}
+def test_everything_is_drawn_at_least_once(drawn):
+    _, cases = drawn
+    seen = set()
+    for case in cases:
+        seen |= {case["controller"], case["task"]}
+        seen.update(name for name, value in case["options"].items() if value)
+    assert seen >= {"direct", *LAWS, *TASKS}
+    assert seen >= set(_core.OPTIONS) - {"task"}
+
+
+def test_javascript_asks_the_core_as_python_does(node, tmp_path, drawn):
+    environments, cases = drawn
     file = tmp_path / "cases.json"
     file.write_text(json.dumps(cases), encoding="utf-8")
-    found = node(SCRIPT.replace("STEPS", str(STEPS)), str(file))
-    for case, mine, theirs in zip(cases, expected, found, strict=True):
-        for name, value in mine.items():
+    found = node(SCRIPT, file)
+    for env, case, theirs in zip(environments, cases, found, strict=True):
+        for name, value in compute(env, case["seed"], case["action"]).items():
             assert theirs[name] == value, (name, case)

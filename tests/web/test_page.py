@@ -1,7 +1,9 @@
+"""The live page in a browser."""
+
 import json
 import os
 import shutil
-from urllib.parse import parse_qs
+from urllib.parse import parse_qsl
 
 import pytest
 
@@ -34,29 +36,26 @@ def browser():
 
 @pytest.fixture
 def open_page(browser, site):
-    """Opens the page with a hash; at the end, checks that no page wrote to the console or requested
-    another file."""
+    """Opens the page with a hash; no page may write to the console or request another file."""
     live = (site / "index.html").as_uri()
-    contexts, said = [], []
+    contexts = []
+    said = []
+
+    def note_request(request):
+        if not request.url.startswith((live, "data:", "blob:")):
+            said.append(request.url)
 
     def opened(scene="", **settings):
-        contexts.append(
-            browser.new_context(**{"viewport": {"width": 1280, "height": 800}, **settings})
-        )
-        page = contexts[-1].new_page()
+        context = browser.new_context(**settings)
+        contexts.append(context)
+        page = context.new_page()
         page.set_default_timeout(PATIENCE)
         page.on("console", lambda message: said.append(f"{message.type}: {message.text}"))
         page.on("pageerror", lambda error: said.append(f"error: {error}"))
-        page.on(
-            "request",
-            lambda one: (
-                None if one.url.startswith((live, "data:", "blob:")) else said.append(one.url)
-            ),
-        )
+        page.on("request", note_request)
         page.goto(live + scene)
-        page.wait_for_function(
-            "document.getElementById('driver').value && location.hash.length > 1"
-        )
+        shown = "document.getElementById('driver').value && location.hash.length > 1"
+        page.wait_for_function(shown)
         return page
 
     yield opened
@@ -67,9 +66,8 @@ def open_page(browser, site):
 
 def reaches(page, time):
     """Waits until the page shows that time or a later one."""
-    page.wait_for_function(
-        "time => Number(document.getElementById('figure-time').textContent) >= time", arg=time
-    )
+    shown = "Number(document.getElementById('figure-time').textContent)"
+    page.wait_for_function(f"{shown} >= {time}")
 
 
 def shows(page, name, text, patience=PATIENCE):
@@ -80,9 +78,7 @@ def shows(page, name, text, patience=PATIENCE):
 
 def link(page):
     """The parameters behind the # of the address."""
-    return {
-        key: values[0] for key, values in parse_qs(page.evaluate("location.hash.slice(1)")).items()
-    }
+    return dict(parse_qsl(page.evaluate("location.hash.slice(1)")))
 
 
 def playing(page):
@@ -90,91 +86,145 @@ def playing(page):
     return page.locator("#play").get_attribute("aria-label") == "Pause"
 
 
-def test_page_fits_any_width_and_every_control_has_a_name(open_page):
-    page = open_page("#driver=yourself&rival=adaptive&view=lane", color_scheme="dark")
+def pause(page):
+    if playing(page):
+        page.click("#play")
+
+
+def check_no_error(page):
+    assert page.locator("#trouble").is_hidden(), page.locator("#trouble").text_content()
+
+
+ALL_PARTS = "#driver=yourself&rival=adaptive&view=lane"
+OUTSIDE = """() => [...document.querySelectorAll("button, input, select, canvas, table")]
+    .filter((node) => {
+        const { left, right, width } = node.getBoundingClientRect();
+        return width > 0 && (left < 0 || right > innerWidth + 0.5);
+    })
+    .map((node) => node.id || node.tagName)"""
+NAMELESS = """() => [...document.querySelectorAll("button, input, select, [role]")]
+    .filter((node) => {
+        const named = node.ariaLabel || node.hasAttribute("aria-labelledby") || node.labels?.length;
+        const live = ["status", "alert"].includes(node.role);
+        return !named && !live && !node.textContent.trim();
+    })
+    .map((node) => node.outerHTML)"""
+
+
+def test_page_fits_any_width(open_page):
+    page = open_page(ALL_PARTS, color_scheme="dark")
     for width in (360, 1280, 2560):
         page.set_viewport_size({"width": width, "height": 800})
         assert page.evaluate("document.documentElement.scrollWidth") == width
-        outside = page.evaluate(
-            """() => [...document.querySelectorAll("button, input, select, canvas, table")].filter((node) => {
-                const { left, right, width } = node.getBoundingClientRect();
-                return width > 0 && (left < 0 || right > innerWidth + 0.5);
-            }).map((node) => node.id || node.tagName)"""
-        )
-        assert outside == []
-    nameless = page.evaluate(
-        """() => [...document.querySelectorAll("button, input, select, [role]")].filter((node) =>
-            !node.labels?.length && !node.ariaLabel && !node.textContent.trim() && !node.hasAttribute("aria-labelledby")
-            && !["status", "alert"].includes(node.role)).map((node) => node.outerHTML)"""
-    )
-    assert nameless == []
+        assert page.evaluate(OUTSIDE) == []
 
 
-def test_plays_pauses_steps_and_scrubs_by_mouse_and_keyboard(open_page):
+def test_every_control_has_a_name(open_page):
+    assert open_page(ALL_PARTS).evaluate(NAMELESS) == []
+
+
+def test_a_law_plays_until_the_button_pauses_it(open_page):
     page = open_page(LAW)
     assert playing(page)
     reaches(page, 0.3)
     page.click("#play")
     assert not playing(page)
-    shown = page.locator("#figure-time")
-    before = float(shown.text_content())
+    time = page.locator("#figure-time").text_content()
     page.wait_for_timeout(200)
-    assert float(shown.text_content()) == before
+    assert page.locator("#figure-time").text_content() == time
     page.click("#play")
-    reaches(page, before + 0.2)
-    page.click("#play")
+    reaches(page, float(time) + 0.2)
+
+
+def test_a_return_to_a_time_shows_the_same_measures(open_page):
+    page = open_page(PAUSED)
     rows = []
     for keys, time in ((["Home"] + ["ArrowRight"] * 5, "0.10"), (["End"], "33.00")) * 2:
         for key in keys:
             page.press("#scrub", key)
         shows(page, "figure-time", time)
         rows.append(page.locator("#rows tr").all_inner_texts())
-    assert rows[:2] == rows[2:] and rows[0] != rows[1]
-    presses = (
-        ("scrub", "Home", "0.00"),
-        ("step", "Enter", "0.02"),
-        ("stage", ".", "0.04"),
-        ("back", "Enter", "0.02"),
-    )
-    for name, key, time in presses:
-        page.press(f"#{name}", key)
+    assert rows[:2] == rows[2:]
+    assert rows[0] != rows[1]
+
+
+def test_buttons_and_keys_go_step_by_step(open_page):
+    page = open_page(PAUSED)
+    presses = [
+        ("#scrub", "Home", "0.00"),
+        ("#step", "Enter", "0.02"),
+        ("#stage", ".", "0.04"),
+        ("#back", "Enter", "0.02"),
+    ]
+    for control, key, time in presses:
+        page.press(control, key)
         shows(page, "figure-time", time)
 
 
-def test_every_driver_drives_and_is_the_rival(open_page):
-    page = open_page(PAUSED)
-    for control in ("driver", "rival"):
-        for value in page.locator(f"#{control} option").evaluate_all(
-            "options => options.map((one) => one.value)"
-        ):
-            page.select_option(f"#{control}", value)
-            if control == "driver":
-                page.click("#play") if playing(page) else None
-            page.press("#step", "Enter")
-            page.wait_for_function("Number(document.getElementById('figure-time').textContent) > 0")
-            assert page.locator("#trouble").is_hidden(), page.locator("#trouble").text_content()
-            assert link(page).get(control, "") == value
+@pytest.mark.parametrize("key", [".", " "])
+def test_keys_pause(open_page, key):
+    page = open_page(LAW)
+    page.press("#stage", key)
+    assert not playing(page)
 
 
-def test_every_task_has_drivers_measures_and_sets_of_its_own(open_page):
+def test_a_held_key_turns_the_motor_until_it_is_released(open_page):
+    page = open_page("#driver=yourself&M=0.5&mu=0.01")
+    page.keyboard.down("ArrowLeft")
+    shows(page, "torque-value", "0.60")
+    reaches(page, 0.1)
+    page.keyboard.up("ArrowLeft")
+    shows(page, "torque-value", "0.00")
+    pause(page)
+    assert link(page)["hand"]
+
+
+def test_a_drag_across_the_stage_turns_the_motor(open_page):
+    page = open_page("#driver=yourself&M=0.5&mu=0.01")
+    box = page.locator("#stage").bounding_box()
+    x = box["x"] + box["width"] / 2
+    y = box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x - 70, y)
+    shows(page, "torque-value", "0.75")
+    page.mouse.up()
+    shows(page, "torque-value", "0.00")
+
+
+@pytest.mark.parametrize("control", ["driver", "rival"])
+def test_every_driver_steps(open_page, control):
     page = open_page(PAUSED)
-    tasks = (
-        ("goal", "15.00", "Goal reached"),
-        ("velocity", "20.00", "Velocity error"),
-        ("speed", "33.00", ""),
-    )
-    for task, end, row in tasks:
-        driver = f"{task}-pulses" if row else "residual-ppo"
+    options = page.locator(f"#{control} option")
+    for value in options.evaluate_all("options => options.map((one) => one.value)"):
+        page.select_option(f"#{control}", value)
+        pause(page)
+        page.press("#step", "Enter")
+        page.wait_for_function("Number(document.getElementById('figure-time').textContent) > 0")
+        check_no_error(page)
+        assert link(page).get(control, "") == value
+
+
+TASKS = [
+    ("goal", "goal-pulses", "15.00", "Goal reached", 8),
+    ("velocity", "velocity-pulses", "20.00", "Velocity error", 8),
+    ("speed", "residual-ppo", "33.00", "Mean speed", 7),
+]
+
+
+def test_every_task_has_a_driver_measures_and_a_length_of_its_own(open_page):
+    page = open_page(PAUSED)
+    for task, driver, end, measure, count in TASKS:
         page.select_option("#task", task)
-        page.wait_for_function(
-            "name => document.getElementById('driver').value === name", arg=driver
-        )
-        page.click("#play") if playing(page) else None
+        chosen = "name => document.getElementById('driver').value === name"
+        page.wait_for_function(chosen, arg=driver)
+        pause(page)
         page.press("#scrub", "End")
         shows(page, "figure-time", end)
         rows = page.locator("#rows tr:visible").all_inner_texts()
-        assert rows[0].startswith(row or "Mean speed") and len(rows) == (8 if row else 7)
-        assert page.locator("#trouble").is_hidden(), page.locator("#trouble").text_content()
+        assert rows[0].startswith(measure)
+        assert len(rows) == count
+        check_no_error(page)
 
 
 def test_plant_jumps_while_it_runs(open_page):
@@ -184,10 +234,14 @@ def test_plant_jumps_while_it_runs(open_page):
     page.press("#mu-number", "Tab")
     shows(page, "jumps", "0.2000")
     assert playing(page)
-    t, mass, friction = (float(part) for part in link(page)["jumps"].split(":"))
-    assert (
-        (mass, friction) == (0.5, 0.2) and t >= 0.5 and t / 0.02 == pytest.approx(round(t / 0.02))
-    )
+    t, *plant = map(float, link(page)["jumps"].split(":"))
+    assert plant == [0.5, 0.2]
+    assert t >= 0.5
+    assert t / 0.02 == pytest.approx(round(t / 0.02))
+
+
+def test_jumps_at_random_are_undone(open_page):
+    page = open_page(f"{PAUSED}&jumps=0.06:0.5:0.2")
     page.click("#jump")
     page.wait_for_function("location.hash.split(',').length === 2")
     page.click("#clear")
@@ -205,14 +259,6 @@ SCENES = [
     "#driver=goal-pulses&set=goal&plant=3&t=1",
     "#driver=yourself&task=velocity&rival=velocity-pulses&M=0.5&mu=0.2&seed=4&t=0.4&hand=10uK9u",
 ]
-WRONG = [
-    ("#driver=nobody", 'driver must be one of .* got "nobody"'),
-    ("#driver=epc&set=moon", 'set must be one of .* got "moon"'),
-    ("#driver=epc&jumps=1:2", 'jumps must be t:M:mu.* got "1:2"'),
-    ("#driver=epc&t=99", 'a number from 0 to 33, got "99"'),
-    ("#driver=yourself&hand=!", "hand must be letters"),
-    ("#driver=dp-oracle&M=0.6&t=1", "recorded on the plants of the sets"),
-]
 
 
 @pytest.mark.parametrize("scene", SCENES)
@@ -221,15 +267,24 @@ def test_links_hold_the_whole_scene(open_page, scene):
     page.wait_for_function("scene => location.hash === scene", arg=scene)
 
 
+WRONG = {
+    "#driver=nobody": 'driver must be one of .* got "nobody"',
+    "#driver=epc&set=moon": 'set must be one of .* got "moon"',
+    "#driver=epc&jumps=1:2": 'jumps must be t:M:mu.* got "1:2"',
+    "#driver=epc&t=99": 'a number from 0 to 33, got "99"',
+    "#driver=yourself&hand=!": "hand must be letters",
+    "#driver=dp-oracle&M=0.6&t=1": "recorded on the plants of the sets",
+}
+
+
 def test_what_is_wrong_in_a_link_is_shown(open_page):
     page = open_page(PAUSED)
     # The previous scene may write its own address before the page reads the new one.
     follow = "scene => { location.hash = scene; history.replaceState(null, '', '#driver=epc'); }"
-    for scene, words in WRONG:
+    shown = "words => RegExp(words).test(document.getElementById('trouble').textContent)"
+    for scene, words in WRONG.items():
         page.evaluate(follow, scene)
-        page.wait_for_function(
-            "words => RegExp(words).test(document.getElementById('trouble').textContent)", arg=words
-        )
+        page.wait_for_function(shown, arg=words)
         assert page.locator("#trouble").is_visible()
 
 
@@ -237,7 +292,13 @@ def test_check_replays_the_committed_episodes(open_page):
     page = open_page(PAUSED)
     page.press("#check", "Enter")
     shows(page, "verdict", "equal, bit for bit", 5 * PATIENCE)
-    assert page.locator("#check-rows td:last-child").all_inner_texts() == ["equal"] * len(COMMITTED)
+    results = page.locator("#check-rows td:last-child").all_inner_texts()
+    assert results == ["equal"] * len(COMMITTED)
+
+
+def test_escape_closes_the_check_and_returns_to_its_button(open_page):
+    page = open_page(PAUSED)
+    page.press("#check", "Enter")
     page.keyboard.press("Escape")
     assert page.locator("#checks").is_hidden()
     assert page.evaluate("document.activeElement.id") == "check"

@@ -2,7 +2,7 @@
 
 import {constants} from "capsule.mjs";
 import {clamp, decimals, niceStep, written} from "numbers.js";
-import {colour, font, rem, Sheet} from "paint.js";
+import {colour, disc, font, rectangle, rem, Sheet, stroke} from "paint.js";
 import {END} from "scene.js";
 
 const LIMIT = constants.torque_limit;
@@ -48,59 +48,86 @@ const RATE = {
   factor: 1,
   bounds: [-5, 5]
 };
+// Size of the text at the axes, rem.
+const TEXT = 0.72;
+// Most intervals between the labels of the time.
+const MOST_LABELS = 7;
 
 /** A canvas with axes. */
 class Plot {
   constructor(canvas, changed) { this.sheet = new Sheet(canvas, changed); }
 
-  /**
-   * Maps the ranges of both axes to the canvas and draws the marks; returns {left, right, top,
-   * bottom}.
-   */
-  frame(across, up, step) {
+  /** Clears the canvas, maps the ranges of both axes to it, and draws the vertical axis. */
+  frame(across, up) {
     const {context, width, height} = this.sheet;
     context.clearRect(0, 0, width, height);
-    const size = 0.72 * rem();
-    const box =
-      {left: 3.4 * size, right: width - 0.6 * size, top: 0.6 * size, bottom: height - 1.7 * size};
-    const [low, high] = up;
-    this.box = box;
-    this.x = (value) =>
-      box.left + ((value - across[0]) / (across[1] - across[0])) * (box.right - box.left);
-    this.y = (value) => box.bottom - ((value - low) / (high - low)) * (box.bottom - box.top);
-    this.value = (x) =>
-      across[0] + ((x - box.left) / (box.right - box.left)) * (across[1] - across[0]);
-    context.font = font(0.72);
-    context.textAlign = "right";
-    context.textBaseline = "middle";
-    for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) {
-      const y = Math.round(this.y(k * step)) + 0.5;
-      context.fillStyle = colour(k === 0 ? "tick" : "hairline");
-      context.fillRect(box.left, y - 0.5, box.right - box.left, 1);
-      context.fillStyle = colour("grey");
-      context.fillText(written(k * step, decimals(step)), box.left - 0.5 * size, y);
-    }
-    context.textAlign = "center";
-    context.textBaseline = "alphabetic";
-    return box;
+    const size = TEXT * rem();
+    this.left = 3.4 * size;
+    this.right = width - 0.6 * size;
+    this.top = 0.6 * size;
+    this.bottom = height - 1.7 * size;
+    this.perValue = (this.right - this.left) / (across.high - across.low);
+    this.across = across;
+    this.up = up;
+    this.drawMarks();
   }
 
+  x(value) { return this.left + (value - this.across.low) * this.perValue; }
+
+  y(value) {
+    const {low, high} = this.up;
+    return this.bottom - ((value - low) / (high - low)) * (this.bottom - this.top);
+  }
+
+  /** The value at a place of the horizontal axis. */
+  value(x) { return this.across.low + (x - this.left) / this.perValue; }
+
+  /** Draws the marks of the vertical axis. */
+  drawMarks() {
+    const {context} = this.sheet;
+    const {low, high, step} = this.up;
+    context.font = font(TEXT);
+    context.textAlign = "right";
+    context.textBaseline = "middle";
+    for (let mark = Math.ceil(low / step - 1e-9); mark * step <= high + 1e-9 * step; mark++) {
+      const y = Math.round(this.y(mark * step)) + 0.5;
+      const place = [this.left, y - 0.5, this.right - this.left, 1];
+      rectangle(context, place, colour(mark === 0 ? "tick" : "hairline"));
+      context.fillStyle = colour("grey");
+      const text = written(mark * step, decimals(step));
+      context.fillText(text, this.left - 0.5 * TEXT * rem(), y);
+    }
+  }
+
+  /** Writes a text below the horizontal axis. */
+  label(text, x) {
+    const {context, height} = this.sheet;
+    context.textAlign = "center";
+    context.textBaseline = "alphabetic";
+    context.fillStyle = colour("grey");
+    context.fillText(text, x, height - 3);
+  }
+
+  /** Draws a vertical line. */
+  line(value) {
+    const place = [this.x(value), this.top, 1, this.bottom - this.top];
+    rectangle(this.sheet.context, place, colour("tick"));
+  }
+
+  /** Restricts what is drawn to the space between the axes, until `restore`. */
   clip() {
     const {context} = this.sheet;
-    const {left, right, top, bottom} = this.box;
     context.save();
     context.beginPath();
-    context.rect(left, top - 1, right - left, bottom - top + 2);
+    context.rect(this.left, this.top - 1, this.right - this.left, this.bottom - this.top + 2);
     context.clip();
   }
 
   stroke(rival) {
     const {context} = this.sheet;
-    context.lineWidth = rival ? 1.2 : 1.6;
     context.lineJoin = "round";
-    context.strokeStyle = colour(rival ? "rival" : "line");
     context.setLineDash(rival ? [5, 3] : []);
-    context.stroke();
+    stroke(context, rival ? 1.2 : 1.6, colour(rival ? "rival" : "line"));
     context.setLineDash([]);
   }
 }
@@ -118,63 +145,60 @@ export class TimeChart extends Plot {
    * @param {number} span shown length of time, s; 0 for the whole episode.
    */
   draw(lanes, now, span) {
-    const from = span ? Math.max(0, now - span) : 0;
-    const to = span ? from + span : END;
-    const [up, step] = range(this.curve, lanes);
-    const box = this.frame([from, to], up, step);
-    const {context} = this.sheet;
-    const second = span && span <= 5 ? 1 : span ? 2 : 5;
-    context.fillStyle = colour("grey");
-    for (let t = Math.ceil(from / second) * second; t <= to; t += second) {
-      const x = this.x(t);
-      if (x > box.left + 8 && x < box.right - 8)
-        context.fillText(`${t} s`, x, this.sheet.height - 3);
-    }
+    const low = span ? Math.max(0, now - span) : 0;
+    this.frame({low, high: low + (span || END)}, range(this.curve, lanes));
+    this.labelSeconds(span);
     this.clip();
-    this.shade(lanes[0], from, to);
+    this.shade(lanes[0]);
     for (const lane of lanes.toReversed()) {
-      this.path(lane, from, to);
+      this.path(lane);
       this.stroke(lane !== lanes[0]);
     }
-    context.fillStyle = colour("tick");
-    context.fillRect(this.x(now), box.top, 1, box.bottom - box.top);
-    context.restore();
+    this.line(now);
+    this.sheet.context.restore();
+  }
+
+  labelSeconds(span) {
+    const {low, high} = this.across;
+    const step = niceStep((span || END) / MOST_LABELS);
+    for (let t = Math.ceil(low / step) * step; t <= high; t += step) {
+      const x = this.x(t);
+      if (x > this.left + 8 && x < this.right - 8) this.label(`${t} s`, x);
+    }
   }
 
   /** Draws bands where the driver sticks and where it slips. */
-  shade(lane, from, to) {
+  shade(lane) {
     const {context} = this.sheet;
-    const {top, bottom} = this.box;
     const {x_dot} = lane.trace;
-    const shades = [colour("slip-shade"), colour("stick-shade")];
-    const [first, end] = within(lane, from, to);
-    for (let k = first; k <= end;) {
-      const stuck = x_dot[k] === 0;
-      let next = k + 1;
-      while (next <= end && (x_dot[next] === 0) === stuck) next++;
-      const [left, right] = [this.x(k * lane.dt), this.x(Math.min(next, end) * lane.dt)];
-      context.fillStyle = shades[Number(stuck)];
-      context.fillRect(left, top, right - left, bottom - top);
-      k = next;
+    const {first, last} = within(lane, this.across.low, this.across.high);
+    let begin = first;
+    while (begin <= last) {
+      const stuck = x_dot[begin] === 0;
+      let end = begin + 1;
+      while (end <= last && (x_dot[end] === 0) === stuck) end++;
+      const left = this.x(begin * lane.dt);
+      const right = this.x(Math.min(end, last) * lane.dt);
+      const place = [left, this.top, right - left, this.bottom - this.top];
+      rectangle(context, place, colour(stuck ? "stick-shade" : "slip-shade"));
+      begin = end;
     }
   }
 
   /** Traces the curve; of steps that share a pixel column, the lowest and the highest value. */
-  path(lane, from, to) {
+  path(lane) {
     const {context} = this.sheet;
-    const values = lane.trace[this.curve.channel];
-    const {factor} = this.curve;
-    const [first, end] = within(lane, from, to);
-    const each = Math.max(1, Math.floor((to - from) / lane.dt / (this.box.right - this.box.left)));
+    const {channel, factor} = this.curve;
+    const values = lane.trace[channel];
+    const {first, last} = within(lane, this.across.low, this.across.high);
+    const each = Math.max(1, Math.floor(1 / (lane.dt * this.perValue)));
     context.beginPath();
-    for (let k = first - (first % each); k <= end; k += each) {
-      let [low, high] = [values[k], values[k]];
-      for (let j = k + 1; j < Math.min(k + each, end + 1); j++) {
-        low = Math.min(low, values[j]);
-        high = Math.max(high, values[j]);
-      }
+    for (let begin = first - (first % each); begin <= last; begin += each) {
+      const column = values.subarray(begin, Math.min(begin + each, last + 1));
+      const low = Math.min(...column);
+      const high = Math.max(...column);
       if (!Number.isFinite(low + high)) continue;
-      const x = this.x(k * lane.dt);
+      const x = this.x(begin * lane.dt);
       context.lineTo(x, this.y(factor * low));
       if (high > low) context.lineTo(x, this.y(factor * high));
     }
@@ -184,40 +208,37 @@ export class TimeChart extends Plot {
 /** theta_dot over theta. */
 export class PhasePortrait extends Plot {
   draw(lanes, now, span) {
-    const [up, step] = range(RATE, lanes);
-    const box = this.frame([-90, 90], up, step);
-    const {context} = this.sheet;
-    context.fillStyle = colour("grey");
+    this.frame({low: -90, high: 90}, range(RATE, lanes));
     for (const degrees of [-90, -45, 0, 45, 90]) {
-      const x = clamp(this.x(degrees), box.left + 10, box.right - 12);
-      context.fillText(`${written(degrees, 0)}°`, x, this.sheet.height - 3);
+      const x = clamp(this.x(degrees), this.left + 10, this.right - 12);
+      this.label(`${written(degrees, 0)}°`, x);
     }
     this.clip();
-    context.fillStyle = colour("tick");
-    context.fillRect(this.x(0), box.top, 1, box.bottom - box.top);
-    lanes.forEach((lane, index) => {
-      const {theta, theta_dot} = lane.trace;
-      const [first, last] = within(lane, span ? now - span : 0, now);
-      context.beginPath();
-      for (let k = first; k <= last; k++)
-        context.lineTo(this.x(DEGREES * theta[k]), this.y(theta_dot[k]));
-      context.globalAlpha = 0.75;
-      this.stroke(index === 1);
-      context.globalAlpha = 1;
-      context.beginPath();
-      context.arc(this.x(DEGREES * theta[last]), this.y(theta_dot[last]), 4, 0, 2 * Math.PI);
-      context.fillStyle = colour(index === 1 ? "rival" : "ball-colour");
-      context.fill();
-    });
-    context.restore();
+    this.line(0);
+    const from = span ? now - span : 0;
+    for (const lane of lanes) this.orbit(within(lane, from, now), lane, lane !== lanes[0]);
+    this.sheet.context.restore();
+  }
+
+  /** Draws the curve of a lane, with a ball at its end. */
+  orbit({first, last}, {trace}, rival) {
+    const {context} = this.sheet;
+    const x = (step) => this.x(DEGREES * trace.theta[step]);
+    const y = (step) => this.y(trace.theta_dot[step]);
+    context.beginPath();
+    for (let step = first; step <= last; step++) context.lineTo(x(step), y(step));
+    context.globalAlpha = 0.75;
+    this.stroke(rival);
+    context.globalAlpha = 1;
+    disc(context, [x(last), y(last)], 4, colour(rival ? "rival" : "ball-colour"));
   }
 }
 
 /** The first and the last step of a lane between two times. */
 function within(lane, from, to) {
-  return [
-    Math.max(0, Math.floor(from / lane.dt)), Math.min(Math.floor(to / lane.dt + 1e-6), lane.steps)
-  ];
+  const first = Math.max(0, Math.floor(from / lane.dt));
+  const last = Math.min(Math.floor(to / lane.dt + 1e-6), lane.steps);
+  return {first, last};
 }
 
 /**
@@ -232,5 +253,9 @@ function range({channel, factor, bounds, most = Infinity, step}, lanes) {
     high = Math.max(high, Math.min(most, factor * largest));
   }
   const mark = step ?? niceStep((high - low) / 4);
-  return [[mark * Math.floor(low / mark + 1e-9), mark * Math.ceil(high / mark - 1e-9)], mark];
+  return {
+    low: mark * Math.floor(low / mark + 1e-9),
+    high: mark * Math.ceil(high / mark - 1e-9),
+    step: mark,
+  };
 }

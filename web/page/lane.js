@@ -32,26 +32,35 @@ class Hand {
   }
 
   tick() {
-    const {theta} = this.capsule.state;
-    const outwards = this.helped && this.live * theta > 0 && Math.abs(theta) > LET_GO;
-    this.action = this.replay[this.capsule.info.steps] ?? (outwards ? 0 : this.live);
-    if (this.turn > 0 ? theta > RETURN_AT : theta < PUSH_AT) this.turn *= -1;
+    const {state, info} = this.capsule;
+    this.action = this.replay[info.steps] ?? this.helpedAction(state.theta);
+    const turned = this.turn > 0 ? state.theta > RETURN_AT : state.theta < PUSH_AT;
+    if (turned) this.turn *= -1;
     return this.capsule.step(this.action);
+  }
+
+  /** The reader's action; the helper releases a key that pushes the ball further out. */
+  helpedAction(theta) {
+    const outwards = this.live * theta > 0;
+    const released = this.helped && outwards && Math.abs(theta) > LET_GO;
+    return released ? 0 : this.live;
   }
 }
 
-/** Opens a driver's episode; the lane applies the jumps. */
+/** Opens a driver's episode without its jumps, which the lane applies. */
 async function start(name, scene) {
   const {set, plant, task, hand} = scene;
-  const common = set ? {set} : {disturbances: disturbancesOf(scene)};
+  const disturbances = disturbancesOf(scene);
   if (name === YOURSELF) {
-    const capsule = await load("direct", set ? common : {task, ...common});
+    const capsule = await load("direct", set ? {set} : {task, disturbances});
     const {seed, ...first} = set ? sets[set].plants[plant] : startOf(scene);
-    capsule.reset({...first, ...(capsule.draws && {seed}), changes: []});
+    first.changes = [];
+    if (capsule.draws) first.seed = seed;
+    capsule.reset(first);
     return {capsule, driver: new Hand(capsule, hand)};
   }
-  const first = set ? {plant, changes: []} : startOf(scene);
-  const episode = await drive(name, {...common, ...first});
+  const options = set ? {set, plant, changes: []} : {disturbances, ...startOf(scene)};
+  const episode = await drive(name, options);
   return {capsule: episode, driver: episode};
 }
 
@@ -104,8 +113,7 @@ export class Lane {
     this.steps += 1;
     if (terminated) this.failure = this.reason();
     this.record();
-    const seconds = this.steps / this.stepsOfSnapshot;
-    if (Number.isInteger(seconds)) this.snapshots[seconds] = this.capsule.snapshot();
+    if (this.steps % this.stepsOfSnapshot === 0) this.snapshots.push(this.capsule.snapshot());
   }
 
   /** The first step that begins at that time (s) or after it. */
@@ -132,17 +140,17 @@ export class Lane {
     const place = Math.min(time / this.dt, this.steps);
     const k = Math.min(Math.floor(place + 1e-9), this.steps);
     const share = smooth && k < this.steps ? place - k : 0;
-    const between = (name, rate) =>
-      share > 1e-9 ? cubic(trace[name], trace[rate], k, share, this.dt) : trace[name][k];
-    const later = share > 0.5 ? k + 1 : k;
+    const between = share > 1e-9;
+    const nearest = share > 0.5 ? k + 1 : k;
+    const smoothed = (name, rate) =>
+      between ? hermite(trace[name], trace[rate], k, share, this.dt) : trace[name][k];
     return {
-      step: k,
-      theta: between("theta", "theta_dot"),
-      x: between("x", "x_dot"),
-      theta_dot: trace.theta_dot[later],
-      x_dot: trace.x_dot[later],
-      torque: trace.torque[share > 1e-9 ? k + 1 : k],
-      target: trace.target[later],
+      theta: smoothed("theta", "theta_dot"),
+      x: smoothed("x", "x_dot"),
+      theta_dot: trace.theta_dot[nearest],
+      x_dot: trace.x_dot[nearest],
+      torque: trace.torque[between ? k + 1 : k],
+      target: trace.target[nearest],
       metrics: this.metrics[k],
     };
   }
@@ -162,9 +170,8 @@ export class Lane {
       const value = values[name];
       this.trace[name][this.steps] = value;
       if (!Number.isFinite(value)) continue;
-      const extent = this.extent[name];
-      if (value < extent[0]) extent[0] = value;
-      if (value > extent[1]) extent[1] = value;
+      const [low, high] = this.extent[name];
+      this.extent[name] = [Math.min(low, value), Math.max(high, value)];
     }
     this.metrics[this.steps] = metrics;
   }
@@ -186,9 +193,12 @@ export class Lane {
 }
 
 /** Cubic Hermite interpolation between two steps. */
-function cubic(values, rates, k, share, dt) {
-  const [a, b] = [values[k], values[k + 1]];
-  const [da, db] = [rates[k] * dt, rates[k + 1] * dt];
-  const rise = b - a;
-  return a + share * (da + share * (3 * rise - 2 * da - db + share * (da + db - 2 * rise)));
+function hermite(values, rates, k, share, dt) {
+  const begin = values[k];
+  const rise = values[k + 1] - begin;
+  const slope = rates[k] * dt;
+  const endSlope = rates[k + 1] * dt;
+  const quadratic = 3 * rise - 2 * slope - endSlope;
+  const cubic = slope + endSlope - 2 * rise;
+  return begin + share * (slope + share * (quadratic + share * cubic));
 }

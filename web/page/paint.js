@@ -1,4 +1,4 @@
-// Common code of the page's canvases: sharp pixels, and the colours of the theme.
+// Common code of the page's canvases: sharp pixels, the colours of the theme, and shapes.
 
 const style = getComputedStyle(document.documentElement);
 // Cached: reading the style is slow, and it changes only with the theme and the window.
@@ -23,6 +23,45 @@ export function rem() { return remembered(" rem", () => parseFloat(style.fontSiz
 /** The page's font at a size in rem. */
 export function font(rems, weight = 400) {
   return `${weight} ${rems * rem()}px ${remembered(" family", () => style.fontFamily)}`;
+}
+
+function trace(context, points) {
+  context.beginPath();
+  for (const [x, y] of points) context.lineTo(x, y);
+}
+
+/** Draws a line through points. */
+export function line(context, points, width, ink) {
+  trace(context, points);
+  stroke(context, width, ink);
+}
+
+/** Strokes the current path. */
+export function stroke(context, width, ink) {
+  context.lineWidth = width;
+  context.strokeStyle = ink;
+  context.stroke();
+}
+
+/** Draws a filled rectangle. */
+export function rectangle(context, [x, y, width, height], fill) {
+  context.fillStyle = fill;
+  context.fillRect(x, y, width, height);
+}
+
+/** Draws a filled polygon. */
+export function polygon(context, points, fill) {
+  trace(context, points);
+  context.fillStyle = fill;
+  context.fill();
+}
+
+/** Draws a filled disc. */
+export function disc(context, [x, y], radius, fill) {
+  context.beginPath();
+  context.arc(x, y, radius, 0, 2 * Math.PI);
+  context.fillStyle = fill;
+  context.fill();
 }
 
 /** A canvas with one pixel per pixel of the screen; its width and height are in CSS pixels. */

@@ -34,7 +34,8 @@ export class Player {
   /** Pauses, and goes forward or back by steps. */
   nudge(steps) {
     this.playing = false;
-    const step = steps > 0 ? Math.floor(this.now / DT + 1e-6) : Math.ceil(this.now / DT - 1e-6);
+    const shown = this.now / DT;
+    const step = steps > 0 ? Math.floor(shown + 1e-6) : Math.ceil(shown - 1e-6);
     this.seek((step + steps) * DT);
   }
 
@@ -56,7 +57,8 @@ export class Player {
       this.now = Math.min(this.goal, this.simulate(this.goal));
       if (this.now >= this.goal - 1e-9) this.goal = null;
     } else if (this.playing) {
-      const wanted = Math.min(this.now + Math.min(elapsed, LONGEST_FRAME) * this.speed, this.last);
+      const ahead = Math.min(elapsed, LONGEST_FRAME) * this.speed;
+      const wanted = Math.min(before + ahead, this.last);
       this.now = Math.max(before, Math.min(wanted, this.simulate(wanted)));
     }
     return this.now !== before;
@@ -77,15 +79,15 @@ export class Player {
 
   /** The time at which the last lane ends, if known, else END; s. */
   get last() {
-    return this.lanes.every((lane) => lane.ended) ? Math.max(...this.lanes.map((lane) => lane.time))
-                                                  : END;
+    const ended = this.lanes.every((lane) => lane.ended);
+    return ended ? Math.max(...this.lanes.map((lane) => lane.time)) : END;
   }
 
   /** Latest time of `seek`, s: the reader's future actions are unknown. */
   get reach() {
     const lane = this.lanes.find(({hand}) => hand);
     if (!lane) return this.last;
-    return Math.min(
-      this.last, Math.max(lane.time, lane.hand.replay.length * lane.dt, this.moment + DT));
+    const known = Math.max(lane.time, lane.hand.replay.length * lane.dt);
+    return Math.min(this.last, Math.max(known, this.moment + DT));
   }
 }

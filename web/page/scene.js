@@ -9,23 +9,23 @@ export const YOURSELF = "yourself";
  * Number of values, from -1 to 1, of the reader's actions, so that a link can contain them
  * exactly.
  */
-export const HAND_STEPS = 41;
-export const SPEEDS = {
-  least: 0.1,
-  most: 20
-};
+const HAND_STEPS = 41;
+/** Lowest and highest speed of the playback. */
+const SPEED_LIMITS = [0.1, 20];
 /** Length of an episode of the scene's task, s. */
 export let END = constants.horizons.speed;
 /**
  * Lowest and highest values of the sliders of disturbances: latency in s, noise relative to the
  * real noise.
  */
-export const DISTURBED = {
+export const SLIDER_RANGES = {
   latency: [0, 0.03],
   noise: [0, 2],
   motor: [0, 0.2],
   slope: [-3, 3]
 };
+/** Those of sensors, which `disturbances` selects, too. */
+export const SENSED = ["latency", "noise"];
 /** Number of seeds. */
 export const SEEDS = 100;
 const IDEAL = {
@@ -43,38 +43,49 @@ export function useTask(task) { END = constants.horizons[task]; }
 export function disturbancesOf({disturbances, latency, noise, motor, slope}) {
   if (disturbances === "real") return "real";
   if (disturbances === "none") return motor || slope ? {stick_threshold: 0} : "none";
-  const errors = Object.entries(constants.real)
-                   .filter(([name, size]) => size !== null && /_(noise|bias|drift)$/.test(name));
-  const scaled = errors.map(([name, size]) => [name, [size].flat().map((end) => noise * end)]);
-  return {
-    latency,
-    ...Object.fromEntries(scaled.map(([name, [low, high = low]]) => [name, [low, high]]))
-  };
+  const own = {latency};
+  for (const [name, size] of Object.entries(constants.real)) {
+    const ofSensor = /_(noise|bias|drift)$/.test(name);
+    if (!ofSensor || size === null) continue;
+    const [low, high = low] = [size].flat();
+    own[name] = [noise * low, noise * high];
+  }
+  return own;
+}
+
+/** Whether the episodes of a scene draw values. */
+export function drawsValues(scene) {
+  return scene.task !== "speed" || disturbancesOf(scene) !== "none";
 }
 
 /** Returns the start of a scene's episode. */
-export function startOf({task, M, mu, theta, seed, motor, slope, ...scene}) {
-  const drawn = task !== "speed" || disturbancesOf({motor, slope, ...scene}) !== "none";
-  const tilted =
-    motor || slope ? {capsule: {motor_friction: motor, slope: (slope * Math.PI) / 180}} : {};
-  return {M, mu, ...(theta !== undefined && {theta}), ...(drawn && {seed}), ...tilted};
+export function startOf(scene) {
+  const {M, mu, theta, seed, motor, slope} = scene;
+  const start = {M, mu};
+  if (theta !== undefined) start.theta = theta;
+  if (drawsValues(scene)) start.seed = seed;
+  if (motor || slope) start.capsule = {motor_friction: motor, slope: (slope * Math.PI) / 180};
+  return start;
 }
 
 /** Why M and mu cannot be chosen with some drivers. */
 export const ONLY_FROZEN = "The optimum is recorded on the plants of the sets";
 
+/** Parts of a link that change the plant. */
+const PLANT_PARTS = ["M", "mu", "jumps", "disturbances", ...Object.keys(SLIDER_RANGES)];
 const LETTERS = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNO";
 const HALF = (HAND_STEPS - 1) / 2;
 
 /** The lowest and highest M (kg) and mu of any range of plants. */
-export const limits = Object.fromEntries(
-  ["M", "mu"].map((name) => {
-    const bounds = Object.values(constants.ranges).map((range) => range[name]);
-    return [
-      name, [Math.min(...bounds.map(([low]) => low)), Math.max(...bounds.map(([, high]) => high))]
-    ];
-  }),
-);
+export const limits = {
+  M: widest("M"),
+  mu: widest("mu")
+};
+
+function widest(name) {
+  const ends = Object.values(constants.ranges).flatMap((range) => range[name]);
+  return [Math.min(...ends), Math.max(...ends)];
+}
 
 /** The entry of `drivers` by its name; undefined for the reader and for no driver. */
 export function driverNamed(name) { return drivers.find((driver) => driver.name === name); }
@@ -82,20 +93,26 @@ export function driverNamed(name) { return drivers.find((driver) => driver.name 
 /** A driver's title. */
 export function titleOf(name) { return name === YOURSELF ? "Yourself" : name; }
 
-/** Whether the scene has a recorded driver, which drives only on plants of the frozen sets. */
-export function hasRecorded({driver, rival}) {
-  return [driver, rival].some((name) => driverNamed(name)?.recorded);
+/**
+ * The sets on whose plants alone the scene's recorded driver drives; undefined for no such driver.
+ */
+function recordedSets({driver, rival}) {
+  return driverNamed(driver)?.recorded ?? driverNamed(rival)?.recorded;
 }
+
+/** Whether the scene has a recorded driver. */
+export function hasRecorded(scene) { return recordedSets(scene) !== undefined; }
 
 /**
  * Gives a scene with a recorded driver an unchanged plant of a frozen set; returns whether it had
  * another plant.
  */
 export function keepFrozen(scene) {
-  const known =
-    [scene.driver, scene.rival].map((name) => driverNamed(name)?.recorded).find(Boolean);
-  if (!known || (known.includes(scene.set) && !hasOwnJumps(scene))) return false;
-  takePlant(scene, known.includes(scene.set) ? scene.set : known[0], scene.plant);
+  const known = recordedSets(scene);
+  if (!known) return false;
+  const frozen = known.includes(scene.set);
+  if (frozen && !hasOwnJumps(scene)) return false;
+  takePlant(scene, frozen ? scene.set : known[0], scene.plant);
   return true;
 }
 
@@ -143,7 +160,7 @@ export function readScene(hash) {
   if ([...given.keys()].length > 0) scene.rival = "";
   readDrivers(given, scene, complaints);
   readPlant(given, scene, complaints);
-  scene.speed = readNumber(given, "speed", SPEEDS.least, SPEEDS.most, complaints) ?? scene.speed;
+  scene.speed = readNumber(given, "speed", ...SPEED_LIMITS, complaints) ?? scene.speed;
   scene.t = readNumber(given, "t", 0, END, complaints);
   if (given.get("view") === "lane") scene.view = "lane";
   if (scene.driver === YOURSELF && given.has("hand")) {
@@ -172,9 +189,9 @@ export function writeScene(scene) {
   }
   if (!scene.set && scene.seed) parts.set("seed", scene.seed);
   if (scene.disturbances === "real") parts.set("disturbances", "real");
-  const own = scene.disturbances === "own" ? ["latency", "noise"] : [];
-  for (const name of [...own, "motor", "slope"]) {
-    if (own.includes(name) || scene[name]) parts.set(name, shortened(scene[name]));
+  for (const name of Object.keys(SLIDER_RANGES)) {
+    const own = SENSED.includes(name) ? scene.disturbances === "own" : scene[name] !== 0;
+    if (own) parts.set(name, shortened(scene[name]));
   }
   if (hasOwnJumps(scene)) parts.set("jumps", writeJumps(scene.jumps));
   if (scene.speed !== first.speed) parts.set("speed", shortened(scene.speed));
@@ -195,22 +212,29 @@ export function handAction(action) { return Math.round(clamp(action, -1, 1) * HA
 function readDrivers(given, scene, complaints) {
   for (const part of ["driver", "rival"]) {
     const name = given.get(part);
-    if (name === null || name === "") continue;
-    const chosen = drivers.filter(({task}) => part === "driver" || task === scene.task);
-    const accepted = chosen.map((driver) => driver.name).concat(part === "driver" ? YOURSELF : []);
-    if (accepted.includes(name)) {
-      scene[part] = name;
-      if (part === "driver") scene.task = driverNamed(name)?.task ?? readTask(given, complaints);
-    } else complaints.push(`${part} must be one of ${accepted.join(", ")}, got "${name}"`);
+    if (!name) continue;
+    const accepted = acceptedDrivers(part, scene.task);
+    if (!accepted.includes(name)) {
+      complaints.push(`${part} must be one of ${accepted.join(", ")}, got "${name}"`);
+      continue;
+    }
+    scene[part] = name;
+    if (part === "driver") scene.task = driverNamed(name)?.task ?? readTask(given, complaints);
   }
   useTask(scene.task);
+}
+
+/** The driver may be any, the rival one of the scene's task. */
+function acceptedDrivers(part, task) {
+  if (part === "driver") return [...drivers.map(({name}) => name), YOURSELF];
+  return drivers.filter((driver) => driver.task === task).map(({name}) => name);
 }
 
 function readTask(given, complaints) {
   const task = given.get("task") ?? "speed";
   if (Object.hasOwn(constants.horizons, task)) return task;
-  complaints.push(
-    `task must be one of ${Object.keys(constants.horizons).join(", ")}, got "${task}"`);
+  const accepted = Object.keys(constants.horizons).join(", ");
+  complaints.push(`task must be one of ${accepted}, got "${task}"`);
   return "speed";
 }
 
@@ -222,11 +246,11 @@ function readDisturbances(given, scene, complaints) {
   if (disturbances === "real") scene.disturbances = "real";
   else if (disturbances !== null)
     complaints.push(`disturbances must be real, got "${disturbances}"`);
-  for (const [name, bounds] of Object.entries(DISTURBED)) {
+  for (const [name, bounds] of Object.entries(SLIDER_RANGES)) {
     const value = readNumber(given, name, ...bounds, complaints);
     if (value === null) continue;
     scene[name] = value;
-    if (name === "latency" || name === "noise") scene.disturbances = "own";
+    if (SENSED.includes(name)) scene.disturbances = "own";
   }
   if (scene.disturbances !== "none" || scene.motor || scene.slope) scene.set = "";
 }
@@ -248,18 +272,16 @@ function readPlant(given, scene, complaints) {
   }
   if (given.has("jumps")) scene.jumps = readJumps(given.get("jumps"), complaints);
   readDisturbances(given, scene, complaints);
-  if (keepFrozen(scene) && [
-        "M", "mu", "jumps", "disturbances", ...Object.keys(DISTURBED)
-      ].some((name) => given.has(name))) {
+  const replaced = keepFrozen(scene);
+  if (replaced && PLANT_PARTS.some((name) => given.has(name)))
     complaints.push(`${ONLY_FROZEN}, and what else the link says of the plant is left out`);
-  }
 }
 
 function readNumber(given, name, low, high, complaints) {
   const text = given.get(name);
   if (text === null) return null;
   const value = Number(text);
-  if (text !== "" && value >= low && value <= high) return value;
+  if (text !== "" && isWithin(value, [low, high])) return value;
   complaints.push(`${name} must be a number from ${low} to ${high}, got "${text}"`);
   return null;
 }
@@ -268,18 +290,18 @@ function readJumps(text, complaints) {
   const jumps = [];
   for (const part of text.split(",").filter(Boolean)) {
     const [t, M, mu, ...rest] = part.split(":").map(Number);
-    const within = (value, [low, high]) => value >= low && value <= high;
-    if (
-      rest.length || !within(t, [jumps.at(-1)?.t ?? 0, END]) || !within(M, limits.M) ||
-      !within(mu, limits.mu)) {
-      complaints.push(
-        `jumps must be t:M:mu, in order of time and within the ranges of M and mu, got "${part}"`);
+    const ordered = isWithin(t, [jumps.at(-1)?.t ?? 0, END]);
+    if (rest.length || !ordered || !isWithin(M, limits.M) || !isWithin(mu, limits.mu)) {
+      const accepted = "t:M:mu, in order of time and within the ranges of M and mu";
+      complaints.push(`jumps must be ${accepted}, got "${part}"`);
       return [];
     }
     jumps.push({t, M, mu});
   }
   return jumps;
 }
+
+function isWithin(value, [low, high]) { return value >= low && value <= high; }
 
 function writeJumps(jumps) {
   return jumps.map(({t, M, mu}) => [t, M, mu].map(shortened).join(":")).join(",");
@@ -294,10 +316,12 @@ function writeHand(actions) {
 function readHand(text) {
   if (!/^(\d{0,4}[a-zA-O])*$/.test(text))
     throw new RangeError("hand must be letters a to O with counts before them");
-  const actions = [...text.matchAll(/(\d*)(\D)/g)].flatMap(
-    ([, count, letter]) => new Array(Number(count || 1)).fill(LETTERS.indexOf(letter) / HALF - 1),
-  );
-  return actions.slice(0, constants.steps).map(handAction);
+  const actions = [];
+  for (const [, count, letter] of text.matchAll(/(\d*)(\D)/g)) {
+    const action = handAction(LETTERS.indexOf(letter) / HALF - 1);
+    actions.push(...Array(Number(count || 1)).fill(action));
+  }
+  return actions.slice(0, constants.steps);
 }
 
 function shortened(value) { return String(Number(value.toPrecision(6))); }
