@@ -59,7 +59,8 @@ struct Dual {
   friend INLINE bool operator symbol(const Dual& a, const Dual& b) { return a.v symbol b.v; }
   COMPARISON(<)
   COMPARISON(>)
-  COMPARISON(<=) COMPARISON(>=) COMPARISON(==)
+  COMPARISON(<=)
+  COMPARISON(>=) COMPARISON(==)
 #undef COMPARISON
       // A factor that is zero counts where it has a derivative.
       friend INLINE bool acts(const Dual& a) {

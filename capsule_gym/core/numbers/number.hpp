@@ -94,8 +94,9 @@ struct Pack {
   friend INLINE Result operator symbol(Pack a, Pack b) { return {a.v symbol b.v}; }
   OPERATOR(Pack, +)
   OPERATOR(Pack, -)
-  OPERATOR(Pack, *) OPERATOR(Pack, /) OPERATOR(Mask, ==) OPERATOR(Mask, !=) OPERATOR(Mask, <)
-      OPERATOR(Mask, >) OPERATOR(Mask, <=) OPERATOR(Mask, >=)
+  OPERATOR(Pack, *)
+  OPERATOR(Pack, /) OPERATOR(Mask, ==) OPERATOR(Mask, !=) OPERATOR(Mask, <) OPERATOR(Mask, >)
+      OPERATOR(Mask, <=) OPERATOR(Mask, >=)
 #undef OPERATOR
           friend INLINE Pack operator-(Pack a) {
     return -a.v;

@@ -46,7 +46,8 @@ template <class A, class B> struct Choose<false, A, B> {
   FIELD(m)                                                                                     \
   FIELD(l) /* gravity's component perpendicular to the floor */                                \
   FIELD(g)                                                                                     \
-  FIELD(k) FIELD(c) FIELD(static_ratio)                                                        \
+  FIELD(k)                                                                                     \
+  FIELD(c) FIELD(static_ratio)                                                                 \
       FIELD(backward_ratio) /* g sin(slope), the floor's viscous coefficient, static_ratio - 1 \
                                and the inverse of the Stribeck curve's speed */                \
       FIELD(downhill) FIELD(viscous) FIELD(stribeck_excess) FIELD(stribeck_rate)               \
@@ -54,11 +55,12 @@ template <class A, class B> struct Choose<false, A, B> {
       FIELD(push)
 
 // Those from m on as `Capsule` names them, which `derive` turns into those of `Plant`.
-#define CAPSULE_CONSTANTS(FIELD)                                                      \
-  FIELD(m)                                                                            \
-  FIELD(l)                                                                            \
-  FIELD(g) FIELD(k) FIELD(c) FIELD(static_ratio) FIELD(backward_ratio) FIELD(viscous) \
-      FIELD(stribeck_speed) FIELD(slope) FIELD(motor_friction)
+#define CAPSULE_CONSTANTS(FIELD)                                                                   \
+  FIELD(m)                                                                                         \
+  FIELD(l)                                                                                         \
+  FIELD(g)                                                                                         \
+  FIELD(k) FIELD(c) FIELD(static_ratio) FIELD(backward_ratio) FIELD(viscous) FIELD(stribeck_speed) \
+      FIELD(slope) FIELD(motor_friction)
 template <class T> struct Constants {
   CAPSULE_CONSTANTS(CAPSULE_NUMBER)
 };

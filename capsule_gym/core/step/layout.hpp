@@ -9,7 +9,8 @@
 #define CAPSULE_ROWS                                                                               \
   ROW(theta)                                                                                       \
   ROW(theta_dot)                                                                                   \
-  ROW(x) ROW(x_dot) ROW(M) ROW(mu) ROW(torque) ROW(law_torque) ROW(normal_force) ROW(energy)       \
+  ROW(x)                                                                                           \
+  ROW(x_dot) ROW(M) ROW(mu) ROW(torque) ROW(law_torque) ROW(normal_force) ROW(energy)              \
       ROW(reward_progress) ROW(reward_energy)                                                      \
           ROW(reward_termination) /* 1.0 where the last step came close to a termination. */       \
       ROW(cost)                   /* The result of the agent step. */                              \
@@ -91,7 +92,8 @@ constexpr int ESTIMATOR_CELLS =
 #define CAPSULE_SETTINGS(FIELD)                                                                    \
   FIELD(torque_limit)                                                                              \
   FIELD(residual_limit)                                                                            \
-  FIELD(total_torque) FIELD(physics_dt) FIELD(physics_steps) FIELD(law_steps) FIELD(energy_weight) \
+  FIELD(total_torque)                                                                              \
+  FIELD(physics_dt) FIELD(physics_steps) FIELD(law_steps) FIELD(energy_weight)                     \
       FIELD(termination_penalty) FIELD(with_reference) FIELD(with_parameters)                      \
           FIELD(with_estimates) FIELD(with_task)                                                   \
               FIELD(stack_size)      /* Bounds of the observed M, kg, and mu. */                   \
@@ -125,8 +127,9 @@ struct Settings {
   FIELD(reference_end) /* The task's memory with true values, one past its end,                    \
                           and for varied plants that with measured values, which                   \
                           comes first where the law observes the sensors. */                       \
-      FIELD(task) FIELD(task_end) FIELD(read_task) /* The last states of a varied plant, the       \
-                                                      estimator, and the number of all rows. */    \
+  FIELD(task)                                                                                      \
+  FIELD(task_end) FIELD(read_task) /* The last states of a varied plant, the                       \
+                                      estimator, and the number of all rows. */                    \
       FIELD(history) FIELD(estimator)                                                              \
           FIELD(rows) /* Entries of the observation. Lines of the draw table: all of them, the     \
                          first one of the task, of the constants and of the disturbances. Agent    \
@@ -166,7 +169,8 @@ struct Draw {
   /* The blocks, of `layout.rows` rows; `lanes` is LANES or 1. */                                 \
   FIELD(double*, world)                                                                           \
   FIELD(long long, num_envs)                                                                      \
-  FIELD(long long, lanes) FIELD(float*, observations) FIELD(const Settings*, settings)            \
+  FIELD(long long, lanes)                                                                         \
+  FIELD(float*, observations) FIELD(const Settings*, settings)                                    \
       FIELD(const Layout*, layout) /* Numbers of the task and of the law in their lists. */       \
       FIELD(long long, task) FIELD(long long, law) FIELD(const double*, law_constants)            \
           FIELD(UserLaw, user_law) FIELD(                                                         \

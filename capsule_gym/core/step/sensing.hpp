@@ -99,7 +99,7 @@ template <class T, int N> struct Disturbed {
       SENSOR(theta_dot, white_1, slow_1)
       SENSOR(x_dot, white_2, slow_2)
 #undef SENSOR
-          T x = GET(read_x) + min(count, T(1.0)) * pause * GET(read_x_dot);
+      T x = GET(read_x) + min(count, T(1.0)) * pause * GET(read_x_dot);
       if (q.with_x != 0.0) x = GET(late_x) + q.x_noise * normals(word_of(key, count, 3)).first;
       PUT(read_x, select(active, x, GET(read_x)));
       PUT(readings, select(active, count + 1.0, count));
