@@ -60,10 +60,11 @@ struct Dual {
   COMPARISON(<)
   COMPARISON(>)
   COMPARISON(<=)
-  COMPARISON(>=) COMPARISON(==)
+  COMPARISON(>=)
+  COMPARISON(==)
 #undef COMPARISON
-      // A factor that is zero counts where it has a derivative.
-      friend INLINE bool acts(const Dual& a) {
+  // A factor that is zero counts where it has a derivative.
+  friend INLINE bool acts(const Dual& a) {
     bool any = a.v != 0.0;
     for (int i = 0; i < COUNT; i++) any |= acts(Pack(a.d[i]));
     return any;

@@ -95,10 +95,11 @@ struct Pack {
   OPERATOR(Pack, +)
   OPERATOR(Pack, -)
   OPERATOR(Pack, *)
-  OPERATOR(Pack, /) OPERATOR(Mask, ==) OPERATOR(Mask, !=) OPERATOR(Mask, <) OPERATOR(Mask, >)
-      OPERATOR(Mask, <=) OPERATOR(Mask, >=)
+  OPERATOR(Pack, /)
+  OPERATOR(Mask, ==)
+  OPERATOR(Mask, !=) OPERATOR(Mask, <) OPERATOR(Mask, >) OPERATOR(Mask, <=) OPERATOR(Mask, >=)
 #undef OPERATOR
-          friend INLINE Pack operator-(Pack a) {
+      friend INLINE Pack operator-(Pack a) {
     return -a.v;
   }
 };

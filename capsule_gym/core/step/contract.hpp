@@ -12,9 +12,11 @@ namespace LEVEL {
   OPTION(torque_limit)                                                                             \
   OPTION(residual_limit)                                                                           \
   OPTION(total_torque)                                                                             \
-  OPTION(control_dt) OPTION(physics_dt) OPTION(energy_weight) OPTION(termination_penalty)          \
-      OPTION(observe_parameters) OPTION(observe_estimates) OPTION(stack_size) OPTION(goal_env)     \
-          OPTION(initial_noise) OPTION(initial_theta)                                              \
+  OPTION(control_dt)                                                                               \
+  OPTION(physics_dt)                                                                               \
+  OPTION(energy_weight) OPTION(termination_penalty) OPTION(observe_parameters)                     \
+      OPTION(observe_estimates) OPTION(stack_size) OPTION(goal_env) OPTION(initial_noise)          \
+          OPTION(initial_theta)                                                                    \
               OPTION(initial_theta_dot) /* The number of the task, and the range that its          \
                                            episodes draw instead of its own. */                    \
       OPTION(task) RANGE(task) /* The controller: whether there is one, its period, and the sizes  \

@@ -5,14 +5,15 @@
 #include "../numbers/random.hpp"
 
 // What an episode draws; SI units.
-#define CAPSULE_DISTURBANCES(FIELD)                                                       \
-  FIELD(theta_noise)                                                                      \
-  FIELD(theta_dot_noise)                                                                  \
-  FIELD(x_dot_noise)                                                                      \
-  FIELD(theta_bias) FIELD(theta_dot_bias) FIELD(x_dot_bias) FIELD(theta_drift)            \
-      FIELD(theta_dot_drift) FIELD(x_dot_drift) FIELD(drift_time) FIELD(theta_resolution) \
-          FIELD(theta_dot_resolution) FIELD(x_dot_resolution) FIELD(latency) FIELD(lag)   \
-              FIELD(motor_friction) FIELD(torque_resolution) FIELD(push)
+#define CAPSULE_DISTURBANCES(FIELD)                                                                \
+  FIELD(theta_noise)                                                                               \
+  FIELD(theta_dot_noise)                                                                           \
+  FIELD(x_dot_noise)                                                                               \
+  FIELD(theta_bias)                                                                                \
+  FIELD(theta_dot_bias)                                                                            \
+  FIELD(x_dot_bias) FIELD(theta_drift) FIELD(theta_dot_drift) FIELD(x_dot_drift) FIELD(drift_time) \
+      FIELD(theta_resolution) FIELD(theta_dot_resolution) FIELD(x_dot_resolution) FIELD(latency)   \
+          FIELD(lag) FIELD(motor_friction) FIELD(torque_resolution) FIELD(push)
 
 namespace LEVEL {
 template <class T> struct Disturbances {

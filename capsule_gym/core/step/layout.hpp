@@ -10,8 +10,10 @@
   ROW(theta)                                                                                       \
   ROW(theta_dot)                                                                                   \
   ROW(x)                                                                                           \
-  ROW(x_dot) ROW(M) ROW(mu) ROW(torque) ROW(law_torque) ROW(normal_force) ROW(energy)              \
-      ROW(reward_progress) ROW(reward_energy)                                                      \
+  ROW(x_dot)                                                                                       \
+  ROW(M)                                                                                           \
+  ROW(mu) ROW(torque) ROW(law_torque) ROW(normal_force) ROW(energy) ROW(reward_progress)           \
+      ROW(reward_energy)                                                                           \
           ROW(reward_termination) /* 1.0 where the last step came close to a termination. */       \
       ROW(cost)                   /* The result of the agent step. */                              \
       ROW(reward) ROW(termination)                                                                 \
@@ -93,10 +95,11 @@ constexpr int ESTIMATOR_CELLS =
   FIELD(torque_limit)                                                                              \
   FIELD(residual_limit)                                                                            \
   FIELD(total_torque)                                                                              \
-  FIELD(physics_dt) FIELD(physics_steps) FIELD(law_steps) FIELD(energy_weight)                     \
-      FIELD(termination_penalty) FIELD(with_reference) FIELD(with_parameters)                      \
-          FIELD(with_estimates) FIELD(with_task)                                                   \
-              FIELD(stack_size)      /* Bounds of the observed M, kg, and mu. */                   \
+  FIELD(physics_dt)                                                                                \
+  FIELD(physics_steps)                                                                             \
+  FIELD(law_steps) FIELD(energy_weight) FIELD(termination_penalty) FIELD(with_reference)           \
+      FIELD(with_parameters) FIELD(with_estimates) FIELD(with_task)                                \
+          FIELD(stack_size)          /* Bounds of the observed M, kg, and mu. */                   \
       FIELD(M_bound) FIELD(mu_bound) /* Period of the law, s; without a law that of the agent, or  \
                                         of the integrator where plants vary. */                    \
       FIELD(law_dt) /* Disturbances: number of states in the history, whether law and agent        \
@@ -128,12 +131,13 @@ struct Settings {
                           and for varied plants that with measured values, which                   \
                           comes first where the law observes the sensors. */                       \
   FIELD(task)                                                                                      \
-  FIELD(task_end) FIELD(read_task) /* The last states of a varied plant, the                       \
-                                      estimator, and the number of all rows. */                    \
-      FIELD(history) FIELD(estimator)                                                              \
-          FIELD(rows) /* Entries of the observation. Lines of the draw table: all of them, the     \
-                         first one of the task, of the constants and of the disturbances. Agent    \
-                         steps of a whole episode. */                                              \
+  FIELD(task_end)                                                                                  \
+  FIELD(read_task) /* The last states of a varied plant, the                                       \
+                      estimator, and the number of all rows. */                                    \
+  FIELD(history)                                                                                   \
+  FIELD(estimator) FIELD(rows) /* Entries of the observation. Lines of the draw table: all of      \
+                                  them, the first one of the task, of the constants and of the                                                \
+                                  disturbances. Agent steps of a whole episode. */                                                                      \
       FIELD(entries) FIELD(draws) FIELD(task_draws) FIELD(constant_draws) FIELD(disturbance_draws) \
           FIELD(steps)
 #define CAPSULE_WHOLE(name) long long name;
@@ -170,12 +174,12 @@ struct Draw {
   FIELD(double*, world)                                                                           \
   FIELD(long long, num_envs)                                                                      \
   FIELD(long long, lanes)                                                                         \
-  FIELD(float*, observations) FIELD(const Settings*, settings)                                    \
-      FIELD(const Layout*, layout) /* Numbers of the task and of the law in their lists. */       \
-      FIELD(long long, task) FIELD(long long, law) FIELD(const double*, law_constants)            \
-          FIELD(UserLaw, user_law) FIELD(                                                         \
-              void*,                                                                              \
-              user_data) /* The law's memory at the start of an episode, and its reference. */    \
+  FIELD(float*, observations)                                                                     \
+  FIELD(const Settings*, settings)                                                                \
+  FIELD(const Layout*, layout) /* Numbers of the task and of the law in their lists. */           \
+  FIELD(long long, task)                                                                          \
+  FIELD(long long, law) FIELD(const double*, law_constants) FIELD(UserLaw, user_law) FIELD(       \
+      void*, user_data) /* The law's memory at the start of an episode, and its reference. */     \
       FIELD(const double*, memory) FIELD(const double*, reference) FIELD(                         \
           long long, reference_rows) /* Resets: keys (num_envs, 2), episodes since the seeding,   \
                                         the environments that begin (count,), what they draw, and \

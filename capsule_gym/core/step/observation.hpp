@@ -6,12 +6,11 @@
 
 namespace LEVEL {
 // What an observation shows of the environment: `phase` is the share of the reference's cycle.
-#define OBSERVED(FIELD)                                                                   \
-  FIELD(theta)                                                                            \
-  FIELD(theta_dot)                                                                        \
-  FIELD(x_dot)                                                                            \
-  FIELD(action) FIELD(theta_d) FIELD(theta_d_dot) FIELD(phase) FIELD(law_torque) FIELD(M) \
-      FIELD(mu)
+#define OBSERVED(FIELD) \
+  FIELD(theta)          \
+  FIELD(theta_dot)      \
+  FIELD(x_dot)          \
+  FIELD(action) FIELD(theta_d) FIELD(theta_d_dot) FIELD(phase) FIELD(law_torque) FIELD(M) FIELD(mu)
 template <class T> struct Observed {
   OBSERVED(CAPSULE_NUMBER)
 };

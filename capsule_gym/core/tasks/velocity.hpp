@@ -20,13 +20,15 @@ struct Velocity {
   // and position at the start of its measurement, and 1.0 once settled. Sums over the previous
   // commands: missed and commanded distance, m, number of measured and of unsettled commands. The
   // present and the next commands, and their durations.
-#define VELOCITY_MEMORY(FIELD)                                                                  \
-  FIELD(command)                                                                                \
-  FIELD(target)                                                                                 \
-  FIELD(error)                                                                                  \
-  FIELD(speed)                                                                                  \
-  FIELD(since) FIELD(lasts) FIELD(measured_from) FIELD(measured_x) FIELD(settled) FIELD(missed) \
-      FIELD(commanded) FIELD(measured) FIELD(unsettled)
+#define VELOCITY_MEMORY(FIELD)                                                         \
+  FIELD(command)                                                                       \
+  FIELD(target)                                                                        \
+  FIELD(error)                                                                         \
+  FIELD(speed)                                                                         \
+  FIELD(since)                                                                         \
+  FIELD(lasts)                                                                         \
+  FIELD(measured_from) FIELD(measured_x) FIELD(settled) FIELD(missed) FIELD(commanded) \
+      FIELD(measured) FIELD(unsettled)
   static constexpr const char* FIELDS = VELOCITY_MEMORY(CAPSULE_NAME)
       "v_0 v_1 v_2 v_3 v_4 v_5 v_6 v_7 "
       "lasts_0 lasts_1 lasts_2 lasts_3 lasts_4 lasts_5 lasts_6 lasts_7";
