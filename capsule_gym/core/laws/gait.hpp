@@ -36,7 +36,7 @@ constexpr double THETA_DOT_SCALE = 5.0;  // rad/s
 constexpr double X_DOT_SCALE = 0.3;      // m/s
 
 // The cubic polynomial of the state plus a step in the direction of slip.
-template <class T> INLINE T cubic(T theta, T theta_dot, T x_dot, const auto& law) {
+template <class T> INLINE T gait_polynomial(T theta, T theta_dot, T x_dot, const auto& law) {
   T a = theta / THETA_SCALE;
   T b = theta_dot / THETA_DOT_SCALE;
   T c = x_dot / X_DOT_SCALE;
@@ -60,7 +60,8 @@ template <class T> INLINE T cubic(T theta, T theta_dot, T x_dot, const auto& law
 // brakes it before it is too fast.
 template <class T>
 INLINE T guarded_torque(T theta, T theta_dot, T x_dot, const auto& law, auto guard_from) {
-  T torque = clip(law.torque_limit * cubic(theta, theta_dot, x_dot, law), T(law.torque_limit));
+  T torque =
+      clip(law.torque_limit * gait_polynomial(theta, theta_dot, x_dot, law), T(law.torque_limit));
   T excess = theta_dot * theta_dot * sincos(theta).cos - guard_from;
   T brake = law.guard_gain * max(T(0.0), excess);
   return torque - select(theta_dot > 0.0, brake, -brake);

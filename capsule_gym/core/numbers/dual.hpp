@@ -37,7 +37,8 @@ struct Dual {
     return Dual(a.v * b.v, PARTIAL(a.d[i] * b.v + b.d[i] * a.v));
   }
   friend INLINE Dual operator/(const Dual& a, const Dual& b) {
-    double quotient = a.v / b.v, reciprocal = 1.0 / b.v;
+    double quotient = a.v / b.v;
+    double reciprocal = 1.0 / b.v;
     return Dual(quotient, PARTIAL((a.d[i] - b.d[i] * quotient) * reciprocal));
   }
   friend INLINE Dual fma(const Dual& a, const Dual& b, const Dual& c) {
