@@ -9,107 +9,87 @@ import subprocess
 import sys
 import tempfile
 import venv
+from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 from capsule_gym.command_line import command
 from tests import ROOT
 
 CORE = "capsule_gym/core"
+PARAMETERS = "capsule_gym/parameters"
 
 
-class Change(NamedTuple):
-    """Text that is inserted behind a text in a file; a new file where there is none."""
+class Sources:
+    """A copy of the sources, and the files that have been touched."""
 
-    path: str
-    behind: str
-    text: str
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.touched: set[str] = set()
+
+    def insert(self, path: str, behind: str, text: str) -> None:
+        """Inserts a text behind another one.
+
+        Raises:
+            ValueError: if the file lacks the other text.
+        """
+        source = (self.folder / path).read_text(encoding="utf-8")
+        if behind not in source:
+            raise ValueError(f"{path} must contain {behind!r}")
+        self.write(path, source.replace(behind, behind + text, 1))
+
+    def write(self, path: str, text: str) -> None:
+        """Writes a file."""
+        self.touched.add(path)
+        (self.folder / path).write_text(text, encoding="utf-8")
 
 
-# The largest number of files that an addition may touch, and its changes.
-ADDITIONS: dict[str, tuple[int, list[Change]]] = {
-    "metric": (
-        2,
-        [
-            Change(
-                f"{CORE}/step/metrics.hpp",
-                'put("duration", "length of the episode, s", b.duration[j]);\n',
-                '  put("made_up_metric", "twice the length of the episode, s", 2.0 * b.duration[j]);\n',
-            ),
-        ],
-    ),
-    "disturbance": (
-        2,
-        [
-            Change(
-                f"{CORE}/step/disturbances.hpp", "FIELD(torque_resolution) ", "FIELD(made_up_gain) "
-            ),
-            Change(
-                f"{CORE}/step/disturbances.hpp",
-                "  return motor + share * (rounded(command, d.torque_resolution) - motor)",
-                " + d.made_up_gain * motor",
-            ),
-            Change(
-                "capsule_gym/parameters/disturbances.py",
-                "    torque_resolution: Draws = 0.0\n",
-                "    made_up_gain: Draws = 0.0\n",
-            ),
-        ],
-    ),
-    "constant": (
-        3,
-        [
-            Change(
-                f"{CORE}/physics/plant.hpp", "FIELD(stribeck_excess) ", "FIELD(made_up_constant) "
-            ),
-            Change(
-                f"{CORE}/physics/plant.hpp", "FIELD(stribeck_speed) ", "FIELD(made_up_constant) "
-            ),
-            Change(
-                f"{CORE}/physics/plant.hpp",
-                "  p.downhill = given.g * sin",
-                ", p.made_up_constant = given.made_up_constant",
-            ),
-            Change(
-                f"{CORE}/physics/plant.hpp",
-                "  return given.viscous != 0.0",
-                " || given.made_up_constant != 0.0",
-            ),
-            Change(
-                "capsule_gym/parameters/capsule.py",
-                "    viscous: float\n",
-                "    made_up_constant: float\n",
-            ),
-            Change(
-                "capsule_gym/parameters/capsule.py",
-                "    slope: float = 0.0\n",
-                "    made_up_constant: float = 0.0\n",
-            ),
-            Change(
-                "capsule_gym/parameters/randomization.py",
-                "    slope: Range | None = None\n",
-                "    made_up_constant: Range | None = None\n",
-            ),
-        ],
-    ),
-    "entry": (
-        2,
-        [
-            Change(
-                f"{CORE}/step/observation.hpp",
-                'put("last_action", -1.0, 1.0, o.action);\n',
-                # Only with a sensor of x, so that trained policies still fit their environments.
-                '  if (q.with_x != 0.0) put("made_up_entry", -1.0, 1.0, 0.5 * o.action);\n',
-            ),
-        ],
-    ),
-    "law": (
-        2,
-        [
-            Change(
-                f"{CORE}/laws/made_up.hpp",
-                "",
-                """#pragma once
+def add_metric(sources: Sources) -> None:
+    """Adds twice the length of an episode."""
+    sources.insert(
+        f"{CORE}/step/metrics.hpp",
+        'put("duration", "length of the episode, s", b.duration[j]);\n',
+        '  put("made_up_metric", "twice the length of the episode, s", 2.0 * b.duration[j]);\n',
+    )
+
+
+def add_disturbance(sources: Sources) -> None:
+    """Adds a gain of the motor."""
+    header = f"{CORE}/step/disturbances.hpp"
+    sources.insert(header, "FIELD(torque_resolution)", " FIELD(made_up_gain)")
+    effect = "  return motor + share * (rounded(command, d.torque_resolution) - motor)"
+    sources.insert(header, effect, " + d.made_up_gain * motor")
+    field = "    torque_resolution: Draws = 0.0\n"
+    sources.insert(f"{PARAMETERS}/disturbances.py", field, "    made_up_gain: Draws = 0.0\n")
+
+
+def add_constant(sources: Sources) -> None:
+    """Adds a constant of the plant without an effect."""
+    header = f"{CORE}/physics/plant.hpp"
+    sources.insert(header, "FIELD(stribeck_excess)", " FIELD(made_up_constant)")
+    sources.insert(header, "FIELD(stribeck_speed)", " FIELD(made_up_constant)")
+    derived = "  p.downhill = given.g * sin;\n"
+    sources.insert(header, derived, "  p.made_up_constant = given.made_up_constant;\n")
+    extends = "  return given.viscous != 0.0"
+    sources.insert(header, extends, " || given.made_up_constant != 0.0")
+    capsule = f"{PARAMETERS}/capsule.py"
+    sources.insert(capsule, "    viscous: float\n", "    made_up_constant: float\n")
+    default = "    slope: float = 0.0\n"
+    sources.insert(capsule, default, "    made_up_constant: float = 0.0\n")
+    default = "    slope: Range | None = None\n"
+    field = "    made_up_constant: Range | None = None\n"
+    sources.insert(f"{PARAMETERS}/randomization.py", default, field)
+
+
+def add_entry(sources: Sources) -> None:
+    """Adds an entry only with a sensor of x, so that trained policies still fit."""
+    sources.insert(
+        f"{CORE}/step/observation.hpp",
+        'put("last_action", -1.0, 1.0, o.action);\n',
+        '  if (settings.with_x != 0.0) put("made_up_entry", -1.0, 1.0, 0.5 * o.action);\n',
+    )
+
+
+LAW = """#pragma once
 #include "law.hpp"
 
 namespace LEVEL {
@@ -118,57 +98,72 @@ struct MadeUp {
   CAPSULE_LAW(MadeUp, "made_up", T, NoMemory, NoReference, MADE_UP_CONSTANTS)
 
   template <class T> INLINE T torque(const State<T>& s, NoMemory<T>&, const NoReference<T>&) const {
-    return -q.gain * s.theta_dot;
+    return -gain * s.theta_dot;
   }
 };
 }  // namespace LEVEL
-""",
-            ),
-            Change(f"{CORE}/laws/laws.hpp", '#include "gait.hpp"\n', '#include "made_up.hpp"\n'),
-            Change(f"{CORE}/laws/laws.hpp", "Tracking, Oscillator", ", MadeUp"),
-        ],
-    ),
-    "task": (
-        3,
-        [
-            Change(
-                f"{CORE}/tasks/made_up.hpp",
-                "",
-                """#pragma once
+"""
+
+
+def add_law(sources: Sources) -> None:
+    """Adds a damper."""
+    sources.write(f"{CORE}/laws/made_up.hpp", LAW)
+    laws = f"{CORE}/laws/laws.hpp"
+    sources.insert(laws, '#include "gait.hpp"\n', '#include "made_up.hpp"\n')
+    sources.insert(laws, "Tracking, Oscillator", ", MadeUp")
+
+
+TASK = """#pragma once
 #include "task.hpp"
 
 namespace LEVEL {
 struct MadeUpTask {
-  static constexpr const char *NAME = "made_up_task", *FIELDS = "level ", *SHOWN = "level ", *TERM = "reward_made_up";
+  static constexpr const char* NAME = "made_up_task";
+  static constexpr const char* FIELDS = "level ";
+  static constexpr const char* SHOWN = "level ";
+  static constexpr const char* TERM = "reward_made_up";
   static constexpr int STEPS = 100;
   template <class T> struct Memory { T level; };
 
-  template <class Put> static void draws(Range, Put put) { put("level", 1.0, 2.0, UNIFORM); }
+  static void draws(Range, auto put) { put("level", 1.0, 2.0, UNIFORM); }
 
   template <class T> static INLINE void begin(T, T, Memory<T>&) {}
 
-  template <class T> static INLINE T reward(T, T, T moved, double, double, Memory<T>& m) { return m.level * moved; }
+  template <class T> static INLINE T reward(T, T, T moved, double, double, Memory<T>& m) {
+    return m.level * moved;
+  }
 
-  template <class T, class Put> static INLINE void observe(const Memory<T>& m, Put put) {
+  template <class T> static INLINE void observe(const Memory<T>& m, auto put) {
     put("level", 0.0, 2.0, m.level);
   }
 
-  template <class Put> static void metrics(const Memory<double>& m, double, Put put) {
+  static void metrics(const Memory<double>& m, double, auto put) {
     put("made_up_level", "the level", m.level);
   }
 };
 }  // namespace LEVEL
-""",
-            ),
-            Change(f"{CORE}/tasks/tasks.hpp", '#include "goal.hpp"\n', '#include "made_up.hpp"\n'),
-            Change(f"{CORE}/tasks/tasks.hpp", "List<Speed, Goal, Velocity", ", MadeUpTask"),
-            Change(
-                "capsule_gym/tasks/registry.py",
-                "TASKS = {task.name: task for task in (speed.TASK, goal.TASK, velocity.TASK",
-                ', Task(name="made_up_task", env_id="CapsuleMadeUp-v0")',
-            ),
-        ],
-    ),
+"""
+
+
+def add_task(sources: Sources) -> None:
+    """Adds a task whose reward is the distance times a number that the episode draws."""
+    sources.write(f"{CORE}/tasks/made_up.hpp", TASK)
+    tasks = f"{CORE}/tasks/tasks.hpp"
+    sources.insert(tasks, '#include "goal.hpp"\n', '#include "made_up.hpp"\n')
+    sources.insert(tasks, "List<Speed, Goal, Velocity", ", MadeUpTask")
+    registered = "TASKS = {task.name: task for task in (speed.TASK, goal.TASK, velocity.TASK"
+    entry = ', Task(name="made_up_task", env_id="CapsuleMadeUp-v0")'
+    sources.insert("capsule_gym/tasks/registry.py", registered, entry)
+
+
+# Each addition, with the largest number of files that it may touch.
+ADDITIONS: dict[Callable[[Sources], None], int] = {
+    add_metric: 2,
+    add_disturbance: 2,
+    add_constant: 3,
+    add_entry: 2,
+    add_law: 2,
+    add_task: 3,
 }
 
 # What Python must show.
@@ -200,7 +195,8 @@ assert driven.simulation.settings.made_up_constant == 1.0
 assert -0.1 < info["law_torque"] < 0.0
 env = gym.make("capsule_gym:CapsuleMadeUp-v0")
 _, info = env.reset(seed=0, options={"level": 1.5})
-assert info["level"] == 1.5 and env.unwrapped.episode_metrics(100)["made_up_level"] == 1.5
+assert info["level"] == 1.5
+assert env.unwrapped.episode_metrics(100)["made_up_level"] == 1.5
 *_, info = env.step(np.ones(1, np.float32))
 assert info["reward_made_up"] == 1.5 * info["state"][2]
 """
@@ -232,7 +228,8 @@ const capsule = await load("made_up", {
 let { info } = capsule.reset({ seed: 0, theta_dot: 1 });
 assert(info.disturbances.made_up_gain >= 0.1 && info.disturbances.made_up_gain <= 0.2);
 assert(info.capsule.made_up_constant >= 0.3 && info.capsule.made_up_constant <= 0.4);
-assert.equal(capsule.reset({ disturbances: { made_up_gain: 0.15 } }).info.disturbances.made_up_gain, 0.15);
+({ info } = capsule.reset({ disturbances: { made_up_gain: 0.15 } }));
+assert.equal(info.disturbances.made_up_gain, 0.15);
 const place = capsule.description.entries.findIndex(([name]) => name === "made_up_entry");
 capsule.reset({ theta_dot: 1 });
 const step = capsule.step(1);
@@ -250,23 +247,17 @@ assert.equal(task.metrics.made_up_level, 1.5);
 
 
 def add_all(folder: Path) -> None:
-    """Makes all changes in a copy of the sources.
+    """Makes all additions in a copy of the sources.
 
     Raises:
         ValueError: if an addition touches more files than it may, or the sources lack a text.
     """
-    for name, (most, changes) in ADDITIONS.items():
-        touched = {change.path for change in changes}
+    for add, most in ADDITIONS.items():
+        sources = Sources(folder)
+        add(sources)
+        touched = sorted(sources.touched)
         if len(touched) > most:
-            raise ValueError(f"a {name} must touch at most {most} files, got {sorted(touched)}")
-        for change in changes:
-            path = folder / change.path
-            text = path.read_text(encoding="utf-8") if path.exists() else ""
-            if change.behind not in text:
-                raise ValueError(f"{change.path} must contain {change.behind!r}")
-            path.write_text(
-                text.replace(change.behind, change.behind + change.text, 1), encoding="utf-8"
-            )
+            raise ValueError(f"{add.__name__} must touch at most {most} files, got {touched}")
 
 
 def run(*words: str | Path, cwd: Path) -> None:
@@ -276,8 +267,7 @@ def run(*words: str | Path, cwd: Path) -> None:
 
 @command("python -m tests.additions", ValueError, subprocess.CalledProcessError)
 def main() -> None:
-    """Adds a made-up metric, disturbance, constant, entry, law and task, and looks for them in
-    Python and WebAssembly.
+    """Adds a made-up one of each kind, and looks for them in Python and WebAssembly.
 
     Examples:
       python -m tests.additions

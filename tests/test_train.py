@@ -12,29 +12,26 @@ import train
 from agents.training.presets import ENV_PRESETS, PRESETS
 from tests import ROOT
 
-REFUSED = {"--seed 6": "--seed must stay 5 with --resume, got 6; only --total-steps may be changed"}
-REFUSED["--row direct-ppo"] = "--row must not be given with --resume, got 'direct-ppo'"
-REFUSED["--n-epochs 3"] = "Unrecognized options: --n-epochs, 3"
+
+@pytest.mark.parametrize(("env", "tuned"), ENV_PRESETS.items())
+def test_another_environment_has_settings_of_its_own(env, tuned):
+    options = train.read_args(["--env", env])
+    assert options.hyperparameters == tuned
+    assert options.env == env
+    assert options.action_mode == "direct"
 
 
-def test_another_environment_has_settings_of_its_own():
-    for env, tuned in ENV_PRESETS.items():
-        options = train.read_args(["--env", env])
-        assert options.hyperparameters == tuned and (options.env, options.action_mode) == (
-            env,
-            "direct",
-        )
-        for algo, action_mode in (("sac", "direct"), ("ppo", "residual")):
-            config = train.read_args(
-                ["--env", env, "--algo", algo, "--task", action_mode]
-            ).hyperparameters
-            assert config.env_kwargs()["task"] == tuned.env_kwargs()["task"]
-            assert (config.action_mode, config.algo, config.energy_weight) == (
-                action_mode,
-                algo,
-                0.0,
-            )
-            assert ("_pulses" in str(config.controller)) is (action_mode == "residual")
+@pytest.mark.parametrize("env", ENV_PRESETS)
+@pytest.mark.parametrize(
+    ("algo", "action_mode", "pulses"), [("sac", "direct", False), ("ppo", "residual", True)]
+)
+def test_another_environment_has_every_algorithm(env, algo, action_mode, pulses):
+    config = train.read_args(["--env", env, "--algo", algo, "--task", action_mode]).hyperparameters
+    assert config.env_kwargs()["task"] == ENV_PRESETS[env].env_kwargs()["task"]
+    assert config.action_mode == action_mode
+    assert config.algo == algo
+    assert config.energy_weight == 0.0
+    assert ("_pulses" in str(config.controller)) is pulses
 
 
 @pytest.mark.parametrize(
@@ -45,28 +42,32 @@ def test_counts_are_written_in_several_ways(text, value):
 
 
 def started(folder, action_mode, algo, **changes):
+    """The folder of a run that has started."""
     config = dataclasses.replace(PRESETS[action_mode, algo], **changes).to_dict()
     folder.mkdir()
-    (folder / "config.json").write_text(
-        json.dumps({"task": action_mode, "algo": algo, "hyperparameters": config})
-    )
+    text = json.dumps({"task": action_mode, "algo": algo, "hyperparameters": config})
+    (folder / "config.json").write_text(text)
     return folder
 
 
 @pytest.fixture
 def run(tmp_path):
-    """The folder of a run that has started."""
-    return started(
-        tmp_path / "run", "direct", "sac", seed=5, total_steps=1000, observe_parameters=True
-    )
+    changes = {"seed": 5, "total_steps": 1000, "observe_parameters": True}
+    return started(tmp_path / "run", "direct", "sac", **changes)
 
 
-def test_resume_takes_everything_from_the_run_but_its_length(run):
-    before = train.read_args(["--resume", str(run)])
-    assert (before.action_mode, before.algo) == ("direct", "sac")
-    assert (before.hyperparameters.seed, before.hyperparameters.total_steps) == (5, 1000)
-    longer = train.read_args(["--resume", str(run), "--total-steps", "2e3"])
-    assert longer.hyperparameters == dataclasses.replace(before.hyperparameters, total_steps=2000)
+def test_resume_takes_everything_from_the_run(run):
+    options = train.read_args(["--resume", str(run)])
+    assert options.action_mode == "direct"
+    assert options.algo == "sac"
+    assert options.hyperparameters.seed == 5
+    assert options.hyperparameters.total_steps == 1000
+
+
+def test_resume_can_change_the_length_of_the_run(run):
+    before = train.read_args(["--resume", str(run)]).hyperparameters
+    longer = train.read_args(["--resume", str(run), "--total-steps", "2e3"]).hyperparameters
+    assert longer == dataclasses.replace(before, total_steps=2000)
 
 
 @pytest.mark.parametrize(("name", "code"), [("controller", "os:abort"), ("wrapper", ("os:abort",))])
@@ -78,48 +79,54 @@ def test_resume_asks_before_it_runs_code_from_elsewhere(name, code, tmp_path, re
     assert getattr(options.hyperparameters, name) == code
 
 
-@pytest.mark.parametrize(("words", "message"), REFUSED.items())
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--seed 6", "--seed must stay 5 with --resume, got 6; only --total-steps may be changed"),
+        ("--row direct-ppo", "--row must not be given with --resume, got 'direct-ppo'"),
+        ("--n-epochs 3", "Unrecognized options: --n-epochs, 3"),
+    ],
+)
 def test_resume_refuses_other_changes(run, words, message, refused):
     error = refused(train.main, ["--resume", str(run), *words.split()])
-    assert message in error and "Traceback" not in error
+    assert message in error
+    assert "Traceback" not in error
 
 
 def test_a_run_is_never_overwritten(tmp_path, capsys):
     (tmp_path / "config.json").write_text("{}")
-    assert train.main(["--run", str(tmp_path)]) == 2 and "--resume" in capsys.readouterr().err
+    assert train.main(["--run", str(tmp_path)]) == 2
+    assert "--resume" in capsys.readouterr().err
 
 
-NAMES = {
-    "": "residual-ppo",
-    "--row direct-ppo": "direct-ppo",
-    "--env CapsuleGoal-v0": "goal-direct-ppo",
-}
-NAMES |= dict.fromkeys(("--controller my:law", "--wrapper my:Wrapper"), "residual-ppo")
-
-
-@pytest.mark.parametrize(("words", "name"), NAMES.items())
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        ("", "residual-ppo"),
+        ("--row direct-ppo", "direct-ppo"),
+        ("--env CapsuleGoal-v0", "goal-direct-ppo"),
+        ("--controller my:law", "residual-ppo"),
+        ("--wrapper my:Wrapper", "residual-ppo"),
+    ],
+)
 def test_runs_that_begin_at_once_have_folders_of_their_own(
     words, name, tmp_path, monkeypatch, capsys
 ):
-    runs = []
+    begin = Mock()
     monkeypatch.setattr(train, "RUNS", tmp_path)
-    monkeypatch.setattr(
-        "agents.training.loop.begin", lambda run, config: runs.append((run, config.seed))
-    )
+    monkeypatch.setattr("agents.training.loop.begin", begin)
     monkeypatch.setattr("agents.training.loop.train", lambda *_, **__: False)
     for _ in range(2):
         assert train.main([*words.split(), "--seed", "3", "--no-comparison"]) == 130
-    assert (
-        len(set(runs)) == 2
-        and {run.parent for run, _ in runs} == {tmp_path}
-        and {seed for _, seed in runs} == {3}
-    )
-    assert all(run.name.startswith(f"{name}-seed3-2") for run, _ in runs)
-    trust = " --trust-controller" * ("my:" in words)
-    assert (
-        f"saved. To resume: python train.py --resume {runs[1][0]}{trust}\n"
-        in capsys.readouterr().out
-    )
+    runs = [call.args[0] for call in begin.call_args_list]
+    assert runs[0] != runs[1]
+    for run, config in (call.args for call in begin.call_args_list):
+        assert run.parent == tmp_path
+        assert run.name.startswith(f"{name}-seed3-2")
+        assert config.seed == 3
+    trust = " --trust-controller" if "my:" in words else ""
+    hint = f"saved. To resume: python train.py --resume {runs[1]}{trust}\n"
+    assert hint in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -130,52 +137,60 @@ def test_a_thread_says_what_is_no_error_of_the_system(error, said, capsys):
     assert "".join(capsys.readouterr().err.splitlines()[-1:]) == said
 
 
-TINY = "--total-steps 64 --num-envs 8 --n-steps 8 --batch-size 32 --hidden 4 --evaluation-episodes 1".split()
+TINY = "--total-steps 64 --num-envs 8 --n-steps 8 --batch-size 32 --hidden 4".split()
+TINY += ["--evaluation-episodes", "1"]
 
 
 def test_a_comparison_that_cannot_be_drawn_is_left_out_before_the_training(
     tmp_path, monkeypatch, capsys
 ):
     monkeypatch.setattr(train, "new_figure", Mock(side_effect=OSError("No space left on device")))
-    before, run = threading.excepthook, tmp_path / "run"
+    before = threading.excepthook
+    run = tmp_path / "run"
     assert train.main([*TINY, "--run", str(run)]) == 0
-    said = (
-        "Without a comparison at the end, since figures cannot be drawn: No space left on device\n"
-    )
     out, err = capsys.readouterr()
-    assert (
-        err == said
-        and f"Training PPO on CapsuleStickSlip-v0, residual torque, seed 0, in {run}.\n" in out
-    )
-    assert out.endswith(
-        f"Trained; the best policy on validation plants is {run / 'best' / 'policy.safetensors'}.\n"
-    )
+    reason = "figures cannot be drawn: No space left on device"
+    assert err == f"Without a comparison at the end, since {reason}\n"
+    assert f"Training PPO on CapsuleStickSlip-v0, residual torque, seed 0, in {run}.\n" in out
+    best = run / "best" / "policy.safetensors"
+    assert out.endswith(f"Trained; the best policy on validation plants is {best}.\n")
     assert train.QUIET_EXIT.message == f"Stopped. To resume: python train.py --resume {run}"
-    assert threading.excepthook is before and not (run / "comparison.png").exists()
+    assert threading.excepthook is before
+    assert not (run / "comparison.png").exists()
 
 
-def test_an_inherited_environment_keeps_no_command_from_its_work(tmp_path):
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["train.py", *TINY, "--no-comparison", "--run"],
+        ["-c", "import train; assert train._can_draw()"],
+    ],
+)
+def test_an_inherited_environment_keeps_no_command_from_its_work(words, tmp_path):
     inherited = {
         "MPLBACKEND": "module://no_such_module",
         "PYTHONIOENCODING": "ascii",
         "LC_ALL": "xx_YY.UTF-8",
     }
     kept = {name: os.environ[name] for name in ("PATH", "SYSTEMROOT") if name in os.environ}
-    words = [sys.executable, "train.py", *TINY, "--no-comparison", "--run", str(tmp_path / "µ")]
-    for command in (words, [sys.executable, "-c", "import train; assert train._can_draw()"]):
-        done = subprocess.run(
-            command, cwd=ROOT, env={**inherited, **kept}, capture_output=True, text=True
-        )
-        assert (done.returncode, done.stderr) == (0, "")
+    command = [sys.executable, *words, str(tmp_path / "µ")]
+    done = subprocess.run(command, cwd=ROOT, env=inherited | kept, capture_output=True, text=True)
+    assert done.stderr == ""
+    assert done.returncode == 0
 
 
-def test_a_signal_before_the_training_ends_the_process_at_once():
-    code = "import signal; from agents.training.signals import QuietExit; QuietExit().install()"
-    for name in ("SIGINT", "SIGTERM"):
-        command = [
-            sys.executable,
-            "-c",
-            f"{code}; print(1); signal.raise_signal(signal.{name}); print(2)",
-        ]
-        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-        assert (done.returncode, done.stdout, done.stderr) == (130, "1\n", "\nStopped.\n")
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_a_signal_before_the_training_ends_the_process_at_once(name):
+    code = f"""
+import signal
+from agents.training.signals import QuietExit
+QuietExit().install()
+print(1)
+signal.raise_signal(signal.{name})
+print(2)
+"""
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 130
+    assert done.stdout == "1\n"
+    assert done.stderr == "\nStopped.\n"

@@ -5,18 +5,18 @@
 namespace LEVEL {
 // The members of a law besides its function `torque`. The number type is T, or `double` for a law
 // with branches. Memory and Row are the structs of its memory, and of the row of its reference with
-// the memory of the task behind it. LIST(ONE, MANY) names the constants `q`, numbers and arrays:
-// C++ takes the fields from it, Python their order.
-#define CAPSULE_LAW(Law, name, number, Memory, Row, LIST)                                  \
-  template <class T> using Number = number;                                                \
-  template <class T> using Cells = Memory<T>;                                              \
-  template <class T> using Line = Row<T>;                                                  \
-  static constexpr const char *NAME = name, *CONSTANTS = "" LIST(CAPSULE_NAME, LAW_NAMES); \
-  static constexpr int MEMORY = WIDTH<Memory<double>>, COLUMNS = WIDTH<Row<double>>;       \
-  struct Constants {                                                                       \
-    LIST(CAPSULE_DOUBLE, LAW_FIELDS)                                                       \
-  } q;                                                                                     \
-  explicit Law(const double* constants) : q(load<Constants>(constants)) {}
+// the memory of the task behind it. LIST(ONE, MANY) names the constants, numbers and arrays: C++
+// takes the law's fields from it, Python their order.
+#define CAPSULE_LAW(Law, name, number, Memory, Row, LIST)                    \
+  template <class T> using Number = number;                                  \
+  template <class T> using Cells = Memory<T>;                                \
+  template <class T> using Line = Row<T>;                                    \
+  static constexpr const char* NAME = name;                                  \
+  static constexpr const char* CONSTANTS = "" LIST(CAPSULE_NAME, LAW_NAMES); \
+  static constexpr int MEMORY = WIDTH<Memory<double>>;                       \
+  static constexpr int COLUMNS = WIDTH<Row<double>>;                         \
+  LIST(CAPSULE_DOUBLE, LAW_FIELDS)                                           \
+  explicit Law(const double* constants) : Law(*(const Law*)constants) {}
 #define LAW_NAMES(name, count) #name ":" #count " "
 #define LAW_FIELDS(name, count) double name[count];
 
@@ -41,8 +41,8 @@ template <class T> struct Reference {
   ONE(mass_ratio)              \
   ONE(pivot_torque_on_contact) \
   CAPSULE_PLANT(ONE)
-template <class T, Kind kind, class Q> INLINE Plant<T, kind> nominal_plant(const Q& q) {
-#define FIELD(name) q.name,
+template <class T, Kind kind> INLINE Plant<T, kind> nominal_plant(const auto& law) {
+#define FIELD(name) law.name,
   return {NOMINAL_CONSTANTS(FIELD)};
 #undef FIELD
 }

@@ -38,22 +38,23 @@ struct Oscillator {
   ONE(dt)
   CAPSULE_LAW(Oscillator, "oscillator", T, Memory, NoReference, OSCILLATOR_CONSTANTS)
   // A strong impulse must not make the Euler steps diverge.
-  static constexpr double LARGEST = 3.0;
+  static constexpr double AMPLITUDE_LIMIT = 3.0;
 
   template <class T> INLINE T torque(const State<T>& s, Memory<T>& z, const NoReference<T>&) const {
-    T rate = q.alpha * (1.0 - z.a * z.a - z.b * z.b);
-    T a_dot = rate * z.a - q.omega * z.b + q.E_a[0] * s.theta + q.E_a[1] * s.theta_dot +
-              q.E_a[2] * s.x_dot;
-    T b_dot = rate * z.b + q.omega * z.a + q.E_b[0] * s.theta + q.E_b[1] * s.theta_dot +
-              q.E_b[2] * s.x_dot;
-    z = {clip(z.a + q.dt * a_dot, T(LARGEST)), clip(z.b + q.dt * b_dot, T(LARGEST))};
-    T u = q.bias - q.K_theta * s.theta - q.K_theta_dot * s.theta_dot, a = 1.0, b = 0.0;
+    T growth = alpha * (1.0 - z.a * z.a - z.b * z.b);
+    auto entrain = [&s](T rate, const double* E) {
+      return rate + E[0] * s.theta + E[1] * s.theta_dot + E[2] * s.x_dot;
+    };
+    T a_dot = entrain(growth * z.a - omega * z.b, E_a);
+    T b_dot = entrain(growth * z.b + omega * z.a, E_b);
+    z = {clip(z.a + dt * a_dot, T(AMPLITUDE_LIMIT)), clip(z.b + dt * b_dot, T(AMPLITUDE_LIMIT))};
+    T torque = bias - K_theta * s.theta - K_theta_dot * s.theta_dot;
+    Memory<T> power = {1.0, 0.0};
     for (int n = 0; n < 3; n++) {
-      T next = a * z.a - b * z.b;
-      b = a * z.b + b * z.a, a = next;
-      u = u + q.real[n] * a + q.imaginary[n] * b;
+      power = {power.a * z.a - power.b * z.b, power.a * z.b + power.b * z.a};
+      torque = torque + real[n] * power.a + imaginary[n] * power.b;
     }
-    return u;
+    return torque;
   }
 };
 }  // namespace LEVEL

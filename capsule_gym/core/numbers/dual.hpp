@@ -37,7 +37,8 @@ struct Dual {
     return Dual(a.v * b.v, PARTIAL(a.d[i] * b.v + b.d[i] * a.v));
   }
   friend INLINE Dual operator/(const Dual& a, const Dual& b) {
-    double quotient = a.v / b.v, reciprocal = 1.0 / b.v;
+    double quotient = a.v / b.v;
+    double reciprocal = 1.0 / b.v;
     return Dual(quotient, PARTIAL((a.d[i] - b.d[i] * quotient) * reciprocal));
   }
   friend INLINE Dual fma(const Dual& a, const Dual& b, const Dual& c) {
@@ -59,10 +60,12 @@ struct Dual {
   friend INLINE bool operator symbol(const Dual& a, const Dual& b) { return a.v symbol b.v; }
   COMPARISON(<)
   COMPARISON(>)
-  COMPARISON(<=) COMPARISON(>=) COMPARISON(==)
+  COMPARISON(<=)
+  COMPARISON(>=)
+  COMPARISON(==)
 #undef COMPARISON
-      // A factor that is zero counts where it has a derivative.
-      friend INLINE bool acts(const Dual& a) {
+  // A factor that is zero counts where it has a derivative.
+  friend INLINE bool acts(const Dual& a) {
     bool any = a.v != 0.0;
     for (int i = 0; i < COUNT; i++) any |= acts(Pack(a.d[i]));
     return any;

@@ -4,26 +4,34 @@
 // sets, and no loop that calls them is vectorised. The functions here are straight-line arithmetic,
 // and one environment gives the bits of a batch. The multiplications and additions of the
 // polynomials are fused explicitly: a compiler that may fuse freely decides differently in
-// different loops. tests/capsule_gym/core/test_elementary.py derives the coefficients.
+// different loops. tests/capsule_gym/core/test_elementary.py checks the errors.
 #pragma once
 #include "number.hpp"
 
 namespace LEVEL {
 // 2 pi to twice the precision of a double.
-constexpr double TURN = 2.0 * PI, TURN_REST = 2.4492935982947064e-16, TURNS_PER_RADIAN = 1.0 / TURN;
+constexpr double TURN = 2.0 * PI;
+constexpr double TURN_REST = 2.4492935982947064e-16;
+constexpr double TURNS_PER_RADIAN = 1.0 / TURN;
 // Adding and subtracting it rounds a number below 2^51 to a whole number, half to even.
 constexpr double ROUNDING = 1.5 * 4503599627370496.0;
 
-// Polynomials in z = y^2 that interpolate (sin(y) / y - 1) / z and (cos(y) - 1 + z / 2) / z^2 at
-// the Chebyshev nodes of [0, (1.0001 pi / 2)^2].
-constexpr double S_0 = -0.16666666666666666, S_1 = 0.008333333333333316,
-                 S_2 = -0.00019841269841254955, S_3 = 2.755731921915843e-06,
-                 S_4 = -2.5052107616384595e-08, S_5 = 1.6058977272815506e-10,
-                 S_6 = -7.643969031052769e-13, S_7 = 2.731428986122616e-15;
-constexpr double C_0 = 0.041666666666666664, C_1 = -0.001388888888888888,
-                 C_2 = 2.4801587301579844e-05, C_3 = -2.7557319221567154e-07,
-                 C_4 = 2.0876756602568905e-09, C_5 = -1.1470712252875163e-11,
-                 C_6 = 4.777877290768691e-14, C_7 = -1.521855926409455e-16;
+// Coefficients of polynomials in z = y^2 that interpolate (sin(y) / y - 1) / z and
+// (cos(y) - 1 + z / 2) / z^2 at the Chebyshev nodes of [0, (1.0001 pi / 2)^2].
+constexpr double SINE[8] = {-0.16666666666666666,    0.008333333333333316,
+                            -0.00019841269841254955, 2.755731921915843e-06,
+                            -2.5052107616384595e-08, 1.6058977272815506e-10,
+                            -7.643969031052769e-13,  2.731428986122616e-15};
+constexpr double COSINE[8] = {0.041666666666666664,   -0.001388888888888888,
+                              2.4801587301579844e-05, -2.7557319221567154e-07,
+                              2.0876756602568905e-09, -1.1470712252875163e-11,
+                              4.777877290768691e-14,  -1.521855926409455e-16};
+
+// The polynomial of third degree in z with these coefficients, from zz = z^2. In pairs instead of
+// Horner's scheme: a single environment waits for every operation that waits for another.
+template <class T> INLINE T cubic(const double* c, T z, T zz) {
+  return fma(fma(c[3], z, c[2]), zz, fma(c[1], z, c[0]));
+}
 
 template <class T> struct SinCos {
   T sin, cos;
@@ -37,28 +45,27 @@ template <class T> struct SinCos {
 template <class T> INLINE SinCos<T> sincos(T angle) {
   T turns = fma(angle, TURNS_PER_RADIAN, ROUNDING) - ROUNDING;
   T y = fma(-turns, 0.5 * TURN_REST, fma(-turns, 0.5 * TURN, 0.5 * angle));
-  T z = y * y, zz = z * z;
-  // In pairs instead of Horner's scheme: a single environment waits for every operation that waits
-  // for another.
-  T s = fma(fma(fma(S_7, z, S_6), zz, fma(S_5, z, S_4)), zz * zz,
-            fma(fma(S_3, z, S_2), zz, fma(S_1, z, S_0)));
-  T c = fma(fma(fma(C_7, z, C_6), zz, fma(C_5, z, C_4)), zz * zz,
-            fma(fma(C_3, z, C_2), zz, fma(C_1, z, C_0)));
+  T z = y * y;
+  T zz = z * z;
+  T s = fma(cubic(SINE + 4, z, zz), zz * zz, cubic(SINE, z, zz));
+  T c = fma(cubic(COSINE + 4, z, zz), zz * zz, cubic(COSINE, z, zz));
   T twice = y + y;
-  T sine = fma(y * z, s, y), doubled = fma(twice * z, s, twice);
+  T sine = fma(y * z, s, y);
+  T doubled = fma(twice * z, s, twice);
   T cosine = fma(zz, c, fma(-0.5, z, 1.0));
   return {doubled * cosine, fma(-doubled, sine, 1.0)};
 }
 
 // The logarithm of 2 to twice the precision of a double.
-constexpr double LN_2 = 0.6931471805599453, LN_2_REST = 2.3190468138462996e-17, LOG2_E = 1.0 / LN_2;
+constexpr double LN_2 = 0.6931471805599453;
+constexpr double LN_2_REST = 2.3190468138462996e-17;
+constexpr double LOG2_E = 1.0 / LN_2;
 // Interpolates (exp(r) - 1 - r) / r^2 at the Chebyshev nodes of +-1.0001 ln(2) / 2, which
 // leaves 4.1e-17 of exp(r) - 1.
-constexpr double E_0 = 0.5000000000000001, E_1 = 0.16666666666666669, E_2 = 0.04166666666662413,
-                 E_3 = 0.008333333333330062, E_4 = 0.0013888888917213717,
-                 E_5 = 0.00019841269863053618, E_6 = 2.4801521295954376e-05,
-                 E_7 = 2.7557268459997064e-06, E_8 = 2.7620088445409746e-07,
-                 E_9 = 2.510038549551032e-08;
+constexpr double EXPONENTIAL[10] = {
+    0.5000000000000001,     0.16666666666666669,    0.04166666666662413,    0.008333333333330062,
+    0.0013888888917213717,  0.00019841269863053618, 2.4801521295954376e-05, 2.7557268459997064e-06,
+    2.7620088445409746e-07, 2.510038549551032e-08};
 
 template <class T> struct Exponential {
   T scale, rest;
@@ -74,10 +81,12 @@ template <class T> INLINE Exponential<T> exponential(T x) {
   T shifted = fma(x, LOG2_E, ROUNDING);
   T n = shifted - ROUNDING;
   T r = fma(-n, LN_2_REST, fma(-n, LN_2, x));
-  T z = r * r, zz = z * z;
-  T low = fma(fma(E_3, r, E_2), z, fma(E_1, r, E_0)),
-    middle = fma(fma(E_7, r, E_6), z, fma(E_5, r, E_4));
-  T p = fma(fma(fma(E_9, r, E_8), zz, middle), zz, low);
+  T z = r * r;
+  T zz = z * z;
+  T low = cubic(EXPONENTIAL, r, z);
+  T middle = cubic(EXPONENTIAL + 4, r, z);
+  T high = fma(EXPONENTIAL[9], r, EXPONENTIAL[8]);
+  T p = fma(fma(high, zz, middle), zz, low);
   return {power_of_two(shifted), fma(z, p, r)};
 }
 
@@ -92,7 +101,8 @@ template <class T> INLINE T decay(T x) { return exp(-min(x, T(700.0))); }
 
 // The hyperbolic tangent, within 4.3e-16 of the exact value relative to it; NaN stays NaN.
 template <class T> INLINE T tanh(T x) {
-  constexpr double FLAT = 20.0;  // from here on it is 1 to the last digit
+  // From here on it is 1 to the last digit.
+  constexpr double FLAT = 20.0;
   T size = abs(x);
   size = select(size > FLAT, T(FLAT), size);
   auto [scale, rest] = exponential(-2.0 * size);

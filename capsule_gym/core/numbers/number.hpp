@@ -94,12 +94,16 @@ struct Pack {
   friend INLINE Result operator symbol(Pack a, Pack b) { return {a.v symbol b.v}; }
   OPERATOR(Pack, +)
   OPERATOR(Pack, -)
-  OPERATOR(Pack, *) OPERATOR(Pack, /) OPERATOR(Mask, ==) OPERATOR(Mask, !=) OPERATOR(Mask, <)
-      OPERATOR(Mask, >) OPERATOR(Mask, <=) OPERATOR(Mask, >=)
+  OPERATOR(Pack, *)
+  OPERATOR(Pack, /)
+  OPERATOR(Mask, ==)
+  OPERATOR(Mask, !=)
+  OPERATOR(Mask, <)
+  OPERATOR(Mask, >)
+  OPERATOR(Mask, <=)
+  OPERATOR(Mask, >=)
 #undef OPERATOR
-          friend INLINE Pack operator-(Pack a) {
-    return -a.v;
-  }
+  friend INLINE Pack operator-(Pack a) { return -a.v; }
 };
 
 INLINE Pack select(Mask condition, Pack a, Pack b) { return condition.m ? a.v : b.v; }
@@ -165,8 +169,7 @@ template <> INLINE void store(double* at, double value) { *at = value; }
 typedef double Unaligned __attribute__((vector_size(8 * PACK), aligned(8)));
 template <> INLINE void store(double* at, Pack values) { *(Unaligned*)at = values.v; }
 // A struct of numbers from consecutive rows of N lanes, of each of which `read` gives the numbers.
-template <class Record, int N, class Read>
-INLINE Record read_record(const double* rows, Read read) {
+template <class Record, int N> INLINE Record read_record(const double* rows, auto read) {
   using T = decltype(read(rows));
   Record record;
   for (int r = 0; r < (int)(sizeof record / sizeof(T)); r++) ((T*)&record)[r] = read(rows + r * N);
@@ -182,14 +185,16 @@ INLINE void store_record(double* rows, int j, const Record& record) {
     store<T>(rows + r * N + j, ((const T*)&record)[r]);
 }
 // Only in the lanes where `renews`; the others keep theirs.
-template <class T, int N, class Record, class M>
-INLINE void store_record(double* rows, int j, const Record& record, M renews) {
-  for (int r = 0; r < (int)(sizeof record / sizeof(T)); r++)
-    store<T>(rows + r * N + j, select(renews, ((const T*)&record)[r], load<T>(rows + r * N + j)));
+template <class T, int N, class Record>
+INLINE void store_record(double* rows, int j, const Record& record, auto renews) {
+  for (int r = 0; r < (int)(sizeof record / sizeof(T)); r++) {
+    double* at = rows + r * N + j;
+    store<T>(at, select(renews, ((const T*)&record)[r], load<T>(at)));
+  }
 }
-template <class M> INLINE bool any(M condition) { return lanes(condition) != 0; }
+INLINE bool any(auto condition) { return lanes(condition) != 0; }
 // Whether terms with this factor count: it is not zero in every lane.
-template <class T> INLINE bool acts(T factor) { return any(factor != 0.0); }
+INLINE bool acts(auto factor) { return any(factor != 0.0); }
 
 // `min` and `max` of a NaN and of zeros of both signs give the first argument, as Python's.
 template <class T> INLINE T min(T a, T b) { return select(b < a, b, a); }
@@ -210,8 +215,15 @@ template <class T> INLINE T sign_of(T x) {
 // Types, each of which has its place as its number.
 template <class... Types> struct List {};
 // Calls f<Type>() for the type with a number; returns whether there is one.
-template <class... Types, class F> INLINE bool with_type(List<Types...>, long long number, F f) {
+template <class... Types> INLINE bool with_type(List<Types...>, long long number, auto f) {
   long long place = 0;
-  return ((number == place++ && (f.template operator()<Types>(), true)) || ...);
+  bool found = false;
+  auto call_at = [&]<class Type>() {
+    if (number != place++) return;
+    f.template operator()<Type>();
+    found = true;
+  };
+  (call_at.template operator()<Types>(), ...);
+  return found;
 }
 }  // namespace LEVEL

@@ -44,21 +44,24 @@ struct Trace {
   inline R function(T a, T b) { return R(append_operation(#name, a, b)); }
 BINARY(Trace, Trace, operator+, add)
 BINARY(Trace, Trace, operator-, subtract)
-BINARY(Trace, Trace, operator*, multiply) BINARY(Trace, Trace, operator/, divide)
-    UNARY(Trace, Trace, operator-, negate) BINARY(Condition, Trace, operator<, less)
-        BINARY(Condition, Trace, operator<=, less_equal) BINARY(Condition, Trace, operator==, equal)
-            BINARY(Condition, Condition, operator&, both)
-                BINARY(Condition, Condition, operator|, either)
-                    UNARY(Condition, Condition, operator!, inverse)
-                        UNARY(Trace, Trace, abs, absolute) UNARY(Trace, Trace, sqrt, square_root)
-                            BINARY(Trace, Trace, copysign, copysign)
-                                UNARY(Trace, Trace, power_of_two, power_of_two)
-                                    UNARY(Trace, Trace, exp, exp) UNARY(Trace, Trace, tanh, tanh)
+BINARY(Trace, Trace, operator*, multiply)
+BINARY(Trace, Trace, operator/, divide)
+UNARY(Trace, Trace, operator-, negate)
+BINARY(Condition, Trace, operator<, less)
+BINARY(Condition, Trace, operator<=, less_equal)
+BINARY(Condition, Trace, operator==, equal)
+BINARY(Condition, Condition, operator&, both)
+BINARY(Condition, Condition, operator|, either)
+UNARY(Condition, Condition, operator!, inverse)
+UNARY(Trace, Trace, abs, absolute)
+UNARY(Trace, Trace, sqrt, square_root)
+BINARY(Trace, Trace, copysign, copysign)
+UNARY(Trace, Trace, power_of_two, power_of_two)
+UNARY(Trace, Trace, exp, exp)
+UNARY(Trace, Trace, tanh, tanh)
 #undef UNARY
 #undef BINARY
-                                        inline Condition operator>(Trace a, Trace b) {
-  return b < a;
-}
+inline Condition operator>(Trace a, Trace b) { return b < a; }
 inline Condition operator>=(Trace a, Trace b) { return b <= a; }
 inline Condition operator!=(Trace a, Trace b) { return !(a == b); }
 inline Trace fma(Trace a, Trace b, Trace c) { return Trace(append_operation("fma", a, b, c)); }

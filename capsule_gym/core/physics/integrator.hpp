@@ -44,19 +44,19 @@ INLINE Stepped<Number<P>> runge_kutta(const State<Number<P>>& s, Number<P> slip,
   auto [a1, b1, normal_1] = first;
   auto [a2, b2, normal_2] =
       p.pressed_accelerations(theta_2, s.theta_dot + half * a1, s.x_dot + half * b1, slip, mu, u);
-  T theta_3 = theta_2 + half * half * a1, theta_dot_3 = s.theta_dot + half * a2;
+  T theta_3 = theta_2 + half * half * a1;
+  T theta_dot_3 = s.theta_dot + half * a2;
   auto [a3, b3, normal_3] =
       p.pressed_accelerations(theta_3, theta_dot_3, s.x_dot + half * b2, slip, mu, u);
   T theta_4 = s.theta + h * s.theta_dot + half * h * a2;
   auto [a4, b4, normal_4] =
       p.pressed_accelerations(theta_4, s.theta_dot + h * a3, s.x_dot + h * b3, slip, mu, u);
   T sixth = h / 6.0;
-  return {{s.theta + h * s.theta_dot + h * sixth * (a1 + a2 + a3),
-           s.theta_dot + sixth * (a1 + 2.0 * (a2 + a3) + a4),
-           s.x + h * s.x_dot + h * sixth * (b1 + b2 + b3),
-           s.x_dot + sixth * (b1 + 2.0 * (b2 + b3) + b4)},
-          first,
-          min(min(normal_1, normal_2), min(normal_3, normal_4))};
+  State<T> end = {s.theta + h * s.theta_dot + h * sixth * (a1 + a2 + a3),
+                  s.theta_dot + sixth * (a1 + 2.0 * (a2 + a3) + a4),
+                  s.x + h * s.x_dot + h * sixth * (b1 + b2 + b3),
+                  s.x_dot + sixth * (b1 + 2.0 * (b2 + b3) + b4)};
+  return {end, first, min(min(normal_1, normal_2), min(normal_3, normal_4))};
 }
 
 // The quantity that stays positive while the phase lasts, and its time derivative: m/s in slip, N
@@ -64,10 +64,9 @@ INLINE Stepped<Number<P>> runge_kutta(const State<Number<P>>& s, Number<P> slip,
 template <class P>
 INLINE Boundary<Number<P>> boundary(const State<Number<P>>& s, Number<P> x_ddot, Number<P> slip,
                                     Number<P> u, const P& p) {
-  if (slip == 0.0)
-    return {p.stick_margin(s.theta, s.theta_dot, u).value,
-            p.stick_margin_rate(s.theta, s.theta_dot, u)};
-  return {slip * s.x_dot, slip * x_ddot};
+  if (slip != 0.0) return {slip * s.x_dot, slip * x_ddot};
+  return {p.stick_margin(s.theta, s.theta_dot, u).value,
+          p.stick_margin_rate(s.theta, s.theta_dot, u)};
 }
 
 // Takes a step of h seconds inside one phase, and returns whether the phase lasts; if not,
@@ -78,10 +77,12 @@ INLINE auto smooth_step(const State<Number<P>>& s, Number<P> slip, Number<P> u, 
                         Number<P> h, Stepped<Number<P>>& r) {
   using T = Number<P>;
   T mu = p.kinetic_friction(slip);
-  r = runge_kutta(s, slip, mu, u, p, h,
-                  p.pressed_accelerations(s.theta, s.theta_dot, s.x_dot, slip, mu, u));
+  auto at_start = p.pressed_accelerations(s.theta, s.theta_dot, s.x_dot, slip, mu, u);
+  r = runge_kutta(s, slip, mu, u, p, h, at_start);
   const auto& [end, first, smallest] = r;
-  T before = slip * s.x_dot, rate = slip * first.x_ddot, after = slip * end.x_dot;
+  T before = slip * s.x_dot;
+  T rate = slip * first.x_ddot;
+  T after = slip * end.x_dot;
   auto stopped = end.x_dot == 0.0;
   if constexpr (may_stick) {
     auto sticks = slip == 0.0;

@@ -42,23 +42,34 @@ template <class A, class B> struct Choose<false, A, B> {
 };
 
 // The names of the constants from m on; their values are in SI units.
-#define CAPSULE_PLANT(FIELD)                                                                   \
-  FIELD(m)                                                                                     \
-  FIELD(l) /* gravity's component perpendicular to the floor */                                \
-  FIELD(g)                                                                                     \
-  FIELD(k) FIELD(c) FIELD(static_ratio)                                                        \
-      FIELD(backward_ratio) /* g sin(slope), the floor's viscous coefficient, static_ratio - 1 \
-                               and the inverse of the Stribeck curve's speed */                \
-      FIELD(downhill) FIELD(viscous) FIELD(stribeck_excess) FIELD(stribeck_rate)               \
-          FIELD(motor_friction) /* the force that pushes the platform forwards */              \
-      FIELD(push)
+#define CAPSULE_PLANT(FIELD)                                         \
+  FIELD(m)                                                           \
+  FIELD(l)                                                           \
+  FIELD(g) /* gravity's component perpendicular to the floor */      \
+  FIELD(k)                                                           \
+  FIELD(c)                                                           \
+  FIELD(static_ratio)                                                \
+  FIELD(backward_ratio)                                              \
+  FIELD(downhill)        /* g sin(slope) */                          \
+  FIELD(viscous)         /* the floor's viscous coefficient */       \
+  FIELD(stribeck_excess) /* static_ratio - 1 */                      \
+  FIELD(stribeck_rate)   /* inverse of the Stribeck curve's speed */ \
+  FIELD(motor_friction)                                              \
+  FIELD(push) /* the force that pushes the platform forwards */
 
 // Those from m on as `Capsule` names them, which `derive` turns into those of `Plant`.
-#define CAPSULE_CONSTANTS(FIELD)                                                      \
-  FIELD(m)                                                                            \
-  FIELD(l)                                                                            \
-  FIELD(g) FIELD(k) FIELD(c) FIELD(static_ratio) FIELD(backward_ratio) FIELD(viscous) \
-      FIELD(stribeck_speed) FIELD(slope) FIELD(motor_friction)
+#define CAPSULE_CONSTANTS(FIELD) \
+  FIELD(m)                       \
+  FIELD(l)                       \
+  FIELD(g)                       \
+  FIELD(k)                       \
+  FIELD(c)                       \
+  FIELD(static_ratio)            \
+  FIELD(backward_ratio)          \
+  FIELD(viscous)                 \
+  FIELD(stribeck_speed)          \
+  FIELD(slope)                   \
+  FIELD(motor_friction)
 template <class T> struct Constants {
   CAPSULE_CONSTANTS(CAPSULE_NUMBER)
 };
@@ -71,7 +82,8 @@ template <class T> struct State {
 constexpr double THETA_LIMIT = PI / 2.0;
 // Bounds of the observation, which is clipped to them. Full torque switched in the worst phase
 // gives 13 rad/s and 1.2 m/s on the capsule of the paper; the rest is room for other capsules.
-constexpr double THETA_DOT_BOUND = 20.0, X_DOT_BOUND = 2.0;
+constexpr double THETA_DOT_BOUND = 20.0;  // rad/s
+constexpr double X_DOT_BOUND = 2.0;       // m/s
 
 template <class T> struct Accelerations {
   T theta_ddot, x_ddot, normal;
@@ -81,18 +93,21 @@ template <class T> struct Margin {
 };
 
 // Rate in rad/s below which the motor's Coulomb friction is smooth, so that the integrator resolves
-// a change of sign, and its slope at rest, 35 / 16, in units of the friction over that rate.
-constexpr double MOTOR_WIDTH = 1.0, MOTOR_SLOPE = 2.1875;
+// a change of sign.
+constexpr double MOTOR_WIDTH = 1.0;
+// Slope of the motor's friction at rest, in units of the friction over MOTOR_WIDTH: 35 / 16.
+constexpr double MOTOR_SLOPE = 2.1875;
 
 template <class T, Kind kind_> struct Plant {
   using Number = T;
   static constexpr Kind kind = kind_;
   static constexpr bool varied = kind == Kind::varied;
-  static constexpr bool extended =
-      kind == Kind::extended || varied;  // whether all that an extended plant adds may act
+  // Whether all that an extended plant adds may act.
+  static constexpr bool extended = kind == Kind::extended || varied;
   using Constant = typename Choose<varied, T, double>::type;
 
-  T M, mu;
+  T M;
+  T mu;
   T mass_ratio;                    // m / (M + m), which saves divisions
   double pivot_torque_on_contact;  // 1.0 for the paper's normal force, 0.0 for Newton's
 #define FIELD(name) Constant name;
@@ -128,8 +143,8 @@ template <class T, Kind kind_> struct Plant {
   // `normal_force` does not: the bits of episodes depend on both.
   template <bool fused>
   INLINE T pressing_force(T weight, T theta_ddot, T sin, T cos, T squared) const {
-    T fall = multiply_add<fused, T>(squared, cos,
-                                    theta_ddot * sin);  // downward acceleration of the ball over l
+    // Downward acceleration of the ball over l.
+    T fall = multiply_add<fused, T>(squared, cos, theta_ddot * sin);
     return multiply_add<fused, T>(-(m * l), fall, weight);
   }
 
@@ -172,6 +187,13 @@ template <class T, Kind kind_> struct Plant {
     return motor_friction * clip(ratio, T(1.0)) * steep;
   }
 
+  // Derivative of `motor_drag` over theta_dot, N m s.
+  INLINE T motor_drag_slope(T theta_dot) const {
+    T ratio = clip(theta_dot * (1.0 / MOTOR_WIDTH), T(1.0));
+    T left = 1.0 - ratio * ratio;
+    return motor_friction * (MOTOR_SLOPE / MOTOR_WIDTH) * (left * left * left);
+  }
+
   // theta'' in rad/s^2 on a platform at rest: the first row of Eq. (1) with x'' = 0.
   INLINE T stick_acceleration(T theta, T theta_dot, T u) const {
     auto inertia = m * l * l;
@@ -202,8 +224,10 @@ template <class T, Kind kind_> struct Plant {
     }
     if constexpr (extended) {
       // Most floors are level without viscous friction, which saves a division.
-      if (acts(downhill) || acts(viscous) || acts(push))
-        brake = brake + slip * slip * (downhill + (viscous * x_dot - push) / (M + m));
+      if (acts(downhill) || acts(viscous) || acts(push)) {
+        T deceleration = downhill + (viscous * x_dot - push) / (M + m);
+        brake = brake + slip * slip * deceleration;
+      }
     }
     // The second row over M + m: x'' = rest + share l tilted theta''. N holds theta'' too, hence
     // cos + slip mu sin.
@@ -253,10 +277,8 @@ template <class T, Kind kind_> struct Plant {
     T a = stick_acceleration(theta, theta_dot, u);
     T torque_rate = ml * g * cos * theta_dot - k * theta_dot - c * a;
     if constexpr (extended) {
-      T s = clip(theta_dot * (1.0 / MOTOR_WIDTH), T(1.0));
-      T left = 1.0 - s * s;
-      T slope = motor_friction * (MOTOR_SLOPE / MOTOR_WIDTH) * (left * left * left);
-      torque_rate = torque_rate - (ml * downhill * sin * theta_dot + slope * a);
+      T gravity_rate = ml * downhill * sin * theta_dot;
+      torque_rate = torque_rate - (gravity_rate + motor_drag_slope(theta_dot) * a);
     }
     T jerk = torque_rate / (ml * l);
     T force = driving_force(theta, theta_dot, a);
@@ -268,7 +290,7 @@ template <class T, Kind kind_> struct Plant {
       T pivot_rate = (k * theta_dot + c * a) * sin + (k * theta + c * theta_dot) * cos * theta_dot;
       normal_rate = normal_rate - pivot_torque_on_contact * pivot_rate;
     }
-    T limit_rate = static_ratio * kinetic_friction(force) * normal_rate;
+    T limit_rate = static_friction_limit(force, normal_rate);  // the limit is linear in N
     return select(force > 0.0, limit_rate - force_rate, limit_rate + force_rate);
   }
 };
@@ -285,11 +307,20 @@ template <class T> INLINE bool is_extended(const Constants<T>& given) {
 template <class T> INLINE Plant<T, Kind::varied> derive(const Constants<T>& given) {
   auto [sin, cos] = sincos(given.slope);
   Plant<T, Kind::varied> p = {};
-  p.m = given.m, p.l = given.l, p.g = given.g * cos, p.k = given.k, p.c = given.c;
-  p.static_ratio = given.static_ratio, p.backward_ratio = given.backward_ratio;
-  p.downhill = given.g * sin, p.viscous = given.viscous, p.motor_friction = given.motor_friction;
-  if (given.stribeck_speed > 0.0)
-    p.stribeck_excess = given.static_ratio - 1.0, p.stribeck_rate = 1.0 / given.stribeck_speed;
+  p.m = given.m;
+  p.l = given.l;
+  p.g = given.g * cos;
+  p.k = given.k;
+  p.c = given.c;
+  p.static_ratio = given.static_ratio;
+  p.backward_ratio = given.backward_ratio;
+  p.downhill = given.g * sin;
+  p.viscous = given.viscous;
+  p.motor_friction = given.motor_friction;
+  if (given.stribeck_speed > 0.0) {
+    p.stribeck_excess = given.static_ratio - 1.0;
+    p.stribeck_rate = 1.0 / given.stribeck_speed;
+  }
   return p;
 }
 }  // namespace LEVEL

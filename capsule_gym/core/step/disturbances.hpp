@@ -5,13 +5,25 @@
 #include "../numbers/random.hpp"
 
 // What an episode draws; SI units.
-#define CAPSULE_DISTURBANCES(FIELD)                                                               \
-  FIELD(theta_noise)                                                                              \
-  FIELD(theta_dot_noise)                                                                          \
-  FIELD(x_dot_noise) FIELD(theta_bias) FIELD(theta_dot_bias) FIELD(x_dot_bias) FIELD(theta_drift) \
-      FIELD(theta_dot_drift) FIELD(x_dot_drift) FIELD(drift_time) FIELD(theta_resolution)         \
-          FIELD(theta_dot_resolution) FIELD(x_dot_resolution) FIELD(latency) FIELD(lag)           \
-              FIELD(motor_friction) FIELD(torque_resolution) FIELD(push)
+#define CAPSULE_DISTURBANCES(FIELD) \
+  FIELD(theta_noise)                \
+  FIELD(theta_dot_noise)            \
+  FIELD(x_dot_noise)                \
+  FIELD(theta_bias)                 \
+  FIELD(theta_dot_bias)             \
+  FIELD(x_dot_bias)                 \
+  FIELD(theta_drift)                \
+  FIELD(theta_dot_drift)            \
+  FIELD(x_dot_drift)                \
+  FIELD(drift_time)                 \
+  FIELD(theta_resolution)           \
+  FIELD(theta_dot_resolution)       \
+  FIELD(x_dot_resolution)           \
+  FIELD(latency)                    \
+  FIELD(lag)                        \
+  FIELD(motor_friction)             \
+  FIELD(torque_resolution)          \
+  FIELD(push)
 
 namespace LEVEL {
 template <class T> struct Disturbances {
@@ -19,16 +31,17 @@ template <class T> struct Disturbances {
 };
 
 // Added to a whole number: the lowest 52 bits of the sum are those of the number.
-constexpr double WHOLE
-= 4503599627370496.0;
-// Duration of the push in every second, and tolerance of the episode's time, s.
-constexpr double PUSH_TIME = 0.1, ROUNDING_OF_TIME = 1e-9;
+constexpr double WHOLE_BITS = 4503599627370496.0;
+// Duration of the push in every second, s.
+constexpr double PUSH_TIME = 0.1;
+// Tolerance of the episode's time, s.
+constexpr double ROUNDING_OF_TIME = 1e-9;
 
 // One of the eight random words of a reading.
 template <class T> INLINE auto word_of(T key, T count, Word place) {
-  constexpr Word GOLDEN =
-      0x9E3779B97F4A7C15;  // the odd number nearest to 2^64 over the golden ratio
-  return scramble(bits_of(key) + GOLDEN * (bits_of(count + WHOLE) * 8ULL + place));
+  // The odd number nearest to 2^64 over the golden ratio.
+  constexpr Word GOLDEN = 0x9E3779B97F4A7C15;
+  return scramble(bits_of(key) + GOLDEN * (bits_of(count + WHOLE_BITS) * 8ULL + place));
 }
 
 // The multiple of the resolution that is nearest to the value, or the value where the resolution is
@@ -69,10 +82,12 @@ template <class T> INLINE T follow_command(const Disturbances<T>& d, T motor, T 
 // The force on the platform at this time of the episode: in every second one of random size, at a
 // random time.
 template <class T> INLINE T pushing_force(const Disturbances<T>& d, T key, T duration) {
-  T time = duration + ROUNDING_OF_TIME, second = floor(time);
-  auto [begins, size] =
-      uniforms(scramble(bits_of(key) + 0x5851F42D4C957F2DULL * bits_of(second + WHOLE)));
+  constexpr Word FACTOR = 0x5851F42D4C957F2D;
+  T time = duration + ROUNDING_OF_TIME;
+  T second = floor(time);
+  auto [begins, size] = uniforms(scramble(bits_of(key) + FACTOR * bits_of(second + WHOLE_BITS)));
   T since = time - second - (1.0 - PUSH_TIME) * (begins - 1.0);
-  return select((since >= 0.0) & (since < PUSH_TIME), d.push * (2.0 * size - 3.0), T(0.0));
+  auto pushes = (since >= 0.0) & (since < PUSH_TIME);
+  return select(pushes, d.push * (2.0 * size - 3.0), T(0.0));
 }
 }  // namespace LEVEL

@@ -6,48 +6,85 @@
 #include "disturbances.hpp"
 
 // The quantities of an environment; SI units. `info` shows the first ones under these names.
-#define CAPSULE_ROWS                                                                               \
-  ROW(theta)                                                                                       \
-  ROW(theta_dot)                                                                                   \
-  ROW(x) ROW(x_dot) ROW(M) ROW(mu) ROW(torque) ROW(law_torque) ROW(normal_force) ROW(energy)       \
-      ROW(reward_progress) ROW(reward_energy)                                                      \
-          ROW(reward_termination) /* 1.0 where the last step came close to a termination. */       \
-      ROW(cost)                   /* The result of the agent step. */                              \
-      ROW(reward) ROW(termination)                                                                 \
-          ROW(steps) /* Sums and extreme values of the episode. weight_distance is the distance    \
-                        weighted with (M + m) g, J: the denominator of the cost of transport, also \
-                        where M changes on the way. */                                             \
-      ROW(start_x) ROW(duration) ROW(episode_energy) ROW(weight_distance) ROW(torque_squared)      \
-          ROW(peak_torque) ROW(forward) ROW(backward) ROW(stuck) ROW(smallest_normal_ratio)        \
-              ROW(largest_theta)                                                                   \
-                  ROW(largest_theta_dot) /* Row of the reference that the law has seen last. */    \
-      ROW(clock) /* Input of the step: the action, and 1.0 where the environment takes part. */    \
-      ROW(action)                                                                                  \
-          ROW(active) /* Of the running step: m / (M + m), x at its start, how far the environment \
-                         has stopped, and the time that its present torque has acted. */           \
-      ROW(mass_ratio) ROW(before_x) ROW(halt)                                                      \
-          ROW(elapsed) /* Written only where a substep has an event: its end if the phase lasted,  \
-                          the accelerations at its start. */                                       \
-      ROW(next_theta) ROW(next_theta_dot) ROW(next_x) ROW(next_x_dot) ROW(theta_ddot) ROW(x_ddot)  \
-          ROW(first_normal_force) ROW(                                                             \
-              least_normal_force) /* Down to the end only for varied plants. The constants of      \
-                                     `Plant`, those that the episode has drawn, its disturbances   \
-                                     as in `Disturbances`, and the key of its noise. */            \
-      CAPSULE_PLANT(PLANT_ROW) CAPSULE_CONSTANTS(DRAWN) CAPSULE_DISTURBANCES(ROW)                  \
-          ROW(key) /* Derived: the latency in periods, the shares of drift and of motor lag after  \
-                      one period. */                                                               \
-      ROW(delay) ROW(drift_share) ROW(                                                             \
-          motor_share) /* In the first lane: the entry of the history that was written last. */    \
-      ROW(cursor) /* From here on zeros at the start of an episode. Readings so far; the motor's   \
-                     torque, N m; each sensor's drift. */                                          \
-      ROW(readings) ROW(motor) ROW(drift_of_theta) ROW(drift_of_theta_dot)                         \
-          ROW(drift_of_x_dot) /* The last reading; x is the integral of its x_dot, or that of a    \
-                                 sensor. */                                                        \
-      ROW(read_theta) ROW(read_theta_dot) ROW(read_x)                                              \
-          ROW(read_x_dot) /* The state that the next reading shows. */                             \
-      ROW(late_theta) ROW(late_theta_dot) ROW(late_x)                                              \
-          ROW(late_x_dot) /* The measured x at the start of the agent step. */                     \
-      ROW(read_before_x)
+#define CAPSULE_ROWS                                                                             \
+  ROW(theta)                                                                                     \
+  ROW(theta_dot)                                                                                 \
+  ROW(x)                                                                                         \
+  ROW(x_dot)                                                                                     \
+  ROW(M)                                                                                         \
+  ROW(mu)                                                                                        \
+  ROW(torque)                                                                                    \
+  ROW(law_torque)                                                                                \
+  ROW(normal_force)                                                                              \
+  ROW(energy)                                                                                    \
+  ROW(reward_progress)                                                                           \
+  ROW(reward_energy)                                                                             \
+  ROW(reward_termination)                                                                        \
+  ROW(cost) /* 1.0 where the last step came close to a termination */                            \
+  /* The result of the agent step. */                                                            \
+  ROW(reward)                                                                                    \
+  ROW(termination)                                                                               \
+  /* Sums and extreme values of the episode. */                                                  \
+  ROW(steps)                                                                                     \
+  ROW(start_x)                                                                                   \
+  ROW(duration)                                                                                  \
+  ROW(episode_energy)                                                                            \
+  ROW(weight_distance) /* distance times (M + m) g, J, also where M changes on the way */        \
+  ROW(torque_squared)                                                                            \
+  ROW(peak_torque)                                                                               \
+  ROW(forward)                                                                                   \
+  ROW(backward)                                                                                  \
+  ROW(stuck)                                                                                     \
+  ROW(smallest_normal_ratio)                                                                     \
+  ROW(largest_theta)                                                                             \
+  ROW(largest_theta_dot)                                                                         \
+  ROW(clock) /* row of the reference that the law has seen last */                               \
+  /* Input of the step. */                                                                       \
+  ROW(action)                                                                                    \
+  ROW(active) /* 1.0 where the environment takes part */                                         \
+  /* Of the running step. */                                                                     \
+  ROW(mass_ratio) /* m / (M + m) */                                                              \
+  ROW(before_x)   /* x at its start */                                                           \
+  ROW(halt)       /* how far the environment has stopped */                                      \
+  ROW(elapsed)    /* time that the present torque has acted, s */                                \
+  /* Written only where a substep has an event: its end if the phase lasted, and the */          \
+  /* accelerations at its start. */                                                              \
+  ROW(next_theta)                                                                                \
+  ROW(next_theta_dot)                                                                            \
+  ROW(next_x)                                                                                    \
+  ROW(next_x_dot)                                                                                \
+  ROW(theta_ddot)                                                                                \
+  ROW(x_ddot)                                                                                    \
+  ROW(first_normal_force)                                                                        \
+  ROW(least_normal_force)                                                                        \
+  /* Down to the end only for varied plants. The constants of `Plant`, those that the episode */ \
+  /* has drawn, its disturbances as in `Disturbances`, and the key of its noise. */              \
+  CAPSULE_PLANT(PLANT_ROW)                                                                       \
+  CAPSULE_CONSTANTS(DRAWN)                                                                       \
+  CAPSULE_DISTURBANCES(ROW)                                                                      \
+  ROW(key)                                                                                       \
+  /* Derived: the latency in periods, the shares of drift and of motor lag after one period. */  \
+  ROW(delay)                                                                                     \
+  ROW(drift_share)                                                                               \
+  ROW(motor_share)                                                                               \
+  ROW(cursor) /* in the first lane: the entry of the history that was written last */            \
+  /* From here on zeros at the start of an episode. */                                           \
+  ROW(readings) /* number of readings so far */                                                  \
+  ROW(motor)    /* the motor's torque, N m */                                                    \
+  ROW(drift_of_theta)                                                                            \
+  ROW(drift_of_theta_dot)                                                                        \
+  ROW(drift_of_x_dot)                                                                            \
+  /* The last reading; x is the integral of its x_dot, or that of a sensor. */                   \
+  ROW(read_theta)                                                                                \
+  ROW(read_theta_dot)                                                                            \
+  ROW(read_x)                                                                                    \
+  ROW(read_x_dot)                                                                                \
+  /* The state that the next reading shows. */                                                   \
+  ROW(late_theta)                                                                                \
+  ROW(late_theta_dot)                                                                            \
+  ROW(late_x)                                                                                    \
+  ROW(late_x_dot)                                                                                \
+  ROW(read_before_x) /* the measured x at the start of the agent step */
 #define PLANT_ROW(name) ROW(plant_##name)
 #define DRAWN(name) ROW(drawn_##name)
 
@@ -55,7 +92,8 @@
 // the rows of a step fit into a cache. One environment alone is a block of one lane, so that its
 // rows lie side by side.
 constexpr int LANES = 128;
-constexpr int MOST_CELLS = 256;  // largest number of cells in the memory of a law
+// Largest number of cells in the memory of a law.
+constexpr int MOST_CELLS = 256;
 
 template <int N> struct Block {
 #define ROW(name) double name[N];
@@ -77,36 +115,55 @@ enum Termination { NONE, PENDULUM, CONTACT, DIVERGED };
 #define EACH for (int j = 0; j < n; j += WIDTH<T>)
 #define GET(row) load<T>(b.row + j)
 #define PUT(row, value) store<T>(b.row + j, value)
+// The other lanes keep theirs.
+#define PUT_WHERE(condition, row, value) PUT(row, select(condition, T(value), GET(row)))
 // The rows from this one on, whose numbers are the fields of a struct.
 #define FROM(row) ((double*)&b + __builtin_offsetof(Block<N>, row) / sizeof(double))
 
-// Values of the row `halt`: under way; stopped in the present substep, with one call of the law
-// left; and halted.
-constexpr double UNDER_WAY = 0.0, ENDING = 1.0, HALTED = 2.0;
-constexpr int HISTORY_ROWS = LEVEL::WIDTH<LEVEL::State<double>>;  // of each state in the history
-constexpr int ESTIMATOR_CELLS =
-    LEVEL::WIDTH<LEVEL::Estimator<double>>;  // only with observed estimates
+// Values of the row `halt`.
+constexpr double UNDER_WAY = 0.0;
+constexpr double ENDING = 1.0;  // stopped in the present substep, with one call of the law left
+constexpr double HALTED = 2.0;
+
+// Rows of each state in the history, and of an estimator.
+constexpr int HISTORY_ROWS = LEVEL::WIDTH<LEVEL::State<double>>;
+constexpr int ESTIMATOR_CELLS = LEVEL::WIDTH<LEVEL::Estimator<double>>;
 
 // The settings of a step, SI units; conditions are 0.0 or 1.0.
-#define CAPSULE_SETTINGS(FIELD)                                                                    \
-  FIELD(torque_limit)                                                                              \
-  FIELD(residual_limit)                                                                            \
-  FIELD(total_torque) FIELD(physics_dt) FIELD(physics_steps) FIELD(law_steps) FIELD(energy_weight) \
-      FIELD(termination_penalty) FIELD(with_reference) FIELD(with_parameters)                      \
-          FIELD(with_estimates) FIELD(with_task)                                                   \
-              FIELD(stack_size)      /* Bounds of the observed M, kg, and mu. */                   \
-      FIELD(M_bound) FIELD(mu_bound) /* Period of the law, s; without a law that of the agent, or  \
-                                        of the integrator where plants vary. */                    \
-      FIELD(law_dt) /* Disturbances: number of states in the history, whether law and agent        \
-                       observe the sensors, the sensors that exist, the noise of that of x, the    \
-                       measured speed up to which the platform counts as at rest, and the latency  \
-                       up to which the history reaches. */                                         \
-      FIELD(history_states) FIELD(law_reads) FIELD(agent_reads) FIELD(with_theta)                  \
-          FIELD(with_theta_dot) FIELD(with_x_dot) FIELD(with_x) FIELD(x_noise)                     \
-              FIELD(stick_threshold)                                                               \
-                  FIELD(longest_latency) /* The plant: whether it is extended, and differs in more \
-                                            than M and mu; and its constants. */                   \
-      FIELD(extended) FIELD(varied) FIELD(pivot_torque_on_contact) CAPSULE_PLANT(FIELD)
+#define CAPSULE_SETTINGS(FIELD)                                                                   \
+  FIELD(torque_limit)                                                                             \
+  FIELD(residual_limit)                                                                           \
+  FIELD(total_torque)                                                                             \
+  FIELD(physics_dt)                                                                               \
+  FIELD(physics_steps)                                                                            \
+  FIELD(law_steps)                                                                                \
+  FIELD(energy_weight)                                                                            \
+  FIELD(termination_penalty)                                                                      \
+  FIELD(with_reference)                                                                           \
+  FIELD(with_parameters)                                                                          \
+  FIELD(with_estimates)                                                                           \
+  FIELD(with_task)                                                                                \
+  FIELD(stack_size)                                                                               \
+  FIELD(M_bound)  /* of the observed M, kg */                                                     \
+  FIELD(mu_bound) /* of the observed mu */                                                        \
+  FIELD(                                                                                          \
+      law_dt) /* without a law the period of the agent, or of the integrator where plants vary */ \
+  /* Disturbances. */                                                                             \
+  FIELD(history_states) /* number of states in the history */                                     \
+  FIELD(law_reads)      /* whether the law observes the sensors */                                \
+  FIELD(agent_reads)    /* whether the agent does */                                              \
+  FIELD(with_theta)     /* the sensors that exist */                                              \
+  FIELD(with_theta_dot)                                                                           \
+  FIELD(with_x_dot)                                                                               \
+  FIELD(with_x)                                                                                   \
+  FIELD(x_noise)                                                                                  \
+  FIELD(stick_threshold) /* measured speed up to which the platform counts as at rest */          \
+  FIELD(longest_latency) /* up to which the history reaches */                                    \
+  /* The plant. */                                                                                \
+  FIELD(extended)                                                                                 \
+  FIELD(varied) /* whether plants differ in more than M and mu */                                 \
+  FIELD(pivot_torque_on_contact)                                                                  \
+  CAPSULE_PLANT(FIELD)
 
 struct Settings {
   CAPSULE_SETTINGS(CAPSULE_DOUBLE)
@@ -117,22 +174,24 @@ struct Settings {
 
 // The first rows of the parts of an environment behind its quantities, and the sizes that follow
 // from its options.
-#define CAPSULE_LAYOUT(FIELD)                                                                      \
-  /* The law's memory, its line of the reference, and one past its end. A law of a task reads the  \
-   * memory there. */                                                                              \
-  FIELD(law_memory)                                                                                \
-  FIELD(reference)                                                                                 \
-  FIELD(reference_end) /* The task's memory with true values, one past its end,                    \
-                          and for varied plants that with measured values, which                   \
-                          comes first where the law observes the sensors. */                       \
-      FIELD(task) FIELD(task_end) FIELD(read_task) /* The last states of a varied plant, the       \
-                                                      estimator, and the number of all rows. */    \
-      FIELD(history) FIELD(estimator)                                                              \
-          FIELD(rows) /* Entries of the observation. Lines of the draw table: all of them, the     \
-                         first one of the task, of the constants and of the disturbances. Agent    \
-                         steps of a whole episode. */                                              \
-      FIELD(entries) FIELD(draws) FIELD(task_draws) FIELD(constant_draws) FIELD(disturbance_draws) \
-          FIELD(steps)
+#define CAPSULE_LAYOUT(FIELD)                                                                   \
+  FIELD(law_memory)                                                                             \
+  FIELD(reference)     /* the law's line of the reference */                                    \
+  FIELD(reference_end) /* a law of a task reads the task's memory from here */                  \
+  FIELD(task)          /* the task's memory with true values */                                 \
+  FIELD(task_end)                                                                               \
+  FIELD(read_task) /* for varied plants that with measured values, first where the law observes \
+                      the sensors */                                                            \
+  FIELD(history)   /* the last states of a varied plant */                                      \
+  FIELD(estimator)                                                                              \
+  FIELD(rows)    /* number of all rows */                                                       \
+  FIELD(entries) /* of the observation */                                                       \
+  /* Lines of the draw table: all of them, and the first one of each part. */                   \
+  FIELD(draws)                                                                                  \
+  FIELD(task_draws)                                                                             \
+  FIELD(constant_draws)                                                                         \
+  FIELD(disturbance_draws)                                                                      \
+  FIELD(steps) /* agent steps of a whole episode */
 #define CAPSULE_WHOLE(name) long long name;
 struct Layout {
   CAPSULE_LAYOUT(CAPSULE_WHOLE)
@@ -150,7 +209,11 @@ typedef void (*UserLaw)(void* data, double* block, double* torques, long long n)
 // The purposes of random numbers. Each has its own stream, so that draws for one do not shift
 // another.
 #define CAPSULE_STREAMS(STREAM) \
-  STREAM(parameters) STREAM(initial_state) STREAM(disturbances) STREAM(task) STREAM(variation)
+  STREAM(parameters)            \
+  STREAM(initial_state)         \
+  STREAM(disturbances)          \
+  STREAM(task)                  \
+  STREAM(variation)
 #define STREAM_PLACE(name) name,
 enum class Stream { CAPSULE_STREAMS(STREAM_PLACE) };
 
@@ -160,27 +223,37 @@ struct Draw {
   double row, stream, place, low, range, distribution;
 };
 
+// A change of M (kg) and mu of an environment during its episode, after `time` s.
+struct Change {
+  double environment, time, M, mu;
+};
+
 // Everything that belongs to the environments of a simulation: arrays, by their addresses, and
 // their sizes. Python passes the address of an array of these numbers.
-#define CAPSULE_BATCH(FIELD)                                                                      \
-  /* The blocks, of `layout.rows` rows; `lanes` is LANES or 1. */                                 \
-  FIELD(double*, world)                                                                           \
-  FIELD(long long, num_envs)                                                                      \
-  FIELD(long long, lanes) FIELD(float*, observations) FIELD(const Settings*, settings)            \
-      FIELD(const Layout*, layout) /* Numbers of the task and of the law in their lists. */       \
-      FIELD(long long, task) FIELD(long long, law) FIELD(const double*, law_constants)            \
-          FIELD(UserLaw, user_law) FIELD(                                                         \
-              void*,                                                                              \
-              user_data) /* The law's memory at the start of an episode, and its reference. */    \
-      FIELD(const double*, memory) FIELD(const double*, reference) FIELD(                         \
-          long long, reference_rows) /* Resets: keys (num_envs, 2), episodes since the seeding,   \
-                                        the environments that begin (count,), what they draw, and \
-                                        the values (layout.draws, num_envs). */                   \
-      FIELD(const unsigned long long*, keys) FIELD(long long*, episodes)                          \
-          FIELD(const long long*, rows) FIELD(const Draw*, draw_table)                            \
-              FIELD(double*, drawn) /* Rows of environment, time (s), M (kg) and mu, in order of  \
-                                       environment and time. */                                   \
-      FIELD(const double*, changes) FIELD(long long, num_changes)
+#define CAPSULE_BATCH(FIELD)                                                         \
+  FIELD(double*, world) /* the blocks, of `layout.rows` rows */                      \
+  FIELD(long long, num_envs)                                                         \
+  FIELD(long long, lanes) /* LANES or 1 */                                           \
+  FIELD(float*, observations)                                                        \
+  FIELD(const Settings*, settings)                                                   \
+  FIELD(const Layout*, layout)                                                       \
+  FIELD(long long, task) /* its number in the list of tasks */                       \
+  FIELD(long long, law)  /* its number in the list of laws */                        \
+  FIELD(const double*, law_constants)                                                \
+  FIELD(UserLaw, user_law)                                                           \
+  FIELD(void*, user_data)                                                            \
+  FIELD(const double*, memory) /* of the law at the start of an episode */           \
+  FIELD(const double*, reference)                                                    \
+  FIELD(long long, reference_rows)                                                   \
+  /* Resets. */                                                                      \
+  FIELD(const unsigned long long*, keys) /* (num_envs, 2) */                         \
+  FIELD(long long*, episodes)            /* number since the seeding */              \
+  FIELD(const long long*, rows)          /* (count,): the environments that begin */ \
+  FIELD(const Draw*, draw_table)         /* what they draw */                        \
+  FIELD(double*, drawn)                  /* (layout.draws, num_envs): the values */  \
+  /* In order of environment and time. */                                            \
+  FIELD(const Change*, changes)                                                      \
+  FIELD(long long, num_changes)
 
 struct Batch {
 #define FIELD(type, name) type name;

@@ -7,8 +7,8 @@ namespace LEVEL {
 // Puts the metrics of an environment, each as put(name, description, value). `horizon`: the length
 // of a whole episode in s, over which the mean speed of an episode that failed is taken; NaN takes
 // the time that has passed.
-template <class Task, int N, class Put>
-void put_metrics(const Batch& batch, long long i, double horizon, Put put) {
+template <class Task, int N>
+void put_metrics(const Batch& batch, long long i, double horizon, auto put) {
   const auto& b = block_of<N>(batch, i);
   int j = (int)(i % N);
   bool failed = b.termination[j] != (double)NONE;
@@ -34,9 +34,9 @@ void put_metrics(const Batch& batch, long long i, double horizon, Put put) {
   put("energy", "integral of |u theta_dot|, J", b.episode_energy[j]);
   put("duration", "length of the episode, s", b.duration[j]);
   put("failed", "1 if the episode terminated, else 0", failed ? 1.0 : 0.0);
-  const double* memory = (const double*)&b + batch.layout->task * N;
-  Task::metrics(load_record<typename Task::template Memory<double>, double, N>(memory, j), whole,
-                put);
+  const double* rows = (const double*)&b + batch.layout->task * N;
+  auto memory = load_record<typename Task::template Memory<double>, double, N>(rows, j);
+  Task::metrics(memory, whole, put);
 }
 
 // The metrics of `count` environments with these indices: `out` has the shape (metrics, count).

@@ -6,16 +6,16 @@ namespace LEVEL {
 // Disturbances of a block of N environments, with the number type T; `history` holds the last
 // states.
 template <class T, int N> struct Disturbed {
-  const Settings& q;
+  const Settings& settings;
   Block<N>& b;
   double* history;
   const int n;
 
   // The period of the law, s, and the time between readings: this period, or without a law the
   // agent's step.
-  double period() const { return q.physics_steps * q.physics_dt; }
+  double period() const { return settings.physics_steps * settings.physics_dt; }
   double time_between_readings() const {
-    return q.with_reference != 0.0 ? period() : period() * q.law_steps;
+    return settings.with_reference != 0.0 ? period() : period() * settings.law_steps;
   }
   double* entry(int place) const { return history + HISTORY_ROWS * N * place; }
   // Those that the episodes of the lanes from j on have drawn. Field by field, so that none is read
@@ -30,32 +30,38 @@ template <class T, int N> struct Disturbed {
   NOINLINE void begin() {
     for (int j = 0; j < n; j++) {
       if (b.active[j] == 0.0) continue;
-      auto drawn = load_record<Constants<double>, double, N>(FROM(drawn_m), j);
-      drawn.motor_friction += b.motor_friction[j];
-      auto p = derive(drawn);
-#define FIELD(name) b.plant_##name[j] = p.name;
-      CAPSULE_PLANT(FIELD)
-#undef FIELD
-      double lag = b.lag[j], key = b.key[j];
-      b.normal_force[j] = (b.M[j] + p.m) * drawn.g * sincos(drawn.slope).cos;
+      derive_plant(j);
       b.delay[j] = (b.latency[j] / period() + ROUNDING) - ROUNDING;
       b.drift_share[j] = decay(time_between_readings() / b.drift_time[j]);
+      double lag = b.lag[j];
       b.motor_share[j] = lag > 0.0 ? 1.0 - decay(period() / lag) : 1.0;
       // The drift begins in its stationary distribution.
-      auto [first, second] = normals(word_of(key, 0.0, 6));
-      b.drift_of_theta[j] = b.theta_drift[j] * first,
+      auto [first, second] = normals(word_of(b.key[j], 0.0, 6));
+      b.drift_of_theta[j] = b.theta_drift[j] * first;
       b.drift_of_theta_dot[j] = b.theta_dot_drift[j] * second;
-      b.drift_of_x_dot[j] = b.x_dot_drift[j] * normals(word_of(key, 0.0, 7)).first;
+      b.drift_of_x_dot[j] = b.x_dot_drift[j] * normals(word_of(b.key[j], 0.0, 7)).first;
       b.read_x[j] = b.x[j];
-      for (int i = 0; i < (int)q.history_states; i++)
-        store_record<double, N>(entry(i), j, load_record<State<double>, double, N>(FROM(theta), j));
+      auto state = load_record<State<double>, double, N>(FROM(theta), j);
+      for (int i = 0; i < (int)settings.history_states; i++)
+        store_record<double, N>(entry(i), j, state);
     }
   }
 
+  INLINE void derive_plant(int j) {
+    auto drawn = load_record<Constants<double>, double, N>(FROM(drawn_m), j);
+    drawn.motor_friction += b.motor_friction[j];
+    auto plant = derive(drawn);
+#define FIELD(name) b.plant_##name[j] = plant.name;
+    CAPSULE_PLANT(FIELD)
+#undef FIELD
+    b.normal_force[j] = (b.M[j] + plant.m) * drawn.g * sincos(drawn.slope).cos;
+  }
+
   // The motor's torque in N m for a command, and the push on the platform, from now on.
-  template <class M> INLINE T drive(int j, T command, M going) {
+  INLINE T drive(int j, T command, auto going) {
     auto d = disturbances(j);
-    T motor = follow_command(d, GET(motor), command, select(going, GET(motor_share), T(0.0)));
+    T share = select(going, GET(motor_share), T(0.0));
+    T motor = follow_command(d, GET(motor), command, share);
     PUT(motor, motor);
     if (any(d.push != 0.0)) PUT(plant_push, pushing_force(d, GET(key), GET(duration)));
     return motor;
@@ -65,44 +71,58 @@ template <class T, int N> struct Disturbed {
   // `begins`: whether episodes begin, whose history `begin` has filled; `last`: whether the agent's
   // step ends.
   NOINLINE void measure(bool begins, bool last) {
-    if (!begins) {
-      int next = (int)b.cursor[0] + 1;
-      b.cursor[0] = next < (int)q.history_states ? next : 0;
-      EACH store_record<T, N>(entry((int)b.cursor[0]), j,
-                              load_record<State<T>, T, N>(FROM(theta), j));
-    }
-    if (!begins && !last && q.with_reference == 0.0) return;
-    for (int j = 0; j < n; j++) {
-      int place = (int)b.cursor[0] - (int)b.delay[j];
-      const double* state = entry(place < 0 ? place + (int)q.history_states : place);
-      store_record<double, N>(FROM(late_theta), j, load_record<State<double>, double, N>(state, j));
-    }
+    if (!begins) remember_state();
+    if (!begins && !last && settings.with_reference == 0.0) return;
+    look_back();
     double pause = time_between_readings();
     EACH {
       auto active = GET(active) != 0.0;
       // The law is not called any more where the step has ended early.
-      if (q.with_reference != 0.0) active = active & (GET(halt) != HALTED);
-      T key = GET(key), count = GET(readings);
+      if (settings.with_reference != 0.0) active = active & (GET(halt) != HALTED);
+      T key = GET(key);
+      T count = GET(readings);
       auto [white_0, white_1] = normals(word_of(key, count, 0));
       auto [white_2, slow_2] = normals(word_of(key, count, 1));
       auto [slow_0, slow_1] = normals(word_of(key, count, 2));
-      T kept = GET(drift_share), fresh = sqrt(1.0 - kept * kept);
-#define SENSOR(name, white, slow)                                                                \
-  {                                                                                              \
-    auto errors = errors_of_##name(disturbances(j));                                             \
-    T drift = kept * GET(drift_of_##name) + fresh * slow * errors.drift;                         \
-    T reading = read_sensor(errors, GET(late_##name), drift, white);                             \
-    PUT(drift_of_##name, select(active, drift, GET(drift_of_##name)));                           \
-    PUT(read_##name, select(active, q.with_##name != 0.0 ? reading : T(0.0), GET(read_##name))); \
+      T kept = GET(drift_share);
+      T fresh = sqrt(1.0 - kept * kept);
+#define SENSOR(name, white, slow)                                        \
+  {                                                                      \
+    auto errors = errors_of_##name(disturbances(j));                     \
+    T drift = kept * GET(drift_of_##name) + fresh * slow * errors.drift; \
+    T reading = read_sensor(errors, GET(late_##name), drift, white);     \
+    if (settings.with_##name == 0.0) reading = 0.0;                      \
+    PUT_WHERE(active, drift_of_##name, drift);                           \
+    PUT_WHERE(active, read_##name, reading);                             \
   }
       SENSOR(theta, white_0, slow_0)
       SENSOR(theta_dot, white_1, slow_1)
       SENSOR(x_dot, white_2, slow_2)
 #undef SENSOR
-          T x = GET(read_x) + min(count, T(1.0)) * pause * GET(read_x_dot);
-      if (q.with_x != 0.0) x = GET(late_x) + q.x_noise * normals(word_of(key, count, 3)).first;
-      PUT(read_x, select(active, x, GET(read_x)));
-      PUT(readings, select(active, count + 1.0, count));
+      T x = GET(read_x) + min(count, T(1.0)) * pause * GET(read_x_dot);
+      if (settings.with_x != 0.0) {
+        T white = normals(word_of(key, count, 3)).first;
+        x = GET(late_x) + settings.x_noise * white;
+      }
+      PUT_WHERE(active, read_x, x);
+      PUT_WHERE(active, readings, count + 1.0);
+    }
+  }
+
+  // Appends the present state to the history.
+  INLINE void remember_state() {
+    int next = (int)b.cursor[0] + 1;
+    b.cursor[0] = next < (int)settings.history_states ? next : 0;
+    double* newest = entry((int)b.cursor[0]);
+    EACH store_record<T, N>(newest, j, load_record<State<T>, T, N>(FROM(theta), j));
+  }
+
+  // Writes the state that the next reading shows: each environment has its own latency.
+  INLINE void look_back() {
+    for (int j = 0; j < n; j++) {
+      int place = (int)b.cursor[0] - (int)b.delay[j];
+      const double* state = entry(place < 0 ? place + (int)settings.history_states : place);
+      store_record<double, N>(FROM(late_theta), j, load_record<State<double>, double, N>(state, j));
     }
   }
 };

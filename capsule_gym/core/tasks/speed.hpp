@@ -6,11 +6,13 @@ namespace LEVEL {
 struct Speed {
   static constexpr const char* NAME = "speed";
   // It has no memory, draws nothing, and adds neither entries to the observation nor metrics.
-  static constexpr const char *FIELDS = "", *SHOWN = "", *TERM = "reward_progress";
+  static constexpr const char* FIELDS = "";
+  static constexpr const char* SHOWN = "";
+  static constexpr const char* TERM = "reward_progress";
   static constexpr int STEPS = 1650;
   template <class T> struct Memory {};
 
-  template <class Put> static void draws(Range, Put) {}
+  static void draws(Range, auto) {}
 
   template <class T> static INLINE void begin(T, T, Memory<T>&) {}
 
@@ -19,8 +21,8 @@ struct Speed {
     return 100.0 * moved;
   }
 
-  template <class T, class Put> static INLINE void observe(const Memory<T>&, Put) {}
+  template <class T> static INLINE void observe(const Memory<T>&, auto) {}
 
-  template <class Put> static void metrics(const Memory<double>&, double, Put) {}
+  static void metrics(const Memory<double>&, double, auto) {}
 };
 }  // namespace LEVEL

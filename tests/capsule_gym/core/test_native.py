@@ -10,17 +10,24 @@ from capsule_gym.control.laws.profiles import platform_motion
 from capsule_gym.core import _core, native
 from capsule_gym.parameters import Capsule
 
-PLANT = native.ordered(_core.PLANT, Capsule().plant()._asdict())
-ARRAYS = {name: np.zeros((3, 3)) for name in ("angle", "velocity", "acceleration", "motion")}
+CAPSULE = Capsule().plant()
+PLANT = native.ordered(_core.PLANT, CAPSULE._asdict())
+ARRAY = np.zeros((3, 3))
 
 
 def motion_arguments(**others):
-    """The arguments of `platform_motion`, which takes addresses, a whole and a real number;
-    `others` replace some."""
-    addresses = {name: native.address(array) for name, array in ARRAYS.items()}
-    motion = addresses.pop("motion")
-    arguments = {**addresses, "n": 3, "h": 1e-3, "plant": native.address(PLANT), "motion": motion}
-    return [*{**arguments, **others}.values()]
+    """The arguments of `platform_motion`; `others` replace some."""
+    address = native.address(ARRAY)
+    arguments = {
+        "angle": address,
+        "velocity": address,
+        "acceleration": address,
+        "n": 3,
+        "h": 1e-3,
+        "plant": native.address(PLANT),
+        "motion": address,
+    }
+    return (arguments | others).values()
 
 
 @pytest.fixture(params=["call", "call_locked"])
@@ -35,50 +42,47 @@ def test_a_function_without_result_returns_minus_one(call):
 ADDRESS = "the address of an array (int)"
 REAL = "a float or an int"
 WHOLE = "an int of 64 bits"
-WRONG_TYPES = [
-    ({"angle": 1.0}, 1, ADDRESS),
-    ({"angle": None}, 1, ADDRESS),
-    ({"velocity": "v"}, 2, ADDRESS),
-    ({"acceleration": 2**63}, 3, ADDRESS),
-    ({"n": 3.0}, 4, WHOLE),
-    ({"n": np.int64(3)}, 4, WHOLE),
-    ({"n": 2**63}, 4, WHOLE),
-    ({"n": -(2**63) - 1}, 4, WHOLE),
-    ({"n": b"3"}, 4, WHOLE),
-    ({"h": "1e-3"}, 5, REAL),
-    ({"h": None}, 5, REAL),
-    ({"h": 1j}, 5, REAL),
-    ({"h": np.float32(0.5)}, 5, REAL),
-    ({"h": 10**400}, 5, REAL),  # the message is shortened
-    ({"plant": 0.5}, 6, ADDRESS),
-    ({"motion": [0]}, 7, ADDRESS),
-]
 
 
-@pytest.mark.parametrize(("wrong", "place", "due"), WRONG_TYPES)
-def test_an_argument_of_another_type_names_the_function_the_place_and_what_is_due(
-    call, wrong, place, due
-):
-    (given,) = wrong.values()
+@pytest.mark.parametrize(
+    ("name", "given", "place", "due"),
+    [
+        ("angle", 1.0, 1, ADDRESS),
+        ("angle", None, 1, ADDRESS),
+        ("velocity", "v", 2, ADDRESS),
+        ("acceleration", 2**63, 3, ADDRESS),
+        ("n", 3.0, 4, WHOLE),
+        ("n", np.int64(3), 4, WHOLE),
+        ("n", 2**63, 4, WHOLE),
+        ("n", -(2**63) - 1, 4, WHOLE),
+        ("n", b"3", 4, WHOLE),
+        ("h", "1e-3", 5, REAL),
+        ("h", None, 5, REAL),
+        ("h", 1j, 5, REAL),
+        ("h", np.float32(0.5), 5, REAL),
+        ("h", 10**400, 5, REAL),  # the message is shortened
+        ("plant", 0.5, 6, ADDRESS),
+        ("motion", [0], 7, ADDRESS),
+    ],
+)
+def test_an_argument_of_another_type_names_its_place(call, name, given, place, due):
     with pytest.raises(TypeError) as raised:
-        call("platform_motion", *motion_arguments(**wrong))
-    assert (
-        str(raised.value)
-        == f"argument {place} of platform_motion must be {due}, got {repr(given)[:100]}"
-    )
+        call("platform_motion", *motion_arguments(**{name: given}))
+    shown = repr(given)[:100]
+    message = f"argument {place} of platform_motion must be {due}, got {shown}"
+    assert str(raised.value) == message
 
 
 @pytest.mark.parametrize("count", [0, 1, 6, 8, 20])
-def test_another_number_of_arguments_names_the_function_and_both_numbers(call, count):
+def test_another_number_of_arguments_names_both_numbers(call, count):
     with pytest.raises(TypeError, match=f"^platform_motion takes 7 arguments, got {count}$"):
         call("platform_motion", *[0] * count)
 
 
 @pytest.mark.parametrize("arguments", [(), (1,), (None, 2), ("\ud800",)])
 def test_a_call_needs_the_name_of_a_function(call, arguments):
-    with pytest.raises(
-        TypeError, match=r"^call takes the name of a function \(str\) and its arguments$"
-    ):
+    message = r"^call takes the name of a function \(str\) and its arguments$"
+    with pytest.raises(TypeError, match=message):
         call(*arguments)
 
 
@@ -96,18 +100,14 @@ def test_a_real_number_can_be_an_int(given, exact):
     pendulum = [np.linspace(0.0, 1.0, n), np.ones(n), np.full(n, 40.0)]
     found = np.zeros((3, n))
     native.call("platform_motion", *pendulum, n, given, PLANT, found)
-    expected = platform_motion(*pendulum, exact, Capsule().plant())
-    assert np.array_equal(found, expected)
+    assert np.array_equal(found, platform_motion(*pendulum, exact, CAPSULE))
     assert found[2].any()
 
 
 def test_a_whole_number_can_be_a_bool():
-    assert (
-        _core.call(
-            "sincos", native.address(np.zeros(1)), True, native.address(np.zeros(2)), True, False
-        )
-        == 2
-    )
+    angle = native.address(np.zeros(1))
+    results = native.address(np.zeros(2))
+    assert _core.call("sincos", angle, True, results, True, False) == 2
 
 
 @pytest.mark.parametrize("numbers", [(), (0.1, 0.2)])
@@ -117,33 +117,42 @@ def test_another_number_of_numbers_is_an_error(numbers):
         native.evaluate("sincos", *numbers)
 
 
+STATE = (0.5, 0.1, 0.2, 3.0, 4.0)
+
+
+def test_a_function_of_the_plant_takes_a_plant():
+    (force,) = native.evaluate("normal_force", *STATE, plant=PLANT)
+    assert force > 0.0
+
+
 def test_a_function_of_the_plant_needs_a_plant():
-    assert native.evaluate("normal_force", 0.5, 0.1, 0.2, 3.0, 4.0, plant=PLANT)[0] > 0.0
     message = "^argument 5 of normal_force must be the address of a plant, got 0$"
     with pytest.raises(TypeError, match=message):
-        native.evaluate("normal_force", 0.5, 0.1, 0.2, 3.0, 4.0)
+        native.evaluate("normal_force", *STATE)
+
+
+def test_another_function_takes_no_plant():
     message = "^argument 5 of exp must be 0, since it needs no plant, got [0-9]+$"
     with pytest.raises(TypeError, match=message):
         native.evaluate("exp", 0.5, plant=PLANT)
 
 
-def test_the_position_does_not_change_the_phase():
-    p = Capsule().plant()
-    assert dynamics.contact_phase(-1.0, 0.0, 0.3, 0.2, p) == 1.0
-    assert dynamics.contact_phase(-1.0, 0.0, -0.3, 0.2, p) == -1.0
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_the_position_does_not_change_the_phase(direction):
+    assert dynamics.contact_phase(-1.0, 0.0, 0.3 * direction, 0.2, CAPSULE) == direction
 
 
-TRACES = [
-    ((), "trace takes 3 arguments, got 0"),
-    (("exp", 0, 0, 0), "trace takes 3 arguments, got 4"),
-    ((1, 0, 0), "argument 1 of trace must be a str, got 1"),
-    ((b"exp", 0, 0), "argument 1 of trace must be a str, got b'exp'"),
-    (("exp", 0.0, 0), "argument 2 of trace must be an int of 64 bits, got 0.0"),
-    (("exp", 0, "0"), "argument 3 of trace must be the address of an array (int), got '0'"),
-]
-
-
-@pytest.mark.parametrize(("arguments", "message"), TRACES)
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "trace takes 3 arguments, got 0"),
+        (("exp", 0, 0, 0), "trace takes 3 arguments, got 4"),
+        ((1, 0, 0), "argument 1 of trace must be a str, got 1"),
+        ((b"exp", 0, 0), "argument 1 of trace must be a str, got b'exp'"),
+        (("exp", 0.0, 0), "argument 2 of trace must be an int of 64 bits, got 0.0"),
+        (("exp", 0, "0"), "argument 3 of trace must be the address of an array (int), got '0'"),
+    ],
+)
 def test_a_recording_checks_its_arguments(arguments, message):
     with pytest.raises(TypeError, match=f"^{re.escape(message)}$"):
         _core.trace(*arguments)
@@ -154,13 +163,12 @@ def test_a_recording_checks_its_arguments(arguments, message):
 )
 def test_an_unknown_recording_is_named(function, number):
     constants = np.zeros(1000)
-    with pytest.raises(
-        ValueError, match=f"^the core records no function '{function}' with the number {number}$"
-    ):
+    message = f"^the core records no function '{function}' with the number {number}$"
+    with pytest.raises(ValueError, match=message):
         _core.trace(function, number, native.address(constants))
 
 
 def test_a_recording_ends_with_its_outputs():
-    rows = _core.trace("exp", 0, native.address(np.zeros(1)))
+    rows = _core.trace("exp", 0, native.address(ARRAY))
     assert rows[0] == ("input",)
     assert rows[-1][0] == "output"
