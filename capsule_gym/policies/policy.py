@@ -7,18 +7,22 @@ Their actions do not depend on the machine. A file is in the safetensors format:
 | `layers.0.weight`, `layers.1.weight`, .. | float32, as trained | (outputs, inputs) |
 | `layers.0.bias`, `layers.1.bias`, .. | float32 | (outputs,) |
 | `inputs.mean`, `inputs.variance` | float64 | (inputs,) |
+| `cell.weight_ih`, `cell.bias_ih` | float32 | (gates * units, inputs), (gates * units,) |
+| `cell.weight_hh`, `cell.bias_hh` | float32 | (gates * units, units), (gates * units,) |
+| `head.0.weight`, `head.0.bias`, .. | float32 | as of `layers` |
 
-The metadata are `format`, "capsule_gym policy", `format_version`, "2", and the fields of `Policy`
-by name, as text or JSON.
+Only recurrent policies have a cell, a GRU with 3 gates or an LSTM with 4, and a head after it. The
+metadata are `format`, "capsule_gym policy", `format_version`, "2", or "3" with a cell, and the
+fields of `Policy` by name, as text or JSON.
 """
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
@@ -35,17 +39,18 @@ from capsule_gym.checks import (
 )
 from capsule_gym.control.laws import LAWS
 from capsule_gym.control.lookup import is_own
-from capsule_gym.core.native import call
+from capsule_gym.core import native
 from capsule_gym.envs.config import EnvConfig
 from capsule_gym.envs.contract import entries_of
 from capsule_gym.files import write_atomically
-from capsule_gym.policies.network import Layer, pack
+from capsule_gym.policies.network import CELLS, Cell, Layer, pack
 
 POLICY = "policy.safetensors"
 # The policies that come with the package.
 FOLDER = Path(__file__).parents[1] / "data" / "policies"
 FORMAT = "capsule_gym policy"
 FORMAT_VERSION = "2"
+RECURRENT_VERSION = "3"
 # The entries of a file's metadata that are plain text, and those that are JSON; `Policy` checks the
 # values.
 TEXTS = ("algorithm", "activation", "squashing", "revision")
@@ -53,6 +58,8 @@ VALUES = ("clip", "epsilon", "env_kwargs", "training_seed")
 # The algorithm of policies that imitate others, without a reward.
 IMITATION = "dagger"
 CHOICES = {"activation": ("tanh", "relu"), "squashing": ("clip", "tanh")}
+# Of a recurrent cell: its sums for several environments lie on the stack.
+MOST_CELL_UNITS = 512
 # Within these limits no float32 weights give a sum beyond float64, and no finite observation gives
 # a NaN.
 MOST_LAYERS = 6
@@ -95,6 +102,13 @@ def pretrained() -> dict[str, Path]:
     return found
 
 
+class Act(Protocol):
+    """A function from observations to actions, of `Policy.start`."""
+
+    def __call__(self, observations: np.ndarray, starts: np.ndarray | None = None) -> np.ndarray:
+        """The actions; the memory of the episodes that start is cleared before."""
+
+
 @dataclass(frozen=True, eq=False)
 class Policy:
     """A trained, deterministic policy: `policy(observation)` returns the action.
@@ -105,7 +119,8 @@ class Policy:
         name: name in messages and tables.
         algorithm: training algorithm: "ppo", "sac", "td3", "tqc", "dagger".
         layers: weights (outputs, inputs) and biases (outputs,) of each layer, float32; the last has
-            one output.
+            one output. In a recurrent policy these are the layers before the cell, if any, each
+            with the activation.
         activation: activation of the hidden layers, "tanh" or "relu".
         squashing: function that limits the output to [-1, 1], "clip" or "tanh".
         mean: mean of the inputs, which are the entries of the observation, in training, shape
@@ -118,6 +133,9 @@ class Policy:
             policy's task.
         training_seed: seed of the training run.
         revision: git revision of the training code.
+        cell: the recurrent cell; None for a policy without a memory.
+        head: the layers after the cell; the last has one output. The first reads the output of the
+            cell, and may read the normalised inputs after it.
         entries: number of entries of an observation.
 
     Raises:
@@ -138,6 +156,8 @@ class Policy:
     env_kwargs: dict[str, Any]
     training_seed: int
     revision: str
+    cell: Cell | None = field(default=None, repr=False)
+    head: tuple[Layer, ...] = field(default=(), repr=False)
     entries: int = field(init=False)
     _network: np.ndarray = field(init=False, repr=False)
 
@@ -147,9 +167,11 @@ class Policy:
         object.__setattr__(self, "entries", len(entries_of(options)))
         self._check_arrays()
         network = pack(
-            self.layers,
+            self.layers if self.cell else (),
             self.mean,
             1.0 / np.sqrt(self.variance + self.epsilon),
+            cell=self.cell,
+            head=self.head if self.cell else self.layers,
             relu=self.activation == "relu",
             tanh_squashing=self.squashing == "tanh",
             clip=self.clip,
@@ -193,19 +215,40 @@ class Policy:
         for name in ("mean", "variance"):
             array = getattr(self, name)
             _check_array(f"inputs.{name}", array, np.float64, (self.entries,), accepted)
-        count = len(self.layers)
-        require(1 <= count <= MOST_LAYERS, "layers", f"1 to {MOST_LAYERS} layers", count)
-        accepted = f"with 1 to {MOST_UNITS} units in a layer, and one in the last"
-        width = self.entries
-        for n, (weights, bias) in enumerate(self.layers, 1):
-            units = 1 if n == count else min(max(1, bias.size), MOST_UNITS)
-            layer = f"layers.{n - 1}"
-            _check_array(f"{layer}.bias", bias, np.float32, (units,), accepted)
-            _check_array(f"{layer}.weight", weights, np.float32, (units, width), accepted)
-            width = units
+        if self.cell is None:
+            require(not self.head, "head", "empty without a cell", len(self.head))
+            self._check_layers("layers", self.layers, self.entries, last=True)
+        else:
+            width = self._check_layers("layers", self.layers, self.entries, last=False)
+            width = _check_cell(self.cell, width)
+            if self.head and self.head[0][0].shape[1:] == (width + self.entries,):
+                width += self.entries
+            self._check_layers("head", self.head, width, last=True)
         divisible = self.variance + self.epsilon >= SMALLEST_VARIANCE
         fits = bool((divisible & (self.variance >= 0.0)).all())
         require(fits, "inputs.variance", ">= 0, and with epsilon > 0", self.variance)
+
+    def _check_layers(self, name: str, layers: Sequence[Layer], width: int, *, last: bool) -> int:
+        """Checks layers after `width` values, and returns how many values they put out."""
+        least = 1 if last else 0
+        most = MOST_LAYERS if self.cell is None else MOST_LAYERS // 2
+        count = len(layers)
+        require(least <= count <= most, name, f"{least} to {most} layers", count)
+        accepted = f"with 1 to {MOST_UNITS} units in a layer"
+        if last:
+            accepted += ", and one in the last"
+        for n, (weights, bias) in enumerate(layers):
+            ends = last and n == count - 1
+            units = 1 if ends else min(max(1, bias.size), MOST_UNITS)
+            _check_array(f"{name}.{n}.bias", bias, np.float32, (units,), accepted)
+            _check_array(f"{name}.{n}.weight", weights, np.float32, (units, width), accepted)
+            width = units
+        return width
+
+    @property
+    def memory_size(self) -> int:
+        """Numbers in the memory of an episode; 0 for a policy without a memory."""
+        return self.cell.memory_size if self.cell else 0
 
     @property
     def description(self) -> str:
@@ -230,8 +273,18 @@ class Policy:
             Float32, shape (1,) or (n, 1).
 
         Raises:
+            TypeError: if the policy is recurrent: `start` gives every episode a memory.
             ValueError: if the observation has another shape or is not finite.
         """
+        if self.cell is not None:
+            raise TypeError(
+                f"policy must be called as act = policy.start(seeds) and act(observations), which "
+                f"keeps a memory for every episode, got a call of the recurrent {self.name!r}"
+            )
+        return self._act(observation, None)
+
+    def _act(self, observation: np.ndarray, memory: np.ndarray | None) -> np.ndarray:
+        """The actions for observations; renews the memory, shape (n, memory_size), of a batch."""
         try:
             array = np.require(observation, np.float32, ["C", "A"])
         except (TypeError, ValueError, OverflowError) as error:
@@ -242,30 +295,69 @@ class Policy:
             accepted = f"finite and of shape ({self.entries},) or (n, {self.entries})"
             raise ValueError(f"observation must be {accepted}, got {short_repr(observation)}")
         rows = array.reshape(-1, self.entries)
+        if memory is not None and len(rows) != len(memory):
+            accepted = f"one row for each of {len(memory)} episodes"
+            raise ValueError(f"observations must have {accepted}, got {len(rows)} rows")
         actions = np.empty((len(rows), 1), np.float32)
         # Threads may share the network.
-        call("act", self._network, rows, len(rows), actions)
+        kept = 0 if memory is None else memory
+        native.call("act", self._network, rows, kept, len(rows), actions)
         return actions if array.ndim == 2 else actions[0]
 
-    def start(self, seeds: Sequence[int]) -> Callable[[np.ndarray], np.ndarray]:
+    def start(self, seeds: Sequence[int]) -> Act:
         """Begins a batch of episodes, one per seed, as for scripted policies.
 
-        A trained policy draws no random numbers.
+        A trained policy draws no random numbers. A recurrent one keeps a memory for every episode.
 
         Returns:
             The function from observations (episodes, entries) to actions (episodes, 1), or from
-            (entries,) of a single episode to (1,). Call it once per step. It raises the same
-            ValueError as the policy.
+            (entries,) of a single episode to (1,). Call it once per step. Its optional argument
+            `starts`, bool of shape (episodes,), says which episodes begin with this step: their
+            memory is cleared. It is not needed where all episodes begin together, with the first
+            call. It raises the same ValueError as the policy.
         """
+        memory = native.aligned_zeros((len(seeds), self.memory_size))
 
-        def act(observations: np.ndarray) -> np.ndarray:
-            actions = self(observations)
-            if actions.size != len(seeds):
-                accepted = f"one row for each of {len(seeds)} episodes"
-                raise ValueError(f"observations must have {accepted}, got {actions.size} rows")
-            return actions
+        def act(observations: np.ndarray, starts: np.ndarray | None = None) -> np.ndarray:
+            if starts is not None:
+                _clear(memory, starts)
+            return self._act(observations, memory)
 
         return act
+
+    def predict(
+        self,
+        observation: np.ndarray,
+        state: tuple[np.ndarray, ...] | None = None,
+        episode_start: np.ndarray | None = None,
+        deterministic: bool = True,
+    ) -> tuple[np.ndarray, tuple[np.ndarray, ...] | None]:
+        """The actions in the convention of Stable-Baselines3, as `evaluate_policy` calls it.
+
+        Args:
+            observation: shape (entries,) or (n, entries).
+            state: the second result of the last call; None starts every episode.
+            episode_start: which episodes begin with this step, bool, shape (n,).
+            deterministic: must be True.
+
+        Returns:
+            The actions, float32, shape (1,) or (n, 1), and the memory of a recurrent policy.
+
+        Raises:
+            ValueError: as for a call of the policy; or if `deterministic` is False.
+        """
+        require(bool(deterministic), "deterministic", "True", deterministic)
+        if self.cell is None:
+            return self(observation), None
+        episodes = len(np.atleast_2d(observation))
+        memory = native.aligned_zeros((episodes, self.memory_size))
+        if state is not None:
+            fits = len(state) == 1 and np.shape(state[0]) == memory.shape
+            require(fits, "state", f"None or a tuple of an array of shape {memory.shape}", state)
+            memory[:] = state[0]
+        if episode_start is not None:
+            _clear(memory, episode_start)
+        return self._act(observation, memory), (memory,)
 
     def save(self, path: str | Path) -> None:
         """Writes the policy file atomically. The same policy gives the same bytes."""
@@ -273,7 +365,15 @@ class Policy:
         for n, (weights, bias) in enumerate(self.layers):
             tensors[f"layers.{n}.weight"] = weights
             tensors[f"layers.{n}.bias"] = bias
-        metadata = {"format": FORMAT, "format_version": FORMAT_VERSION}
+        if self.cell:
+            for name, array in self.cell._asdict().items():
+                tensors[f"cell.{name}"] = array
+        for n, (weights, bias) in enumerate(self.head):
+            tensors[f"head.{n}.weight"] = weights
+            tensors[f"head.{n}.bias"] = bias
+        # Versions of this package without recurrent policies read the files of all others.
+        version = RECURRENT_VERSION if self.cell else FORMAT_VERSION
+        metadata = {"format": FORMAT, "format_version": version}
         for name in TEXTS:
             metadata[name] = getattr(self, name)
         values = vars(self) | {"clip": float(self.clip), "epsilon": float(self.epsilon)}
@@ -377,23 +477,54 @@ def _check_array(
     require(bool(np.isfinite(array).all()), name, "finite", array)
 
 
+def _check_cell(cell: Cell, width: int) -> int:
+    """Checks a cell that reads `width` values, and returns the number of its units."""
+    shape = cell.weight_hh.shape
+    units = shape[1] if len(shape) == 2 else 0
+    accepted = f"of 1 to {MOST_CELL_UNITS} units"
+    require(1 <= units <= MOST_CELL_UNITS, "cell.weight_hh", accepted, shape)
+    sizes = [gates * units for gates in CELLS]
+    size = shape[0] if shape[0] in sizes else sizes[0]
+    accepted = "with 3 gates for a GRU or 4 for an LSTM"
+    _check_array("cell.weight_hh", cell.weight_hh, np.float32, (size, units), accepted)
+    _check_array("cell.weight_ih", cell.weight_ih, np.float32, (size, width), accepted)
+    _check_array("cell.bias_ih", cell.bias_ih, np.float32, (size,), accepted)
+    _check_array("cell.bias_hh", cell.bias_hh, np.float32, (size,), accepted)
+    return units
+
+
+def _clear(memory: np.ndarray, starts: np.ndarray) -> None:
+    """Clears the memory of the episodes that begin."""
+    begins = np.asarray(starts)
+    fits = begins.dtype == bool and begins.shape == (len(memory),)
+    require(fits, "starts", f"an array of bool of shape ({len(memory)},)", starts)
+    memory[begins] = 0.0
+
+
+def _layer_names(part: str, names: set[str]) -> list[tuple[str, str]]:
+    """The names of the weights and biases of a part's layers, as many as there are weights."""
+    count = sum(name.startswith(f"{part}.") and name.endswith(".weight") for name in names)
+    count = min(count, MOST_LAYERS + 1)
+    return [(f"{part}.{n}.weight", f"{part}.{n}.bias") for n in range(count)]
+
+
 def _read(name: str, path: Path) -> Policy:
     """The policy in a file that is not too large."""
     with safe_open(path, framework="numpy") as file:
         metadata: dict[str, str] = file.metadata() or {}
-        known = (FORMAT, FORMAT_VERSION)
+        known = [(FORMAT, FORMAT_VERSION), (FORMAT, RECURRENT_VERSION)]
         found = (metadata.get("format"), metadata.get("format_version"))
-        require(found == known, "its format and format_version", str(known), found)
+        require(found in known, "its format and format_version", f"one of {known}", found)
         # Inputs and outputs that no policy has any more.
         former = {"output": "action", "told_energy_weight": "false", "identifies": "false"}
         for key, only in former.items():
             given = metadata.get(key, only)
             require(given == only, key, f"{only!r} in its metadata", given)
         names = set(file.keys())
-        count = sum(tensor.endswith(".weight") for tensor in names)
-        count = min(count, MOST_LAYERS + 1)
-        layers = [(f"layers.{n}.weight", f"layers.{n}.bias") for n in range(count)]
-        expected = {"inputs.mean", "inputs.variance"}.union(*layers)
+        layers = _layer_names("layers", names)
+        head = _layer_names("head", names)
+        cell = [f"cell.{each}" for each in Cell._fields] if found == known[1] else []
+        expected = {"inputs.mean", "inputs.variance"}.union(*layers, *head, cell)
         if names != expected:
             wanted = f"it must contain the tensors {sorted(expected)}"
             raise ValueError(f"{wanted}, got {short_repr(sorted(names))}")
@@ -409,6 +540,8 @@ def _read(name: str, path: Path) -> Policy:
     return Policy(
         name=name,
         layers=tuple((arrays[weights], arrays[bias]) for weights, bias in layers),
+        cell=Cell(*(arrays[tensor] for tensor in cell)) if cell else None,
+        head=tuple((arrays[weights], arrays[bias]) for weights, bias in head),
         mean=arrays["inputs.mean"],
         variance=arrays["inputs.variance"],
         **values,

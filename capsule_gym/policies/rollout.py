@@ -33,8 +33,11 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
         got = f"{policy.name!r}, which takes {policy.entries}"
         raise ValueError(f"policy must take {accepted}, got {got}")
 
+    memory = native.aligned_zeros((simulation.num_envs, policy.memory_size))
+
     def run_episodes(first: int, last: int) -> int:
-        return native.call("run_episodes", simulation._fields, first, last, steps, policy._network)
+        batch = simulation._fields
+        return native.call("run_episodes", batch, first, last, steps, policy._network, memory)
 
     simulation._everyone = False
     simulation.run(run_episodes)

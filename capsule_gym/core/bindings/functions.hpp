@@ -140,7 +140,8 @@ inline void platform_motion(const double* angle, const double* velocity, const d
 // ends, without Python between the steps, and returns as `advance`.
 template <int N>
 long long run_episodes(const Batch& batch, long long first, long long last, long long steps,
-                       const double* network) {
+                       const double* network, double* memory) {
+  const int size = memory_size(*(const Header*)network);
   for (long long at = first; at < last; at += N) {
     auto& block = block_of<N>(batch, at);
     int n = last - at < N ? (int)(last - at) : N;
@@ -154,7 +155,7 @@ long long run_episodes(const Batch& batch, long long first, long long last, long
         going += active;
       }
       float actions[N];
-      act(network, batch.observations + at * batch.layout->entries, n, actions);
+      act(network, batch.observations + at * batch.layout->entries, memory + at * size, n, actions);
       for (int j = 0; j < n; j++) block.action[j] = actions[j];
       long long broken = advance(batch, at, at + n, false);
       if (broken >= 0) return broken;

@@ -14,9 +14,9 @@ static void metrics_any(const Batch& batch, const long long* rows, long long cou
                                                                    out);
 }
 static long long run_any(const Batch& batch, long long first, long long last, long long steps,
-                         const double* network) {
-  return (batch.lanes == 1 ? run_episodes<1> : run_episodes<LANES>)(batch, first, last, steps,
-                                                                    network);
+                         const double* network, double* memory) {
+  auto run = batch.lanes == 1 ? run_episodes<1> : run_episodes<LANES>;
+  return run(batch, first, last, steps, network, memory);
 }
 static long long trajectory_any(const double* values, const double* partials, long long n,
                                 long long steps, double h, double* states, double* slopes) {

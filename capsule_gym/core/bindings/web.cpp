@@ -93,9 +93,10 @@ EXPORT(metrics) void metrics(double horizon, double* out) {
   web::episode_metrics<1>(batch, batch.rows, 1, horizon, out);
 }
 
-// The action of a trained policy for the observation.
-EXPORT(act) double act(const double* network) {
+// The action of a trained policy for the observation; renews the memory of a recurrent one, which
+// is zeros at the start of an episode.
+EXPORT(act) double act(const double* network, double* memory) {
   float action;
-  web::act_together<double, 1>(network, batch.observations, &action);
+  web::act_together<double, 1>(network, batch.observations, memory, &action);
   return action;
 }
