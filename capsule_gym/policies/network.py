@@ -58,33 +58,38 @@ def pack(
     mean: np.ndarray,
     scale: np.ndarray,
     *,
-    cell: Cell | None,
-    head: Sequence[Layer],
     relu: bool,
     tanh_squashing: bool,
     clip: float,
+    cell: Cell | None = None,
+    head: Sequence[Layer] = (),
 ) -> np.ndarray:
     """A network in one array, as `act_together` in `core/network.hpp` takes it.
 
     Args:
-        layers: weights (outputs, inputs) and biases (outputs,) of each layer before the cell, in
-            order.
+        layers: weights (outputs, inputs) and biases (outputs,) of each layer, in order, the last
+            with one output; or those before the cell.
         mean: subtracted from the inputs, shape (inputs,).
         scale: factors of the differences, shape (inputs,).
-        cell: the recurrent cell, if any.
-        head: weights and biases of each layer after the cell, or without a cell of all layers; the
-            last has one output. The first may read the inputs after the output of the cell.
         relu: whether the activation of the hidden layers is max(0, .), else it is tanh.
         tanh_squashing: whether tanh brings the output to [-1, 1], else it is clipped.
         clip: largest size of a scaled input.
+        cell: the recurrent cell, if any.
+        head: the layers after the cell, the last with one output. The first may read the scaled
+            inputs after the output of the cell.
 
     Returns:
         Float64, aligned to 64 bytes: the header, the widths, mean, scale, and each layer's biases
         and weights.
     """
-    units = cell.units if cell else 0
-    gates = cell.gates if cell else 0
-    skip = cell is not None and head[0][0].shape[1] > units
+    gates = units = skip = 0
+    if cell:
+        gates = cell.gates
+        units = cell.units
+        skip = head[0][0].shape[1] > units
+    else:
+        head = layers
+        layers = ()
     header = [len(layers), len(head), relu, tanh_squashing, clip, gates, units, skip]
     widths = [len(mean), *(len(bias) for _, bias in (*layers, *head))]
     parts = [np.array(header, np.float64), np.array(widths), mean, scale]

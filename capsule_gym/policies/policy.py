@@ -167,11 +167,11 @@ class Policy:
         object.__setattr__(self, "entries", len(entries_of(options)))
         self._check_arrays()
         network = pack(
-            self.layers if self.cell else (),
+            self.layers,
             self.mean,
             1.0 / np.sqrt(self.variance + self.epsilon),
             cell=self.cell,
-            head=self.head if self.cell else self.layers,
+            head=self.head,
             relu=self.activation == "relu",
             tanh_squashing=self.squashing == "tanh",
             clip=self.clip,

@@ -22,7 +22,7 @@ def make_layers(widths, seed=0):
 
 def act(packed, observations):
     actions = np.empty((len(observations), 1), np.float32)
-    native.call("act", packed, observations, len(observations), actions)
+    native.call("act", packed, observations, 0, len(observations), actions)
     return actions
 
 
