@@ -25,12 +25,12 @@ from agents.distillation.config import Student
 from agents.distillation.dataset import Dataset, collect
 from agents.training.checkpoint import git_revision
 from agents.training.config import CONFIG
-from agents.training.export import weights_and_biases
 from baselines.dynamic_programming.policy import NUM_TORQUES
 from capsule_gym import Policy
 from capsule_gym.evaluation.episodes import evaluate, scores, validation_set
 from capsule_gym.evaluation.sets import EvaluationSet
 from capsule_gym.files import to_json, write_atomically
+from capsule_gym.policies.conversion import read_modules
 from capsule_gym.policies.policy import IMITATION, POLICY
 from capsule_gym.tasks.task import CONTROL_DT
 
@@ -124,9 +124,7 @@ class Network:
         return Policy(
             name=name,
             algorithm=IMITATION,
-            layers=weights_and_biases(self._module),
-            activation="tanh",
-            squashing="tanh",
+            **read_modules(self._module),
             mean=self._mean,
             variance=self._variance,
             clip=CLIP,

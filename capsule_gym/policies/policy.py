@@ -21,6 +21,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
 from functools import lru_cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -43,6 +44,15 @@ from capsule_gym.core import native
 from capsule_gym.envs.config import EnvConfig
 from capsule_gym.envs.contract import entries_of
 from capsule_gym.files import write_atomically
+from capsule_gym.policies.conversion import (
+    LARGEST_CLIP,
+    NO_ARGUMENTS,
+    leaves,
+    read_agent,
+    read_env_kwargs,
+    read_modules,
+    without_normalisation,
+)
 from capsule_gym.policies.network import CELLS, Cell, Layer, pack
 
 POLICY = "policy.safetensors"
@@ -64,13 +74,12 @@ MOST_CELL_UNITS = 512
 # a NaN.
 MOST_LAYERS = 6
 MOST_UNITS = 1024
-LARGEST_CLIP = 1e6
 SMALLEST_VARIANCE = 1e-300
+# The first bytes of an archive.
+ZIP = b"PK\3\4"
 # Largest file that is read, bytes: larger than any file within the limits above, many times larger
 # than usual.
 LARGEST_FILE = 32 * 2**20
-# The options of the environment that change the task of a policy, which observes an array.
-NO_ARGUMENTS = ("threads", "render_mode", "goal_env")
 ENV_ARGUMENTS = tuple(each.name for each in fields(EnvConfig) if each.name not in NO_ARGUMENTS)
 
 
@@ -177,6 +186,86 @@ class Policy:
             clip=self.clip,
         )
         object.__setattr__(self, "_network", network)
+
+    @classmethod
+    def from_torch(
+        cls,
+        module: Any,
+        *,
+        env_kwargs: dict[str, Any] | None = None,
+        activation: str | None = None,
+        squashing: str | None = None,
+        mean: np.ndarray | None = None,
+        variance: np.ndarray | None = None,
+        name: str = "torch",
+    ) -> "Policy":
+        """Makes a policy of a network of torch.
+
+        The network consists of linear layers, Tanh or ReLU after each hidden one, and at most one
+        GRU or LSTM of one layer, registered in the order in which they are applied. Dropout,
+        Flatten and Identity are left out. The first layer after the GRU or LSTM may read the
+        normalised observation after its output.
+
+        Args:
+            module: a `torch.nn.Module`. Its `forward` is not called.
+            env_kwargs: arguments of the environment, for `gym.make`.
+            activation: activation of all hidden layers, "tanh" or "relu", where `forward` applies
+                functions instead of modules.
+            squashing: function that limits the output to [-1, 1], "clip" or "tanh"; None takes
+                "tanh" if the network ends with it, else "clip".
+            mean: mean of the observation's entries, which is subtracted; None for 0.
+            variance: their variance, by whose root they are divided; None for 1.
+            name: name in messages and tables.
+
+        Raises:
+            ValueError: if a module is of another kind, or the shapes do not fit.
+        """
+        found = read_modules(leaves(module), activation)
+        if squashing is not None:
+            found["squashing"] = squashing
+        entries = len(entries_of(EnvConfig(**(env_kwargs or {}))))
+        found |= without_normalisation(entries)
+        if mean is not None:
+            found["mean"] = np.array(mean, np.float64)
+        if variance is not None:
+            found["variance"] = np.array(variance, np.float64)
+        return cls(
+            name=name,
+            algorithm="torch",
+            env_kwargs=env_kwargs or {},
+            training_seed=0,
+            revision="unknown",
+            **found,
+        )
+
+    @classmethod
+    def from_sb3(cls, model: Any, env: Any = None, *, name: str | None = None) -> "Policy":
+        """Makes a policy of an agent of Stable-Baselines3 or sb3-contrib, which acts as its mean.
+
+        Args:
+            model: an agent of PPO, A2C, SAC, TD3, DDPG or TQC with "MlpPolicy", or of RecurrentPPO
+                with "MlpLstmPolicy".
+            env: the environment of the training, with its `VecNormalize`, if any; None takes the
+                model's own.
+            name: name in messages and tables; None takes the algorithm's.
+
+        Raises:
+            TypeError: if the model is another one, or `env` is no environment of this package.
+            ValueError: if the network is of another kind, or a wrapper changes observations or
+                actions.
+        """
+        found = read_agent(model, env)
+        env = model.get_env() if env is None else env
+        require(env is not None, "env", "the environment of the training", env)
+        algorithm = type(model).__name__.lower()
+        return cls(
+            name=name or algorithm,
+            algorithm=algorithm,
+            env_kwargs=read_env_kwargs(env),
+            training_seed=model.seed or 0,
+            revision=f"stable-baselines3 {version('stable-baselines3')}",
+            **found,
+        )
 
     def _check_words_and_numbers(self) -> None:
         for name, choices in CHOICES.items():
@@ -372,8 +461,8 @@ class Policy:
             tensors[f"head.{n}.weight"] = weights
             tensors[f"head.{n}.bias"] = bias
         # Versions of this package without recurrent policies read the files of all others.
-        version = RECURRENT_VERSION if self.cell else FORMAT_VERSION
-        metadata = {"format": FORMAT, "format_version": version}
+        number = RECURRENT_VERSION if self.cell else FORMAT_VERSION
+        metadata = {"format": FORMAT, "format_version": number}
         for name in TEXTS:
             metadata[name] = getattr(self, name)
         values = vars(self) | {"clip": float(self.clip), "epsilon": float(self.epsilon)}
@@ -434,6 +523,13 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
     if size > LARGEST_FILE:
         limit = f"it must have at most {LARGEST_FILE} bytes, got {size}"
         raise ValueError(f"{path} is not a policy file: {limit}")
+    with open(path, "rb") as file:
+        if file.read(len(ZIP)) == ZIP:
+            raise ValueError(
+                f"{path} is no policy file, but an archive such as Stable-Baselines3's: "
+                "Policy.from_sb3(PPO.load(..), env).save(..), with the agent's class and its "
+                "environment, makes a policy file of it"
+            )
     try:
         policy = _read(name, path)
     except (SafetensorError, ValueError, TypeError, RecursionError, OverflowError) as error:

@@ -330,7 +330,7 @@ def test_a_file_with_other_tensors_is_refused_by_name(tensors, message, tmp_path
 @pytest.mark.parametrize(
     ("name", "word", "message"),
     [
-        ("format", "pt", "got ('pt', '2') ('pt', '2')"),
+        ("format", "pt", "got ('pt', '2')"),
         ("output", "torque", "output must be 'action' in its metadata, got 'torque'"),
         (
             "told_energy_weight",
