@@ -22,8 +22,6 @@ from tests import ROOT
 
 POSITIVE = ("M", "m", "l", "g", "backward_ratio")
 NON_NEGATIVE = ("k", "c", "mu", "viscous", "motor_friction")
-
-
 LOWEST = dict.fromkeys(POSITIVE, 1e-12) | dict.fromkeys(NON_NEGATIVE, 0.0) | {"static_ratio": 1.0}
 BELOW = {0.0: -5e-324, 1e-12: 9e-13, 1.0: 0.999}
 EACH_CONSTANT = pytest.mark.parametrize("field", LOWEST)
