@@ -107,7 +107,7 @@ def test_a_recording_is_the_episode(amplitude):
 
 
 def recording(seconds):
-    t = np.arange(0.0, seconds + 1e-9, 0.02)
+    t = np.arange(0.0, seconds + 1e-9, 0.5)
     return {"t": t, "x": 0.1 + 0.02 * t, "theta": np.sin(t), "torque": np.cos(t)}
 
 
