@@ -57,12 +57,12 @@ CONFIG = small("residual", "ppo", total_steps=768, evaluate_every=256)
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """A run whose first evaluation has the best score."""
+    """A run in a new folder, whose first evaluation has the best score."""
     falling = itertools.count(0, -1)
     torch.set_num_threads(2)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Criteria, "score", lambda *_: next(falling))
-        return finished(tmp_path_factory.mktemp("runs") / "run", CONFIG)
+        return finished(tmp_path_factory.mktemp("runs") / "new" / "run", CONFIG)
 
 
 @pytest.fixture(scope="module")
