@@ -10,7 +10,7 @@ from agents.distillation import __main__ as command
 from agents.distillation import dagger
 from agents.distillation.config import STUDENTS
 from agents.distillation.dagger import Network, interpolated_regret
-from agents.distillation.dataset import collect
+from agents.distillation.dataset import _plant_changes, collect
 from agents.training.signals import INTERRUPTED
 from baselines.dynamic_programming.policy import NUM_TORQUES, TORQUES
 from capsule_gym import load_policy
@@ -111,6 +111,15 @@ def test_a_student_observes_the_estimates():
     first, last = inputs[:4], inputs[-4:]
     assert (first[:, ESTIMATES] == first[0, ESTIMATES]).all()
     assert (last[:, M_DEVIATION] < 0.2 * first[:, M_DEVIATION]).all()
+
+
+def test_plants_change_at_the_rate_of_the_student_within_an_episode():
+    student = dataclasses.replace(STUDENT, num_envs=200)
+    seconds = student.steps * CONTROL_DT
+    changes = _plant_changes(student, np.random.default_rng(0))["changes"]
+    times = np.concatenate([[change["t"] for change in episode] for episode in changes])
+    assert times.max() < seconds
+    assert len(times) / len(changes) == pytest.approx(student.change_rate * seconds, rel=0.1)
 
 
 def test_a_policy_is_the_network_of_normalised_inputs(dataset):
