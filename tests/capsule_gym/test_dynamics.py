@@ -27,7 +27,7 @@ def random_states(seed, count=2000):
 
 
 @pytest.fixture(scope="module")
-def accelerated():
+def drawn():
     """Random plants, each with 100 states in all phases of contact, and their accelerations."""
     rng = np.random.default_rng(1)
     ranges = {
@@ -40,74 +40,69 @@ def accelerated():
         "static_ratio": (1.0, 1.5),
         "backward_ratio": (0.5, 2.0),
     }
-    found = []
+    cases = []
     for _ in range(60):
-        normal_force = rng.choice(["newton", "paper"]).item()
-        constants = {name: rng.uniform(*ends) for name, ends in ranges.items()}
-        capsule = Capsule(**constants, normal_force=normal_force)
-        theta = rng.uniform(-3, 3, 100)
-        theta_dot = rng.uniform(-12, 12, 100)
-        u = rng.uniform(-2, 2, 100)
-        slip = rng.integers(-1, 2, 100).astype(float)
-        motion = accelerations(theta, theta_dot, 0.0, slip, u, capsule.plant())
-        inertia = capsule.l * np.abs(motion.theta_ddot) + np.abs(motion.x_ddot) + theta_dot**2
-        pivot = capsule.k * theta + capsule.c * theta_dot
-        scale = np.abs(u) + capsule.m * capsule.l * (capsule.g + inertia)
-        scale += np.abs(pivot) + (capsule.M + capsule.m) * capsule.g
-        state = {"theta": theta, "theta_dot": theta_dot, "u": u, "slip": slip, "pivot": pivot}
-        found.append(SimpleNamespace(capsule=capsule, scale=scale, **state, **motion._asdict()))
-    return found
+        kind = rng.choice(["newton", "paper"]).item()
+        case = {name: rng.uniform(*ends) for name, ends in ranges.items()}
+        p = Capsule(**case, normal_force=kind).plant()
+        state = {
+            "theta": rng.uniform(-3, 3, 100),
+            "theta_dot": rng.uniform(-12, 12, 100),
+            "u": rng.uniform(-2, 2, 100),
+            "slip": rng.integers(-1, 2, 100).astype(float),
+        }
+        motion = accelerations(**state, x_dot=0.0, plant=p)
+        case |= state | motion._asdict() | {"g": p.g, "paper": kind == "paper"}
+        case["friction"] = friction_force(state["slip"], 0.0, motion.normal_force, p)
+        case["pivot"] = p.k * state["theta"] + p.c * state["theta_dot"]
+        cases.append({name: np.broadcast_to(value, 100) for name, value in case.items()})
+    return SimpleNamespace(**{name: np.array([case[name] for case in cases]) for name in cases[0]})
 
 
-def test_accelerations_satisfy_the_first_row_of_equation_1(accelerated):
-    for each in accelerated:
-        m, l, g = each.capsule.m, each.capsule.l, each.capsule.g
-        platform = m * l * np.cos(each.theta) * each.x_ddot
-        gravity = m * g * l * np.sin(each.theta)
-        residual = m * l**2 * each.theta_ddot - platform - gravity + each.pivot - each.u
-        assert (np.abs(residual) < 1e-13 * each.scale).all()
+def terms(drawn):
+    """The size of the terms of Eq. (1), which bounds rounding errors."""
+    inertia = drawn.l * np.abs(drawn.theta_ddot) + np.abs(drawn.x_ddot) + drawn.theta_dot**2
+    weight = (drawn.M + drawn.m) * drawn.g
+    return np.abs(drawn.u) + np.abs(drawn.pivot) + drawn.m * drawn.l * (drawn.g + inertia) + weight
 
 
-def test_accelerations_in_slip_satisfy_the_second_row_of_equation_1(accelerated):
-    for each in accelerated:
-        capsule = each.capsule
-        friction = friction_force(each.slip, 0.0, each.normal_force, capsule.plant())
-        swing = np.cos(each.theta) * each.theta_ddot - np.sin(each.theta) * each.theta_dot**2
-        pull = capsule.m * capsule.l * swing
-        residual = (capsule.M + capsule.m) * each.x_ddot - pull + friction
-        slips = each.slip != 0.0
-        assert (np.abs(residual) < 1e-13 * each.scale)[slips].all()
+def test_accelerations_satisfy_the_first_row_of_equation_1(drawn):
+    platform = drawn.m * drawn.l * np.cos(drawn.theta) * drawn.x_ddot
+    gravity = drawn.m * drawn.g * drawn.l * np.sin(drawn.theta)
+    residual = drawn.m * drawn.l**2 * drawn.theta_ddot - platform - gravity + drawn.pivot - drawn.u
+    assert (np.abs(residual) < 1e-13 * terms(drawn)).all()
 
 
-def test_a_platform_in_stick_does_not_accelerate(accelerated):
-    for each in accelerated:
-        assert not each.x_ddot[each.slip == 0.0].any()
+def test_accelerations_in_slip_satisfy_the_second_row_of_equation_1(drawn):
+    swing = np.cos(drawn.theta) * drawn.theta_ddot - np.sin(drawn.theta) * drawn.theta_dot**2
+    residual = (drawn.M + drawn.m) * drawn.x_ddot - drawn.m * drawn.l * swing + drawn.friction
+    slips = drawn.slip != 0.0
+    assert (np.abs(residual) < 1e-13 * terms(drawn))[slips].all()
 
 
-def test_the_friction_force_is_coulombs(accelerated):
-    for each in accelerated:
-        capsule = each.capsule
-        friction = friction_force(each.slip, 0.0, each.normal_force, capsule.plant())
-        ratio = np.where(each.slip > 0.0, 1.0, capsule.backward_ratio)
-        coulomb = each.slip * capsule.mu * ratio * each.normal_force
-        assert (np.abs(friction - coulomb) <= 1e-15 * np.abs(coulomb)).all()
+def test_a_platform_in_stick_does_not_accelerate(drawn):
+    assert not drawn.x_ddot[drawn.slip == 0.0].any()
 
 
-def test_the_normal_force_is_that_of_newton_or_of_the_paper(accelerated):
-    phases = set()
-    for each in accelerated:
-        capsule = each.capsule
-        sin = np.sin(each.theta)
-        lift = each.theta_ddot * sin + each.theta_dot**2 * np.cos(each.theta)
-        expected = (capsule.M + capsule.m) * capsule.g - capsule.m * capsule.l * lift
-        if capsule.normal_force == "paper":
-            expected = expected - each.pivot * sin  # Eq. (7)
-        lifted = each.normal_force == 0.0
-        error = np.abs(each.normal_force - expected)
-        assert (error < 1e-13 * each.scale)[~lifted].all()
-        assert (expected < 1e-12 * each.scale)[lifted].all()
-        kinds = [capsule.normal_force] * len(lifted)
-        phases |= set(zip(each.slip.tolist(), lifted.tolist(), kinds, strict=True))
+def test_the_friction_force_is_coulombs(drawn):
+    ratio = np.where(drawn.slip > 0.0, 1.0, drawn.backward_ratio)
+    coulomb = drawn.slip * drawn.mu * ratio * drawn.normal_force
+    assert (np.abs(drawn.friction - coulomb) <= 1e-15 * np.abs(coulomb)).all()
+
+
+def test_the_normal_force_is_that_of_newton_or_of_the_paper(drawn):
+    lift = drawn.theta_ddot * np.sin(drawn.theta) + drawn.theta_dot**2 * np.cos(drawn.theta)
+    newton = (drawn.M + drawn.m) * drawn.g - drawn.m * drawn.l * lift
+    expected = newton - np.where(drawn.paper, drawn.pivot * np.sin(drawn.theta), 0.0)  # Eq. (7)
+    lifted = drawn.normal_force == 0.0
+    error = np.abs(drawn.normal_force - expected)
+    assert (error < 1e-13 * terms(drawn))[~lifted].all()
+    assert (expected < 1e-12 * terms(drawn))[lifted].all()
+
+
+def test_the_states_are_in_all_phases_of_contact(drawn):
+    lifted = drawn.normal_force == 0.0
+    phases = set(zip(drawn.slip.flat, lifted.flat, drawn.paper.flat, strict=True))
     assert len(phases) == 12
 
 
