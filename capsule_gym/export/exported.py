@@ -59,7 +59,10 @@ class Exported:
             self.policy = None
             self.controller = find_controller(name_or_path)
             own_task = getattr(self.controller, "task", None) or "speed"
-            self.env_kwargs: dict[str, Any] = {"controller": name_or_path, "task": find_task(own_task).name}
+            self.env_kwargs: dict[str, Any] = {
+                "controller": name_or_path,
+                "task": find_task(own_task).name,
+            }
             self.options = EnvConfig(**self.env_kwargs)
             name = name_or_path.partition(":")[2]
             self.description = f"control law {name_or_path}"
