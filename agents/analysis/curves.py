@@ -32,7 +32,11 @@ def document() -> tuple[dict[str, str], dict[str, Callable[[], Any]]]:
     """Tables and figures of the leaderboard's stored results, without new evaluations."""
     rows = load_rows(ROOT / RESULTS, [candidate.name for candidate in all_candidates()])
     ranking_set = CRITERIA["speed"].ranking_set
-    rows.sort(key=lambda row: (-row.score(ranking_set, SPEED.name).mean(), row.name))
+
+    def order(row: LeaderboardRow) -> tuple[float, str]:
+        return -row.score(ranking_set, SPEED.name).mean(), row.name
+
+    rows.sort(key=order)
     learning = read_learning([row.name for row in rows if row.trained], "speed")
     evaluated = {name: runs for name, runs in learning.items() if runs}
     figures: dict[str, Callable[[], Any]] = {}
@@ -73,8 +77,11 @@ def learning_curve(runs: Learning) -> tuple[np.ndarray, np.ndarray, np.ndarray, 
     """
     (steps,) = {tuple(steps) for steps, _ in runs.values()}
     columns = np.transpose([speeds for _, speeds in runs.values()])
-    found = [estimate(column[:, None]) for column in columns]
-    value, low, high = np.transpose([(each.value, each.low, each.high) for each in found])
+    found = []
+    for column in columns:
+        summary = estimate(column[:, None])
+        found.append((summary.value, summary.low, summary.high))
+    value, low, high = np.transpose(found)
     return np.array(steps), value, low, high
 
 

@@ -125,10 +125,10 @@ def sensitivity(
     steps = int(settings.physics_steps * settings.law_steps)
     states, slopes, ended = simulate(inputs, partials, steps, settings.physics_dt)
     if ended >= 0:
-        begin, end = ended * control_dt, (ended + 1) * control_dt
+        times = f"between {ended * control_dt:g} and {(ended + 1) * control_dt:g} s"
         raise ValueError(
             "torques must keep |theta| < pi/2 and the platform on the floor, got an episode that "
-            f"would terminate in torques[{ended}], between {begin:g} and {end:g} s"
+            f"would terminate in torques[{ended}], {times}"
         )
     derivatives = {}
     first = 0

@@ -40,7 +40,8 @@ class Excitation:
     def start(self, seeds: Any = (0,)) -> Callable[[Any], np.ndarray]:
         """The policy of an episode, from observations to actions."""
         generator = np.random.default_rng(self.seed)
-        frequencies = np.exp(generator.uniform(math.log(0.3), math.log(8.0), 16))
+        logarithms = generator.uniform(math.log(0.3), math.log(8.0), 16)
+        frequencies = np.exp(logarithms)
         phases = generator.uniform(0.0, 2.0 * np.pi, 16)
         steps = count()
 

@@ -165,16 +165,18 @@ class Fit:
         readings, _ = self._problem.predict(self._found, slopes=False)
         count = len(sensors)
         figure = Figure(figsize=(11.0, 2.2 * count + 4.5), layout="constrained")
-        grid = figure.add_gridspec(count + 1, 2, height_ratios=[1.0] * count + [2.0])
+        heights = [1.0] * count + [2.0]
+        grid = figure.add_gridspec(count + 1, 2, height_ratios=heights)
         for n, name in enumerate(sensors):
             predicted = readings[:, n, 0]
             left = figure.add_subplot(grid[n, 0])
             left.plot(t, log[name], ".", markersize=2, label="measured")
             left.plot(t, predicted, linewidth=0.8, label="predicted")
-            left.set(ylabel=f"{name} ({UNITS[name]})", xlim=(t[0], t[0] + 5.0))
+            left.set_ylabel(f"{name} ({UNITS[name]})")
+            left.set_xlim(t[0], t[0] + 5.0)
             right = figure.add_subplot(grid[n, 1])
             right.plot(t, log[name] - predicted, ".", markersize=2)
-            right.set(ylabel="residual")
+            right.set_ylabel("residual")
         figure.axes[0].legend(loc="upper right")
         axes = figure.add_subplot(grid[-1, :])
         names = list(self.estimates)

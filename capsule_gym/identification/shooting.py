@@ -217,8 +217,9 @@ class ShootingProblem:
         torque, torque_by_lag = self.motor_torque(values["lag"])
         late, weights = self.interpolation(values["latency"])
         sensed = [STATE.index(name) for name in self.sensors]
+        rows = len(self.log["t"])
         columns = 1 + len(unknowns) * slopes
-        readings = np.full((len(self.log["t"]), len(sensed), columns), np.nan)
+        readings = np.full((rows, len(sensed), columns), np.nan)
         gaps = np.zeros((len(self.segments) - 1, width, columns))
         for n, (first, last) in enumerate(self.segments):
             begin = (first - self.lead) * self.steps
@@ -241,7 +242,8 @@ class ShootingProblem:
             inside[..., filled] = states[:, sensed]
             if slopes and "latency" in self.names:
                 latency = self.names.index("latency")
-                inside[..., 1 + latency] = -speeds[:, sensed] * scale[latency]
+                by_latency = -speeds[:, sensed]
+                inside[..., 1 + latency] = by_latency * scale[latency]
             if n < len(gaps) and self.segments[n + 1][0] == last:
                 met = motion[(last - self.lead) * self.steps - begin]
                 gaps[n][:, filled] = met[self.components]
@@ -278,8 +280,7 @@ class ShootingProblem:
             sizes.append([noise + drift])
         scaled = gaps / (GAP * np.array(sizes))
         white, _ = self.whiten(errors)
-        columns = gaps.shape[2]
-        whole = np.concatenate([white, scaled.reshape(-1, columns)])
+        whole = np.vstack([white, *scaled])
         return whole[:, 0], whole[:, 1:]
 
     def free(self, unknowns: np.ndarray, gradient: np.ndarray) -> np.ndarray:

@@ -57,8 +57,10 @@ def test_the_posterior_is_normal_within_the_ranges(scale, b, mean, covariance):
 
 def test_the_posterior_follows_a_curve_of_lag_and_latency(monkeypatch):
     def residuals(lag, latency, state):
-        r = [50.0 * lag**3 + 100.0 * latency - 60.0, 2.0 * lag - 1.0, 5.0 * state]
-        return np.array(r), np.array([[150.0 * lag**2, 100.0, 0.0], [2.0, 0.0, 0.0], [0, 0, 5.0]])
+        curve = 50.0 * lag**3 + 100.0 * latency - 60.0
+        by_curve = [150.0 * lag**2, 100.0, 0.0]
+        r = np.array([curve, 2.0 * lag - 1.0, 5.0 * state])
+        return r, np.array([by_curve, [2.0, 0.0, 0.0], [0.0, 0.0, 5.0]])
 
     problem = replace_residuals(monkeypatch, "lag", (1e-3, 0.01), residuals)
     samples, found = sample_posterior(problem, np.array([0.9, 0.2, 0.0]))
@@ -67,11 +69,14 @@ def test_the_posterior_follows_a_curve_of_lag_and_latency(monkeypatch):
     grid = np.linspace(0.0, 1.0, 1001)
     density = np.exp(-0.5 * (2.0 * grid - 1.0) ** 2)
     density /= density.sum()
+    variance = density @ (grid - 0.5) ** 2
     assert lags.mean() == pytest.approx(0.5, abs=0.012)
-    assert lags.std() == pytest.approx(math.sqrt(density @ (grid - 0.5) ** 2), rel=0.05)
-    assert latencies.mean() == pytest.approx(density @ (0.6 - 0.5 * grid**3), abs=0.012)
+    assert lags.std() == pytest.approx(math.sqrt(variance), rel=0.05)
+    mean = density @ (0.6 - 0.5 * grid**3)
+    assert latencies.mean() == pytest.approx(mean, abs=0.012)
     # Beside the curve latency is as exact as its reading.
-    assert np.std(latencies - (0.6 - 0.5 * lags**3)) == pytest.approx(0.01, rel=0.1)
+    beside = latencies - (0.6 - 0.5 * lags**3)
+    assert beside.std() == pytest.approx(0.01, rel=0.1)
 
 
 def test_the_posterior_of_a_likelihood_that_jumps_begins_where_it_may_jump(monkeypatch):

@@ -117,7 +117,8 @@ def test_segments_begin_at_readings(seconds, ends):
     # The segments of 12 ms latency begin 2 readings before their first.
     assert problem.lead == 2
     assert problem.segments == list(zip((2, 82, 162, 242, 322), ends, strict=True))
-    expected = np.transpose([0.3 * np.sin(2.0 * T), 0.6 * np.cos(2.0 * T), T])
+    theta, theta_dot = 0.3 * np.sin(2.0 * T), 0.6 * np.cos(2.0 * T)
+    expected = np.transpose([theta, theta_dot, T])
     np.testing.assert_allclose(states, expected[2::80].ravel(), atol=1e-3)
 
 
@@ -135,7 +136,8 @@ def test_errors_are_whitened_by_their_covariance():
         problem.log[name] = np.where(rows, problem.log[name], np.nan)
         covariance = drift**2 * np.exp(-distances / time) + noise**2 * np.eye(ROWS)
         covariance = covariance[np.ix_(rows, rows)]
-        expected.append(np.linalg.solve(np.linalg.cholesky(covariance), errors[rows, n]))
+        factor = np.linalg.cholesky(covariance)
+        expected.append(np.linalg.solve(factor, errors[rows, n]))
         logarithm += np.linalg.slogdet(covariance)[1]
     found, determinant = problem.whiten(errors)
     np.testing.assert_allclose(found, np.concatenate(expected), rtol=1e-8, atol=1e-9)
@@ -161,13 +163,13 @@ def test_the_fit_is_that_of_least_squares():
 
     def residuals(unknowns):
         a, b, state = unknowns
-        r = [30.0 * (a - 1.4) + state**2, 40.0 * (b**2 - 0.25), state - 3.0 * b, b * state - 0.4]
-        return np.array(r)
+        bounded = 30.0 * (a - 1.4) + state**2
+        return np.array([bounded, 40.0 * (b**2 - 0.25), state - 3.0 * b, b * state - 0.4])
 
     def jacobian(unknowns):
         _, b, state = unknowns
-        first = [30.0, 0.0, 2.0 * state]
-        return np.array([first, [0.0, 80.0 * b, 0.0], [0.0, -3.0, 1.0], [0.0, state, b]])
+        rows = [[30.0, 0.0, 2.0 * state], [0.0, 80.0 * b, 0.0]]
+        return np.array([*rows, [0.0, -3.0, 1.0], [0.0, state, b]])
 
     problem = make_small_problem()
     problem.names = ["a", "b"]
@@ -197,7 +199,8 @@ def test_chi2_is_what_past_torques_and_the_motion_explain_of_the_residuals():
 
     def explained(r, rows):
         X = regressors[2:][rows]
-        return r @ X @ np.linalg.lstsq(X, r, rcond=None)[0] / 104.0
+        solution, _, _, _ = np.linalg.lstsq(X, r, rcond=None)
+        return r @ X @ solution / 104.0
 
     of_noise = explained(first, slice(None))
     expected = (of_noise + explained(second, FOURTH_OF_FIVE[2:])) / 2.0
