@@ -155,6 +155,8 @@ def test_curves_of_another_metric_are_logarithmic():
     (axes,) = figure.axes
     assert axes.get_yscale() == "log"
     assert axes.yaxis.get_major_formatter()(20.0) == "20"
+    ticks = axes.yaxis.get_major_locator().tick_values(1.0, 9.0)
+    assert [tick for tick in ticks if 1.0 <= tick < 10.0] == pytest.approx([1.0, 2.0, 3.0, 5.0])
     assert figure.get_supylabel() == "time to the goal (s)"
 
 
