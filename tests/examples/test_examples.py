@@ -27,20 +27,36 @@ EXAMPLES = ROOT / "examples"
 ID = "capsule_gym:CapsuleStickSlip-v0"
 ZOO = "-m rl_zoo3.train --env CapsuleStickSlip-v0 --gym-packages capsule_gym --device cpu -n 4096"
 CURVE = r"2,048 steps: -?\d+\.\d\d cm/s, \d+% failed"
-# The required module, the command, and a pattern of what it prints at its end.
-PROGRAMS = [
-    ("stable_baselines3", "sb3_ppo.py --steps 2048", r"return of an episode: -?\d+\.\d \+- \d"),
-    ("stable_baselines3", "sb3_her.py --steps 6528", r"before: distance .*\nafter: distance"),
-    ("stable_baselines3", "plain_sb3.py --steps 2048 --every 2048 direct", CURVE),
-    ("stable_baselines3", "plain_sb3.py --steps 2048 --every 2048 residual", CURVE),
-    ("rl_zoo3", f"{ZOO} --algo ppo --conf-file {EXAMPLES}/rl_zoo.yml", "Saving to"),
-    ("ray.rllib", "rllib_ppo.py --iterations 2", "steps, mean return -"),
-    ("skrl", "skrl_ppo.py --steps 256", "256/256"),
-    ("tianshou", "tianshou_ppo.py --steps 64", "train_step=20480"),
-    ("torchrl", "torchrl_envs.py", "failures"),
-    ("optuna", "optuna_ppo.py --trials 2 --steps 8192", r"best of 2 trials: a return of -?\d"),
-    ("minari", "offline_data.py --steps 2000", r"mixed: \d+ episodes, \d+ steps, mean return"),
-]
+# By the name of an extra: the required module, the command, and a pattern of what it prints.
+PROGRAMS = {
+    "sb3": (
+        "stable_baselines3",
+        "sb3_ppo.py --steps 2048",
+        r"return of an episode: -?\d+\.\d \+- \d",
+    ),
+    "sb3-her": (
+        "stable_baselines3",
+        "sb3_her.py --steps 6528",
+        r"before: distance .*\nafter: distance",
+    ),
+    "sb3-direct": ("stable_baselines3", "plain_sb3.py --steps 2048 --every 2048 direct", CURVE),
+    "sb3-residual": ("stable_baselines3", "plain_sb3.py --steps 2048 --every 2048 residual", CURVE),
+    "rl-zoo": ("rl_zoo3", f"{ZOO} --algo ppo --conf-file {EXAMPLES}/rl_zoo.yml", "Saving to"),
+    "rllib": ("ray.rllib", "rllib_ppo.py --iterations 2", "steps, mean return -"),
+    "skrl": ("skrl", "skrl_ppo.py --steps 256", "256/256"),
+    "tianshou": ("tianshou", "tianshou_ppo.py --steps 64", "train_step=20480"),
+    "torchrl": ("torchrl", "torchrl_envs.py", "failures"),
+    "optuna": (
+        "optuna",
+        "optuna_ppo.py --trials 2 --steps 8192",
+        r"best of 2 trials: a return of -?\d",
+    ),
+    "minari": (
+        "minari",
+        "offline_data.py --steps 2000",
+        r"mixed: \d+ episodes, \d+ steps, mean return",
+    ),
+}
 # Episodes of 10 steps reach the time limit, of which SAC and TD3 read more; they begin with
 # unseeded random torques.
 SHORT = """
@@ -90,8 +106,9 @@ def run(command, folder):
     return printed
 
 
-@pytest.mark.parametrize(("module", "command", "printed"), PROGRAMS)
-def test_program_runs(module, command, printed, tmp_path):
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_program_runs(name, tmp_path):
+    module, command, printed = PROGRAMS[name]
     if module != "stable_baselines3" and "EXAMPLES" not in os.environ:
         pytest.skip("EXAMPLES is not set")
     pytest.importorskip(module)
