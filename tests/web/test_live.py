@@ -397,6 +397,14 @@ WRONG_CALLS = {
         "RangeError: disturbances.lag must be .* got 2,1",
     'live.load("direct", { disturbances: { lag: [] } })':
         "RangeError: disturbances.lag must be .* got $",
+    'live.load("direct", { disturbances: { x_noise: -1 } })':
+        r"RangeError: disturbances.x_noise must be .* in \[0, .*\], got -1",
+    'live.load("direct", { disturbances: { stick_threshold: -1 } })':
+        r"RangeError: disturbances.stick_threshold must be .* in \[0, .*\], got -1",
+    'live.load("direct", { disturbances: { controls: "none" } })':
+        "RangeError: disturbances.controls must be one of both, law, agent, got none",
+    'live.load("direct", { disturbances: { unmeasured: ["x"] } })':
+        "RangeError: disturbances.unmeasured must be an array out of theta, .*, got x",
     'live.load("direct", { set: "paper", task: "goal" })':
         "RangeError: task must be left out: the set says it",
     'live.drive("pd", { set: "goal", plant: 0 })':
