@@ -108,29 +108,30 @@ INLINE Accelerations accelerate(double theta, double theta_dot, double mu, Phase
 }
 
 // Static friction limit minus load of a platform at rest, and the load.
-INLINE Boundary stick_margin(double theta, double w, Phase p, double* load) {
-  double m = p.pendulum.m, l = p.pendulum.l, g = p.pendulum.g;
-  double k = p.pendulum.k, c = p.pendulum.c;
+INLINE double stick_margin(double theta, double w, Phase p, double* rate, double* load) {
+  Pendulum q = p.pendulum;
+  double ml = q.m * q.l;
   double sine, cosine;
   sine_cosine(theta, &sine, &cosine);
   double a = stick_acceleration(theta, w, sine, p);
-  *load = m * l * (cosine * a - sine * w * w);
-  double rough = p.pendulum.static_ratio * kinetic(*load, p);
-  double limit = rough * larger(0.0, (p.M + m) * g - m * l * (a * sine + w * w * cosine));
-  double jerk = (m * l * g * cosine * w - k * w - c * a) / (m * l * l);
-  double load_rate = m * l * (cosine * jerk - 3.0 * sine * w * a - cosine * w * w * w);
-  double limit_rate = -rough * m * l * (sine * jerk + 3.0 * cosine * w * a - sine * w * w * w);
-  double rate = *load > 0.0 ? limit_rate - load_rate : limit_rate + load_rate;
-  return (Boundary){limit - fabs(*load), rate};
+  *load = ml * (cosine * a - sine * w * w);
+  double rough = q.static_ratio * kinetic(*load, p);
+  double limit = rough * larger(0.0, (p.M + q.m) * q.g - ml * (a * sine + w * w * cosine));
+  double jerk = (ml * q.g * cosine * w - q.k * w - q.c * a) / (ml * q.l);
+  double load_rate = ml * (cosine * jerk - 3.0 * sine * w * a - cosine * w * w * w);
+  double limit_rate = -rough * ml * (sine * jerk + 3.0 * cosine * w * a - sine * w * w * w);
+  *rate = *load > 0.0 ? limit_rate - load_rate : limit_rate + load_rate;
+  return limit - fabs(*load);
 }
 
 INLINE double sign_of(double direction) { return direction > 0.0 ? 1.0 : -1.0; }
 
 INLINE double contact_phase(State s, Phase p) {
-  double load;
-  Boundary margin = stick_margin(s.theta, s.theta_dot, p, &load);
-  double rests = margin.value >= 0.0 ? 0.0 : sign_of(load);
-  return s.x_dot == 0.0 ? rests : sign_of(s.x_dot);
+  double rate, load;
+  double margin = stick_margin(s.theta, s.theta_dot, p, &rate, &load);
+  double rests = margin >= 0.0 ? 0.0 : sign_of(load);
+  double backward = s.x_dot < 0.0 ? -1.0 : rests;
+  return s.x_dot > 0.0 ? 1.0 : backward;
 }
 
 // A Runge-Kutta step in one phase from the accelerations a: the state at its end, and the smallest
@@ -197,11 +198,11 @@ INLINE void smooth_substep(Block* b, Settings settings, int first, double h, int
     Boundary before = {p.slip * s.x_dot, p.slip * a.x};
     double after = p.slip * e.x_dot;
     if (may_stick) {
-      double load;
-      Boundary margin = stick_margin(s.theta, s.theta_dot, p, &load);
-      double margin_after = stick_margin(e.theta, e.theta_dot, p, &load).value;
-      before.value = p.slip == 0.0 ? margin.value : before.value;
-      before.rate = p.slip == 0.0 ? margin.rate : before.rate;
+      double rate, rate_after, load;
+      double margin = stick_margin(s.theta, s.theta_dot, p, &rate, &load);
+      double margin_after = stick_margin(e.theta, e.theta_dot, p, &rate_after, &load);
+      before.value = p.slip == 0.0 ? margin : before.value;
+      before.rate = p.slip == 0.0 ? rate : before.rate;
       after = p.slip == 0.0 ? margin_after : after;
     }
     int stopped = (p.slip != 0.0) & (e.x_dot == 0.0);
@@ -231,9 +232,10 @@ typedef struct {
 } Piece;
 
 static Boundary boundary(State s, double x_ddot, const Phase* p) {
-  double load;
-  if (p->slip == 0.0) return stick_margin(s.theta, s.theta_dot, *p, &load);
-  return (Boundary){p->slip * s.x_dot, p->slip * x_ddot};
+  if (p->slip != 0.0) return (Boundary){p->slip * s.x_dot, p->slip * x_ddot};
+  double rate, load;
+  double margin = stick_margin(s.theta, s.theta_dot, *p, &rate, &load);
+  return (Boundary){margin, rate};
 }
 
 static Piece take(const Start* at, double tau) {
@@ -324,7 +326,7 @@ static void step_with_events(Block* b, Settings settings, int j, double h, doubl
   Start at = {.s = state_of(b, j), .p = phase_of(b, settings, j)};
   double left = h;
   double normal = LARGE;
-  double load;
+  double rate, load;
   for (int count = 1; count <= EVENT_LIMIT && left > 0.0; count++) {
     at.first = accelerate(at.s.theta, at.s.theta_dot, kinetic(at.p.slip, at.p), at.p);
     Piece r = take(&at, left);
@@ -338,7 +340,7 @@ static void step_with_events(Block* b, Settings settings, int j, double h, doubl
     if (!(r.tau < left || beyond)) break;
     left -= r.tau;
     if (at.p.slip == 0.0) {
-      stick_margin(at.s.theta, at.s.theta_dot, at.p, &load);
+      stick_margin(at.s.theta, at.s.theta_dot, at.p, &rate, &load);
       at.p.slip = sign_of(load);
     } else {
       at.s.x_dot = 0.0;
