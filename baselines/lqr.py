@@ -1,6 +1,8 @@
 """LQR about a limit cycle of dynamic programming, the policy `lqr`.
 
-`python -m baselines.tuning lqr` designs it. The cycle is one period of `dp-nominal` on the nominal plant, closed by small corrections of its
+`python -m baselines.tuning lqr` designs it.
+
+The cycle is one period of `dp-nominal` on the nominal plant, closed by small corrections of its
 torques. Along it the step of the environment is linearised, and the periodic Riccati equation gives
 a gain for every phase:
 
@@ -67,18 +69,22 @@ def linearise(
         respect to the state, shape (n, 3, 3), and to the torque, shape (n, 3).
     """
     differences = np.diag(DIFFERENCES)
-    offsets = np.concatenate([np.zeros((4, 1)), differences, -differences], axis=1)
+    centre = np.zeros((4, 1))
+    offsets = np.concatenate([centre, differences, -differences], axis=1)
     states = [state]
     distance = 0.0
     derivatives = np.empty((len(torques), 3, 4))
     for n, torque in enumerate(torques):
-        points = np.append(states[-1], torque)[:, None] + offsets
+        point = np.append(states[-1], torque)
+        points = point[:, None] + offsets
         ends, rewards, _ = transitions.step(points[:3], points[3] / TORQUE_LIMIT)
         states.append(ends[:, 0])
         distance += rewards[0]
         _, forwards, backwards = np.split(ends, [1, 5], axis=1)
         derivatives[n] = (forwards - backwards) / (2.0 * DIFFERENCES)
-    return np.array(states), distance, derivatives[..., :3], derivatives[..., 3]
+    A = derivatives[..., :3]
+    B = derivatives[..., 3]
+    return np.array(states), distance, A, B
 
 
 def close_cycle(
@@ -101,8 +107,9 @@ def close_cycle(
         for n in reversed(range(len(torques))):
             by_torque[:, n] = by_state @ B[n]
             by_state = by_state @ A[n]
-        scaled = [(by_state - np.eye(3)) * SCALES, by_torque * TORQUE_SCALE]
-        solution, *_ = np.linalg.lstsq(np.concatenate(scaled, axis=1), -gap, rcond=1e-6)
+        changes = [(by_state - np.eye(3)) * SCALES, by_torque * TORQUE_SCALE]
+        matrix = np.concatenate(changes, axis=1)
+        solution, *_ = np.linalg.lstsq(matrix, -gap, rcond=1e-6)
         correction = DAMPING * solution
         state = state + SCALES * correction[:3]
         corrected = torques + TORQUE_SCALE * correction[3:]
@@ -197,7 +204,8 @@ def start(seeds: Sequence[int], regulator: np.ndarray | None = None) -> Act:
         z = observations[:, :3].T.astype(np.float64)
         near = (phase + offsets) % phases
         a, b, c = (z[..., None] - z_d[:, near]) / SCALES[:, None, None]
-        nearest = (a * a + b * b + c * c).argmin(axis=1)
+        distances = a * a + b * b + c * c
+        nearest = distances.argmin(axis=1)
         phase = np.take_along_axis(near, nearest[:, None], axis=1)
         offsets = SUBPHASES + np.arange(-WINDOW, WINDOW + 1)
         i = phase[:, 0]

@@ -51,9 +51,11 @@ def start(seeds: Sequence[int]) -> Act:
             # A failed step may end in NaN.
             states = np.where(failed, 0.0, states)
             scores = scores + np.where(failed, FAILURE_SCORE, rewards)
-        scores = optimum.add_values(scores.reshape(count, PLANS), states.reshape(3, count, PLANS))
+        ends = states.reshape(3, count, PLANS)
+        scores = optimum.add_values(scores.reshape(count, PLANS), ends)
         best = plans[np.arange(count), scores.argmax(axis=1)]
-        previous = np.append(best[:, 1:], best[:, -1:], axis=1)[:, None]
+        shifted = np.append(best[:, 1:], best[:, -1:], axis=1)
+        previous = shifted[:, None]
         return best[:, :1].astype(np.float32)
 
     return act

@@ -27,8 +27,8 @@ DP_ORACLE = ScriptedPolicy(
     told="nominal plant, M, mu",
 )
 
-# Those of the speed task, and of the other tasks.
-SCRIPTED = {name: each for name, each in LAW_POLICIES.items() if "task" not in each.env_kwargs}
-SCRIPTED |= {each.name: each for each in (LQR, MPC, DP_NOMINAL, DP_ORACLE)}
+# Those of other tasks than the speed task, and of the speed task.
 TASK_SCRIPTED = {name: each for name, each in LAW_POLICIES.items() if "task" in each.env_kwargs}
+SCRIPTED = {name: each for name, each in LAW_POLICIES.items() if name not in TASK_SCRIPTED}
+SCRIPTED |= {each.name: each for each in (LQR, MPC, DP_NOMINAL, DP_ORACLE)}
 ALL_SCRIPTED = SCRIPTED | TASK_SCRIPTED

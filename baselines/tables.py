@@ -21,7 +21,8 @@ def text_table(rows: Rows, *, left: int | None = None) -> str:
     The first `left` columns and the last one, for remarks, are aligned to the left; None aligns all
     columns so.
 
-    >>> print(text_table([["policy", "cm/s", ""], ["adaptive", "1.39", "reference"], ["epc", "11.62", ""]], left=1))
+    >>> rows = [["policy", "cm/s", ""], ["adaptive", "1.39", "reference"], ["epc", "11.62", ""]]
+    >>> print(text_table(rows, left=1))
     policy      cm/s
     --------  ------  ---------
     adaptive    1.39  reference

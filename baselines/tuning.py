@@ -1,6 +1,8 @@
 """Tunes control laws on random plants, and designs the policy `lqr`.
 
-`python -m baselines.tuning pd` tunes a law. A CMA-ES searches the parameters of a law. In each generation all candidates run on the same newly
+`python -m baselines.tuning pd` tunes a law.
+
+A CMA-ES searches the parameters of a law. In each generation all candidates run on the same newly
 drawn plants. At regular intervals the mean of the distribution runs in fixed validation episodes;
 it replaces the parameters on file if it scores better. The seeds of both are far from those of the
 frozen evaluation sets.

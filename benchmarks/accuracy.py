@@ -91,16 +91,18 @@ def rates(
     s = math.sin(theta)
     c = math.cos(theta)
     ratio = min(1.0, max(-1.0, omega))
-    smooth_sign = 35.0 * ratio - 35.0 * ratio**3 + 21.0 * ratio**5 - 5.0 * ratio**7
-    u -= p.motor_friction * smooth_sign / 16.0
+    # 16 times the smooth sign of omega
+    sign = 35.0 * ratio - 35.0 * ratio**3 + 21.0 * ratio**5 - 5.0 * ratio**7
+    u -= p.motor_friction * sign / 16.0
+    mass = p.M + p.m
+    moment = p.m * p.l
     internal = p.k * theta + p.c * omega
-    # theta'' on a platform that does not accelerate
     gravity = p.g * s + p.downhill * c
-    free = (u - internal + p.m * p.l * gravity) / (p.m * p.l**2)
-    weight = (p.M + p.m) * p.g - p.pivot_torque_on_contact * internal * s
-    normal_rest = weight - p.m * p.l * (free * s + omega**2 * c)
-    reaction = p.m * p.l * (free * c - omega**2 * s)
-    load = reaction - (p.M + p.m) * p.downhill - p.viscous * v
+    # theta'' on a platform that does not accelerate
+    free = (u - internal + moment * gravity) / (p.m * p.l**2)
+    weight = mass * p.g - p.pivot_torque_on_contact * internal * s
+    normal_rest = weight - moment * (free * s + omega**2 * c)
+    load = moment * (free * c - omega**2 * s) - mass * p.downhill - p.viscous * v
     if slip == 0.0:
         return free, 0.0, normal_rest
     mu = p.mu if slip > 0.0 else p.mu * p.backward_ratio
@@ -108,7 +110,8 @@ def rates(
     # theta'' = free + cos x'' / l and N = normal_rest - m sin cos x'', so that x'' is the only
     # unknown.
     inertia = p.M + p.m * s**2
-    x_ddot = (load - slip * mu * normal_rest) / (inertia - slip * mu * p.m * s * c)
+    friction = slip * mu
+    x_ddot = (load - friction * normal_rest) / (inertia - friction * p.m * s * c)
     normal = normal_rest - p.m * s * c * x_ddot
     if normal < 0.0:
         x_ddot = load / inertia
@@ -119,8 +122,8 @@ def rates(
 def margins(theta: float, omega: float, u: float, p: Plant) -> tuple[float, float]:
     """The static limit minus the load on a platform at rest, forwards and backwards, in N."""
     alpha, _, normal = rates(theta, omega, 0.0, 0.0, u, p)
-    reaction = p.m * p.l * (alpha * math.cos(theta) - omega**2 * math.sin(theta))
-    load = reaction - (p.M + p.m) * p.downhill
+    acceleration = alpha * math.cos(theta) - omega**2 * math.sin(theta)
+    load = p.m * p.l * acceleration - (p.M + p.m) * p.downhill
     limit = p.static_ratio * p.mu * max(0.0, normal)
     return limit - load, p.backward_ratio * limit + load
 
@@ -135,11 +138,13 @@ def integrate_phase(t: float, y: np.ndarray, end: float, slip: float, u: float, 
     from scipy.integrate import solve_ivp
 
     def derivative(_: float, y: np.ndarray) -> tuple[float, float, float, float]:
-        alpha, accel, _normal = rates(y[0], y[1], y[3], slip, u, p)
-        return y[1], alpha, y[3], accel
+        theta, omega, _, v = y
+        alpha, acceleration, _ = rates(theta, omega, v, slip, u, p)
+        return omega, alpha, v, acceleration
 
     def margin(_: float, y: np.ndarray) -> float:
-        return min(margins(y[0], y[1], u, p)) if slip == 0.0 else slip * y[3]
+        theta, omega, _, v = y
+        return slip * v if slip else min(margins(theta, omega, u, p))
 
     def turn(_: float, y: np.ndarray) -> float:
         return y[1]
@@ -147,7 +152,9 @@ def integrate_phase(t: float, y: np.ndarray, end: float, slip: float, u: float, 
     # scipy reads these attributes of its events.
     vars(margin).update(terminal=True, direction=-1.0)
     # After a turn, theta_dot is 0 up to rounding.
-    omega = y[1] if abs(y[1]) > 1e-12 else derivative(t, y)[1]
+    omega = y[1]
+    if abs(omega) <= 1e-12:
+        _, omega, _, _ = derivative(t, y)
     vars(turn).update(terminal=True, direction=-omega)
     solver: dict[str, Any] = {"method": "DOP853", "rtol": RTOL, "atol": ATOL}
     longest = min(LONGEST, end - t)
@@ -174,10 +181,9 @@ def solve(
         while t < hold:
             found = integrate_phase(t, y, hold, slip, u, p)
             end = found.y[:, -1].copy()
-            moved = end[2] - y[2]
-            seconds = found.t[-1] - t if slip == 0.0 else 0.0
-            moves = max(0.0, moved), max(0.0, -moved), seconds, abs(end[0] - y[0])
-            total = total + np.array(moves)
+            angle, _, moved, _ = end - y
+            stuck = 0.0 if slip else found.t[-1] - t
+            total = total + np.array([max(0.0, moved), max(0.0, -moved), stuck, abs(angle)])
             normal = min(rates(theta, omega, v, slip, u, p)[2] for theta, omega, _, v in found.y.T)
             if abs(found.y[0]).max() >= task.THETA_LIMIT or normal <= 0.0:
                 valid = min(valid, i)
@@ -197,12 +203,15 @@ def phase_at_rest(y: np.ndarray, u: float, p: Plant) -> float:
 
     It sticks below the static limit, and otherwise slips in the direction of the load.
     """
-    return 0.0 if min(margins(y[0], y[1], u, p)) >= 0.0 else direction_of_load(y, u, p)
+    theta, omega, _, _ = y
+    sticks = min(margins(theta, omega, u, p)) >= 0.0
+    return 0.0 if sticks else direction_of_load(y, u, p)
 
 
 def direction_of_load(y: np.ndarray, u: float, p: Plant) -> float:
     """The sign of the load on a platform at rest, in relation to its limits."""
-    forwards, backwards = margins(y[0], y[1], u, p)
+    theta, omega, _, _ = y
+    forwards, backwards = margins(theta, omega, u, p)
     return math.copysign(1.0, backwards - forwards)
 
 
@@ -241,12 +250,14 @@ def cell(values: Sequence[float]) -> str:
 
 def compare_mujoco() -> list[list[str]]:
     """The table of the comparison with MuJoCo."""
-    head, cases = ["", f"hold at {LOAD:.0%}, m/s"], []
+    head = ["", f"hold at {LOAD:.0%}, m/s"]
+    cases = []
     for mu, amplitude in MUJOCO_CASES:
         solved = expected_trajectories([Capsule(mu=mu)] * TRAJECTORIES, amplitude)
         for step in MUJOCO_STEPS:
             cases.append((solved, step))
-            head.append(f"error of x, mm: μ = {mu:g}, ±{amplitude:g} N m, {1e3 * step:g} ms")
+            case = f"μ = {mu:g}, ±{amplitude:g} N m, {1e3 * step:g} ms"
+            head.append(f"error of x, mm: {case}")
     table = [head]
     for friction in tqdm(("", *mujoco.FRICTIONS), desc="MuJoCo"):
         speed = creep(friction)
@@ -299,9 +310,12 @@ def main(markdown: Path | None = None) -> None:
     kinds = []
     for mu in FRICTION:
         for amplitude in AMPLITUDES:
-            kinds.append((f"μ = {mu:g}", [Capsule(mu=mu)] * TRAJECTORIES, amplitude))
-    kinds.append((f"{PLANTS} random", [*map(draw_capsule, range(PLANTS))], AMPLITUDE))
-    table = [["plant", "torque, N m", *(f"{1e3 * step:g} ms" for step in STEPS), "length"]]
+            capsules = [Capsule(mu=mu)] * TRAJECTORIES
+            kinds.append((f"μ = {mu:g}", capsules, amplitude))
+    capsules = [draw_capsule(seed) for seed in range(PLANTS)]
+    kinds.append((f"{PLANTS} random", capsules, AMPLITUDE))
+    columns = [f"{1e3 * step:g} ms" for step in STEPS]
+    table = [["plant", "torque, N m", *columns, "length"]]
     for kind, capsules, amplitude in tqdm(kinds, desc="errors"):
         solved = expected_trajectories(capsules, amplitude)
         row = [kind, f"±{amplitude:g}"]

@@ -76,10 +76,7 @@ def main(
             episodes.
     """
     check_number("--amplitude", amplitude, "a number from 0 to 1 (N m)", 0.0, 1.0)
-    errors: dict[str, list[float]] = {}
-    relative: dict[str, list[float]] = {}
-    covered: dict[str, list[bool]] = {}
-    seconds, chi2 = [], []
+    found, seconds = [], []
     logs = make_logs(plants, seed, SENSORS[sensors], amplitude)
     for log, truth in tqdm(logs, total=plants, mininterval=10.0):
         start = time.process_time()
@@ -87,30 +84,34 @@ def main(
             warnings.simplefilter("ignore", UserWarning)
             fit = identify(log)
         seconds.append(time.process_time() - start)
-        chi2.append(fit.chi2)
-        intervals = fit.intervals(0.95)
-        for name, estimate in fit.estimates.items():
-            error = estimate - truth[name]
-            errors.setdefault(name, []).append(error)
-            relative.setdefault(name, []).append(error / (truth[name] or np.nan))
-            low, high = intervals[name]
-            covered.setdefault(name, []).append(low <= truth[name] <= high)
-    print(f"{'':16}{'median error':>14}{'relative':>10}{'covered':>9}")
-    for name in errors:
-        error = median_size(errors[name])
-        share = f"{median_size(relative[name]):.1%}" if name in Capsule.__dataclass_fields__ else ""
-        inside = f"{np.mean(covered[name]):.1%}"
-        print(f"{name:16}{error:14.2g}{share:>10}{inside:>9}")
-    delay = median_size(np.add(errors["latency"], errors["lag"]))
-    print(f"{'latency + lag':16}{delay:14.2g}{'':>10}{'':>9}")
-    low, middle, high = np.percentile(chi2, (5.0, 50.0, 95.0))
-    duration = np.median(seconds)
-    print(f"chi2: {middle:.2f}, 90 % within {low:.2f} to {high:.2f}; {duration:.1f} s a fit")
+        found.append((fit, truth))
+    print_line("", "median error", "relative", "covered")
+    delays = 0.0
+    for name in found[0][0].estimates:
+        truths = np.array([truth[name] for _, truth in found])
+        errors = np.array([fit.estimates[name] for fit, _ in found]) - truths
+        low, high = np.transpose([fit.intervals(0.95)[name] for fit, _ in found])
+        covered = (low <= truths) & (truths <= high)
+        share = ""
+        if name in Capsule.__dataclass_fields__:
+            share = f"{np.median(np.abs(errors / truths)):.1%}"
+        print_line(name, median_size(errors), share, f"{covered.mean():.1%}")
+        if name in ("latency", "lag"):
+            delays = delays + errors
+    print_line("latency + lag", median_size(delays), "", "")
+    low, middle, high = np.percentile([fit.chi2 for fit, _ in found], (5.0, 50.0, 95.0))
+    chi2 = f"{middle:.2f}, 90 % within {low:.2f} to {high:.2f}"
+    print(f"chi2: {chi2}; {np.median(seconds):.1f} s a fit")
 
 
-def median_size(values: ArrayLike) -> float:
-    """The median of the absolute values."""
-    return float(np.median(np.abs(values)))
+def median_size(errors: ArrayLike) -> str:
+    """The median of the absolute errors."""
+    return f"{np.median(np.abs(errors)):.2g}"
+
+
+def print_line(name: str, error: str, relative: str, covered: str) -> None:
+    """Prints a line of the table."""
+    print(f"{name:16}{error:>14}{relative:>10}{covered:>9}")
 
 
 if __name__ == "__main__":

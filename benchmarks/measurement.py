@@ -25,24 +25,25 @@ VECTORS = {"v4": " with AVX-512", "v3": " with AVX2"}
 
 def report(command: str, markdown: Path | None, *parts: str | Rows) -> None:
     """Prints paragraphs and tables, and writes them to a page if one is given."""
-    print(
-        *(part if isinstance(part, str) else text_table(part, left=1) for part in parts), sep="\n\n"
-    )
+    printed = []
+    written = [f"<!-- Written by {command}: do not edit. -->"]
+    for part in parts:
+        if isinstance(part, str):
+            printed.append(part)
+            written.append(part)
+        else:
+            printed.append(text_table(part, left=1))
+            written.append(markdown_table(part))
+    print(*printed, sep="\n\n")
     if markdown is not None:
-        paragraphs = [f"<!-- Written by {command}: do not edit. -->"]
-        for part in parts:
-            paragraphs.append(part if isinstance(part, str) else markdown_table(part))
-        write_atomically(markdown, "\n\n".join(paragraphs) + "\n")
+        write_atomically(markdown, "\n\n".join(written) + "\n")
 
 
 def machine() -> str:
     """One line with the processor, the vectors of the core, cores, and versions of packages."""
-    parts = [
-        processor() + VECTORS.get(native.LEVEL, ""),
-        f"{os.cpu_count()} cores",
-        platform.system(),
-        f"Python {platform.python_version()}",
-    ]
+    vectors = VECTORS.get(native.LEVEL, "")
+    parts = [f"{processor()}{vectors}", f"{os.cpu_count()} cores", platform.system()]
+    parts.append(f"Python {platform.python_version()}")
     for name in PACKAGES:
         if find_spec(name.replace("-", "_")):
             parts.append(f"{name} {version(name)}")

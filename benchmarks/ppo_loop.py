@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import gymnasium as gym
 import numpy as np
 import torch
 from gymnasium import wrappers
@@ -39,6 +38,11 @@ class Rollout(NamedTuple):
 def clipped(observation: np.ndarray) -> torch.Tensor:
     """A normalised observation, limited."""
     return torch.as_tensor(np.clip(observation, -10.0, 10.0), dtype=torch.float32)
+
+
+def limit(reward: Any) -> float:
+    """A normalised reward, limited."""
+    return max(-10.0, min(10.0, float(reward)))
 
 
 def network(inputs: int, scale: float) -> nn.Sequential:
@@ -120,9 +124,7 @@ def train(env: Any, seed: int, check: Callable[[int, Act], bool]) -> None:
     torch.manual_seed(seed)
     observing = wrappers.NormalizeObservation(wrappers.ClipAction(env))
     rewarding: Any = wrappers.NormalizeReward(observing, gamma=GAMMA)
-    limited: gym.Env[Any, Any] = wrappers.TransformReward(
-        rewarding, lambda reward: max(-10.0, min(10.0, float(reward)))
-    )
+    limited: Any = wrappers.TransformReward(rewarding, limit)
     agent = Agent(env.observation_space.shape[0])
     optimiser = torch.optim.Adam(agent.parameters, lr=LEARNING_RATE, eps=1e-5)
 

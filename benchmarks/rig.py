@@ -25,6 +25,8 @@ LOGGED_DT = 0.01
 WHOLE = 19.9
 # Amplitudes, N m, of which smaller ones follow where the excitation ends the episode.
 AMPLITUDES = (0.45, 0.35, 0.25)
+# The agents that are compared.
+NAMES = ("identified", "paper", "real-wide")
 
 
 def train(seed: int, total_steps: int, **env_kwargs: Any) -> Policy:
@@ -65,20 +67,23 @@ def main(plants: PositiveCount = 20, total_steps: PositiveCount = 1_000_000) -> 
         plants: Number of hidden plants.
         total_steps: Environment steps of a training.
     """
-    common = {"paper": train(0, total_steps), "real-wide": train(0, total_steps, **HIDDEN)}
+    paper = train(0, total_steps)
+    wide = train(0, total_steps, **HIDDEN)
     found = []
     for seed in range(SEED, SEED + plants):
-        agents = {"identified": train(seed, total_steps, **identified(seed)), **common}
-        episodes = {name: drive(agent, seed) for name, agent in agents.items()}
-        found.append([*episodes.values()])
-        print(seed, *(f"{name} {speed:.2f} cm/s" for name, (speed, _) in episodes.items()))
-    # Axes: plant, agent.
-    speeds, failed = np.moveaxis(found, -1, 0)
-    first = speeds[:, 0]
-    for name, own, ends in zip(agents, speeds.T, failed.T, strict=True):
-        mean, lowest = f"mean {own.mean():6.2f} cm/s", f"lowest {own.min():6.2f}"
-        print(f"{name:10s} {mean}, {lowest}, {ends.sum():.0f} of {plants} fail;")
-        print(f"    the identified agent is faster on {(own < first).sum()}")
+        own = train(seed, total_steps, **identified(seed))
+        episodes = [drive(agent, seed) for agent in (own, paper, wide)]
+        texts = [
+            f"{name} {speed:.2f} cm/s" for name, (speed, _) in zip(NAMES, episodes, strict=True)
+        ]
+        print(seed, *texts)
+        found.append(episodes)
+    # Axes after these: agent, plant.
+    speeds, failed = np.transpose(found)
+    for name, speed, failures in zip(NAMES, speeds, failed, strict=True):
+        summary = f"mean {speed.mean():6.2f} cm/s, lowest {speed.min():6.2f}"
+        print(f"{name:10s} {summary}, {failures.sum():.0f} of {plants} fail;")
+        print(f"    the identified agent is faster on {(speed < speeds[0]).sum()}")
 
 
 if __name__ == "__main__":

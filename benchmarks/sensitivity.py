@@ -36,7 +36,8 @@ def draw(generator: np.random.Generator) -> tuple[Capsule, np.ndarray]:
     frequencies = uniform(2.0, 8.0, 4)
     phases = uniform(0.0, 2.0 * np.pi, 4)
     t = PERIODS["control_dt"] * np.arange(INTERVALS)
-    return capsule, np.sin(2.0 * np.pi * np.outer(t, frequencies) + phases) @ amplitudes
+    angles = 2.0 * np.pi * np.outer(t, frequencies) + phases
+    return capsule, np.sin(angles) @ amplitudes
 
 
 def extrapolated(capsule: Capsule, torques: np.ndarray, name: str) -> float:
@@ -57,7 +58,8 @@ def extrapolated(capsule: Capsule, torques: np.ndarray, name: str) -> float:
     changes = np.outer((1.0, -1.0, 2.0, -2.0), STEPS)
     up, down, far_up, far_down = np.vectorize(end)(changes)
     estimates = (8.0 * (up - down) - (far_up - far_down)) / (12.0 * STEPS)
-    return estimates[1 + int(np.argmin(np.abs(np.diff(estimates))))]
+    changes_between = np.abs(np.diff(estimates))
+    return estimates[1 + int(changes_between.argmin())]
 
 
 def errors(count: int, seed: int) -> tuple[np.ndarray, float]:
@@ -77,7 +79,8 @@ def errors(count: int, seed: int) -> tuple[np.ndarray, float]:
         except ValueError:  # the episode would terminate
             continue
         slopes = [exact.derivatives[name][-1, 2] * getattr(capsule, name, 1.0) for name in NAMES]
-        rows.append(np.abs(slopes - expected) / np.maximum(np.abs(expected), SMALLEST))
+        size = np.maximum(np.abs(expected), SMALLEST)
+        rows.append(np.abs(slopes - expected) / size)
         events.append(exact.events[-1])
     return np.array(rows), float(np.mean(events))
 
@@ -94,9 +97,8 @@ def main(trajectories: PositiveCount = 300) -> None:
     """
     found, events = errors(trajectories, seed=1)
     names = ", ".join(NAMES)
-    print(
-        f"{trajectories} trajectories with {events:.0f} events on average, derivatives by {names}"
-    )
+    average = f"{events:.0f} events on average"
+    print(f"{trajectories} trajectories with {average}, derivatives by {names}")
     print(f"relative error: median {np.median(found):.1e}, largest {found.max():.1e}")
     _, torques = draw(np.random.default_rng(1))
     inputs = trajectory_inputs(Capsule(), START, torques / 2.0)

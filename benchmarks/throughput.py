@@ -11,6 +11,7 @@ its floor usually means that the compiler vectorises a loop no longer.
 
 import ctypes
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -69,8 +70,18 @@ C_LEVELS = {
 }
 # The settings of plain C, in its order.
 C_SETTINGS = (
-    *("m", "l", "g", "k", "c", "static_ratio", "backward_ratio", "torque_limit", "physics_dt"),
-    *("energy_weight", "termination_penalty", "stick_threshold"),
+    "m",
+    "l",
+    "g",
+    "k",
+    "c",
+    "static_ratio",
+    "backward_ratio",
+    "torque_limit",
+    "physics_dt",
+    "energy_weight",
+    "termination_penalty",
+    "stick_threshold",
 )
 # The smallest ratio of two contenders' rates.
 FLOORS = {
@@ -122,7 +133,7 @@ def mujoco_physics() -> Step:
     """
     model, data = mujoco.build("frictionloss", DIRECT_PHYSICS_DT, Capsule())
     limit = ACTION_SCALE * task.TORQUE_LIMIT
-    torques = cycle(np.random.default_rng(0).uniform(-limit, limit, DRAWS).tolist())
+    torques = cycle(np.random.default_rng(0).uniform(-limit, limit, DRAWS))
 
     def step() -> None:
         theta = mujoco.hold(model, data, next(torques))[0]
@@ -135,16 +146,16 @@ def mujoco_physics() -> Step:
 
 def compile_plain_c(compiler: str) -> ctypes.CDLL:
     """Compiles `plain.c` for the core's level of instructions."""
-    source = Path(__file__).with_name("plain.c")
+    source = str(Path(__file__).with_name("plain.c"))
     options = [*C_OPTIONS, *C_LEVELS.get(native.LEVEL, ())]
     with tempfile.TemporaryDirectory() as folder:
-        compiled, library = Path(folder, "plain.o"), Path(folder, "plain.so")
-        command = [*compiler.split(), *options, "-c", source, "-o", compiled]
-        subprocess.run(command, check=True)
+        compiled = f"{folder}/plain.o"
+        library = f"{folder}/plain.so"
+        command = compiler.split()
+        subprocess.run([*command, *options, "-c", source, "-o", compiled], check=True)
         # Linked without -ffast-math, with which gcc makes the whole process lose subnormal numbers.
-        command = [*compiler.split(), "-shared", compiled, "-lm", "-o", library]
-        subprocess.run(command, check=True)
-        return ctypes.CDLL(str(library))
+        subprocess.run([*command, "-shared", compiled, "-lm", "-o", library], check=True)
+        return ctypes.CDLL(library)
 
 
 def plain_c(
@@ -246,8 +257,8 @@ def draw(measured: Mapping[str, float], stem: Path) -> None:
     # From bottom to top.
     names = [*measured][::-1]
     found = [measured[name] for name in names]
-    others = "CartPole", "Pendulum", "plain C", "MuJoCo"
-    colours = [MUTED if any(other in name for other in others) else BLUE for name in names]
+    others = re.compile("CartPole|Pendulum|plain C|MuJoCo")
+    colours = [MUTED if others.search(name) else BLUE for name in names]
     with style():
         figure = new_figure(0.24 * len(measured) + 0.6)
         axes = figure.add_subplot()

@@ -108,8 +108,10 @@ def train_model(library: str, seed: int, clock: Clock) -> None:
     def act(observations: np.ndarray) -> np.ndarray:
         return model.predict(env.normalize_obs(observations), deterministic=True)[0]
 
-    # The networks of JAX cannot be exported.
-    policy = wrapped(act) if library == "sbx" else partial(export, "agent", model, CONFIG, "none")
+    policy: Callable[[], Any] = partial(export, "agent", model, CONFIG, "none")
+    if library == "sbx":
+        # Networks of JAX cannot be exported.
+        policy = wrapped(act)
     model.learn(steps, callback=lambda *_: clock.check(model.num_timesteps, policy))
 
 
@@ -121,14 +123,12 @@ def train_loop(seed: int, clock: Clock) -> None:
     ppo_loop.train(env, seed, lambda steps, act: clock.check(steps, wrapped(act)))
 
 
-CONTENDERS: dict[str, Callable[[int, Clock], None]] = {
-    "train.py": partial(train_model, ""),
-    "SB3, make_vec_env": partial(train_model, "stable_baselines3"),
-    "SBX, make_vec_env": partial(train_model, "sbx"),
-    "CleanRL's loop": train_loop,
-}
-if not find_spec("sbx"):
-    del CONTENDERS["SBX, make_vec_env"]
+CONTENDERS: dict[str, Callable[[int, Clock], None]] = {}
+CONTENDERS["train.py"] = partial(train_model, "")
+CONTENDERS["SB3, make_vec_env"] = partial(train_model, "stable_baselines3")
+if find_spec("sbx"):
+    CONTENDERS["SBX, make_vec_env"] = partial(train_model, "sbx")
+CONTENDERS["CleanRL's loop"] = train_loop
 
 
 @command(COMMAND, ValueError)
@@ -148,7 +148,8 @@ def main(markdown: Path | None = None, seeds: PositiveCount = 3) -> None:
     from agents.training.callbacks import validation_plants
 
     torch.set_num_threads(1)
-    rows = [["trainer", *(f"seed {seed}, s" for seed in range(seeds)), "thousands of steps"]]
+    columns = [f"seed {seed}, s" for seed in range(seeds)]
+    rows = [["trainer", *columns, "thousands of steps"]]
     for name, train in CONTENDERS.items():
         row, steps = [name], []
         for seed in range(seeds):

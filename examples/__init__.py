@@ -1,3 +1,1 @@
-"""One short program for each library that the page "Works with" names; every program runs on its
-own.
-"""
+"""One short program for each library of the page "Works with"; every program runs on its own."""

@@ -1,5 +1,4 @@
-"""Runs CleanRL's scripts (PPO, SAC, TD3, ..), written for an older gymnasium, unchanged under
-gymnasium 1.
+"""Runs CleanRL's scripts, written for an older gymnasium, unchanged under gymnasium 1.
 
 python examples/cleanrl_scripts.py cleanrl/cleanrl/ppo_continuous_action.py --env-id
 capsule_gym:CapsuleStickSlip-v0
@@ -27,22 +26,20 @@ class SameStep(SyncVectorEnv):
         observations, rewards, terminated, truncated, info = super().step(actions)
         if "final_obs" in info:
             last = info["final_info"]["episode"]
-            episodes = [
-                {"episode": {name: last[name][i] for name in "rlt"}} for i in range(self.num_envs)
-            ]
+            final: list[Any] = [None] * self.num_envs
+            for i in np.flatnonzero(info["_final_obs"]):
+                final[i] = {"episode": {name: last[name][i] for name in "rlt"}}
             info["final_observation"] = info["final_obs"]
-            info["final_info"] = [
-                episodes[i] if ended else None for i, ended in enumerate(info["_final_obs"])
-            ]
+            info["final_info"] = final
         return observations, rewards, terminated, truncated, info
 
 
 if __name__ == "__main__":
-    wrapper = functools.partial(gym.wrappers.TransformObservation, observation_space=None)
-    vars(gym.vector)["SyncVectorEnv"], vars(gym.wrappers)["TransformObservation"] = (
-        SameStep,
-        wrapper,
-    )
-    script, sys.argv = sys.argv[1], sys.argv[1:]
-    sys.path.insert(0, os.path.dirname(os.path.dirname(os.path.abspath(script))))
-    runpy.run_path(script, run_name="__main__")
+    transform = functools.partial(gym.wrappers.TransformObservation, observation_space=None)
+    vars(gym.vector)["SyncVectorEnv"] = SameStep
+    vars(gym.wrappers)["TransformObservation"] = transform
+    del sys.argv[0]
+    # The scripts import the package in the folder above theirs.
+    folder = os.path.dirname(os.path.abspath(sys.argv[0]))
+    sys.path.insert(0, os.path.dirname(folder))
+    runpy.run_path(sys.argv[0], run_name="__main__")

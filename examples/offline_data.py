@@ -27,15 +27,18 @@ Act = Callable[[np.ndarray], np.ndarray]
 def actor(quality: str) -> Act:
     """A policy for a batch: maps observations of shape (n, entries) to actions of shape (n, 1)."""
     rng = np.random.default_rng(0)
+
+    def random(observations: np.ndarray) -> np.ndarray:
+        return rng.uniform(-1.0, 1.0, (len(observations), 1)).astype(np.float32)
+
     if quality == "random":
-        return lambda observations: rng.uniform(-1.0, 1.0, (len(observations), 1)).astype(
-            np.float32
-        )
-    name, noise = {"medium": ("efficient", 0.3), "expert": ("direct-ppo", 0.0)}[quality]
-    policy = capsule_gym.load_policy(name)
+        return random
+    policy = capsule_gym.load_policy("efficient" if quality == "medium" else "direct-ppo")
+    deviation = 0.3 if quality == "medium" else 0.0
 
     def act(observations: np.ndarray) -> np.ndarray:
-        actions = policy(observations) + noise * rng.standard_normal((len(observations), 1))
+        noise = rng.standard_normal((len(observations), 1))
+        actions = policy(observations) + deviation * noise
         return np.clip(actions, -1.0, 1.0).astype(np.float32)
 
     return act
@@ -47,29 +50,33 @@ def episodes(act: Act, first_seed: int) -> Iterator[EpisodeBuffer]:
     while True:
         observation, _ = env.reset(seed=first_seed)
         columns: list[tuple[np.ndarray, ...]] = []
-        seen, length = [observation], np.zeros(BATCH, int)
+        seen = [observation]
+        length = np.zeros(BATCH, int)
         while not length.all():
             action = act(observation)
             observation, reward, terminated, truncated, _ = env.step(action)
             seen.append(observation)
             columns.append((action, reward, terminated, truncated))
-            length[(length == 0) & (terminated | truncated)] = len(columns)
+            ended = terminated | truncated
+            length[ended & (length == 0)] = len(columns)
         observations = np.stack(seen)
         fields = [np.stack(column) for column in zip(*columns, strict=True)]
         for i, steps in enumerate(length):
-            own = observations[: steps + 1, i], *(field[:steps, i] for field in fields)
-            yield EpisodeBuffer(None, first_seed + i, None, *own)
+            own = [field[:steps, i] for field in fields]
+            yield EpisodeBuffer(None, first_seed + i, None, observations[: steps + 1, i], *own)
         first_seed += BATCH
 
 
 def write_dataset(quality: str, steps: float) -> None:
     """Writes one dataset of at least `steps` steps in Minari's folder."""
-    parts = ("random", "medium", "expert") if quality == "mixed" else (quality,)
+    mixed = quality == "mixed"
+    parts = ("random", "medium", "expert") if mixed else (quality,)
+    # The mixed dataset has other episodes than the three datasets.
+    first_seed = 1_000_000 if mixed else 0
     buffers = []
     for part in parts:
         recorded = 0
-        # The mixed dataset has other episodes than the three datasets.
-        for buffer in episodes(actor(part), 1_000_000 if quality == "mixed" else 0):
+        for buffer in episodes(actor(part), first_seed):
             buffers.append(buffer)
             recorded += len(buffer.rewards)
             if recorded * len(parts) >= steps:
@@ -84,9 +91,8 @@ def write_dataset(quality: str, steps: float) -> None:
         requirements=["capsule-gym"],
     )
     score = np.mean([buffer.rewards.sum() for buffer in buffers])
-    print(
-        f"{quality}: {dataset.total_episodes} episodes, {dataset.total_steps} steps, mean return {score:.1f} cm"
-    )
+    size = f"{dataset.total_episodes} episodes, {dataset.total_steps} steps"
+    print(f"{quality}: {size}, mean return {score:.1f} cm")
 
 
 if __name__ == "__main__":

@@ -1,5 +1,4 @@
-"""d3rlpy: behaviour cloning and IQL on the data of offline_data.py, evaluated on the frozen set
-`paper`.
+"""d3rlpy: behaviour cloning and IQL on the data of offline_data.py, evaluated on the set `paper`.
 
 MINARI_DATASETS_PATH=runs/data python examples/offline_rl.py --quality mixed
 """
@@ -22,23 +21,15 @@ args = parser.parse_args()
 episodes = list(minari.load_dataset(f"capsule/{args.quality}-v0"))
 # d3rlpy's own `get_minari` keeps each episode's last observation, which no action follows, and so
 # pairs the actions of later episodes with earlier observations.
-dataset = d3rlpy.dataset.MDPDataset(
-    observations=np.concatenate([episode.observations[:-1] for episode in episodes]),
-    actions=np.concatenate([episode.actions for episode in episodes]),
-    rewards=np.concatenate([episode.rewards for episode in episodes]),
-    terminals=np.concatenate([episode.terminations for episode in episodes]),
-    timeouts=np.concatenate([episode.truncations for episode in episodes]),
-)
-for config in (BCConfig, IQLConfig):
+names = ("actions", "rewards", "terminations", "truncations")
+columns = [np.concatenate([getattr(each, name) for each in episodes]) for name in names]
+observations = np.concatenate([each.observations[:-1] for each in episodes])
+dataset = d3rlpy.dataset.MDPDataset(observations, *columns)
+quiet = d3rlpy.logging.NoopAdapterFactory()
+for name, config in (("BC", BCConfig), ("IQL", IQLConfig)):
     algorithm = config(observation_scaler=StandardObservationScaler()).create()
-    algorithm.fit(
-        dataset, args.steps, args.steps, logger_adapter=d3rlpy.logging.NoopAdapterFactory()
-    )
+    algorithm.fit(dataset, args.steps, args.steps, logger_adapter=quiet)
     evaluated = capsule_gym.evaluate(algorithm.predict, "paper")
-    speed, failed = (
-        np.mean([episode[name] for episode in evaluated]) for name in ("mean_speed", "failed")
-    )
-    print(
-        f"{args.quality}, {config.__name__.removesuffix('Config')}: {speed:.1f} cm/s, {failed:.0%} failed",
-        flush=True,
-    )
+    speed = np.mean([each["mean_speed"] for each in evaluated])
+    failed = np.mean([each["failed"] for each in evaluated])
+    print(f"{args.quality}, {name}: {speed:.1f} cm/s, {failed:.0%} failed", flush=True)

@@ -1,5 +1,4 @@
-"""Optuna: searches hyperparameters of Stable-Baselines3's PPO on the native batch, and prunes slow
-trials.
+"""Optuna: searches hyperparameters of Stable-Baselines3's PPO, and prunes slow trials.
 
 With --storage the same command continues a search, also in several terminals at once.
 """
@@ -15,7 +14,8 @@ from stable_baselines3.common.vec_env import VecNormalize, sync_envs_normalizati
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 
 # Seeds of training and of validation plants, far from those of published runs and evaluation sets.
-SEED, VALIDATION_SEED = 1000, 1_000_000
+SEED = 1000
+VALIDATION_SEED = 1_000_000
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--trials", type=int, default=40)
@@ -27,10 +27,8 @@ args = parser.parse_args()
 def objective(trial: optuna.Trial) -> float:
     """The mean return of an episode (cm) on validation plants after a training."""
     gamma = 1.0 - trial.suggest_float("one_minus_gamma", 1e-3, 3e-2, log=True)
-    searched = {
-        "learning_rate": trial.suggest_float("learning_rate", 1e-4, 3e-3, log=True),
-        "gae_lambda": 1.0 - trial.suggest_float("one_minus_lambda", 5e-3, 1e-1, log=True),
-    }
+    learning_rate = trial.suggest_float("learning_rate", 1e-4, 3e-3, log=True)
+    gae_lambda = 1.0 - trial.suggest_float("one_minus_lambda", 5e-3, 1e-1, log=True)
     env = VecNormalize(CapsuleSB3VecEnv(128, SEED, initial_range=(1.047, 8.0)), gamma=gamma)
     validation = VecNormalize(CapsuleSB3VecEnv(64, VALIDATION_SEED), training=False)
     model = PPO(
@@ -39,9 +37,10 @@ def objective(trial: optuna.Trial) -> float:
         n_steps=64,
         batch_size=2048,
         gamma=gamma,
+        learning_rate=learning_rate,
+        gae_lambda=gae_lambda,
         seed=SEED,
         device="cpu",
-        **searched,
     )
     for part in range(8):
         model.learn(args.steps // 8, reset_num_timesteps=False)
@@ -57,6 +56,5 @@ study = optuna.create_study(
     storage=args.storage, study_name="ppo", direction="maximize", load_if_exists=True
 )
 study.optimize(objective, n_trials=args.trials)
-print(
-    f"best of {len(study.trials)} trials: a return of {study.best_value:.1f} cm with {study.best_params}"
-)
+found = f"a return of {study.best_value:.1f} cm with {study.best_params}"
+print(f"best of {len(study.trials)} trials: {found}")

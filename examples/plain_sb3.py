@@ -1,6 +1,4 @@
-"""Unmodified Stable-Baselines3: PPO with its default hyperparameters on one environment, and its
-learning curve.
-"""
+"""Unmodified Stable-Baselines3: PPO with its default hyperparameters, and its learning curve."""
 
 import argparse
 from typing import Any
@@ -21,26 +19,22 @@ TASKS: dict[str, dict[str, Any]] = {
 
 
 class LearningCurve(BaseCallback):
-    """Evaluates the deterministic policy on 16 plants, and prints steps, cm/s and the share of
-    failures.
-    """
+    """Evaluates the deterministic policy on 16 plants, and prints speed and share of failures."""
 
     def __init__(self, task: str, every: int) -> None:
         super().__init__()
-        self.task, self.every = task, every
+        self.task = task
+        self.every = every
         # These seeds are far from those of training.
         self.plants = validation_set("paper", "validation", first_seed=1_000_000, count=16)
 
     def _on_step(self) -> bool:
-        if self.num_timesteps % self.every == 0:
+        steps = self.num_timesteps
+        if steps % self.every == 0:
             episodes = evaluate(self.model, self.plants, env_kwargs=TASKS[self.task])
-            speed, failed = (
-                np.mean([episode[name] for episode in episodes])
-                for name in ("mean_speed", "failed")
-            )
-            print(
-                f"{self.num_timesteps:,} steps: {speed:.2f} cm/s, {failed:.0%} failed", flush=True
-            )
+            speed = np.mean([episode["mean_speed"] for episode in episodes])
+            failed = np.mean([episode["failed"] for episode in episodes])
+            print(f"{steps:,} steps: {speed:.2f} cm/s, {failed:.0%} failed", flush=True)
         return True
 
 

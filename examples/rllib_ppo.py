@@ -19,6 +19,5 @@ algorithm = (
 )
 for _ in range(args.iterations):
     result = algorithm.train()["env_runners"]
-    print(
-        f"{result['num_env_steps_sampled_lifetime']:.0f} steps, mean return {result['episode_return_mean']:.2f} cm"
-    )
+    steps = result["num_env_steps_sampled_lifetime"]
+    print(f"{steps:.0f} steps, mean return {result['episode_return_mean']:.2f} cm")

@@ -16,16 +16,20 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepR
 
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 
-# Long control intervals: rewards act on earlier actions after fewer updates. Episodes of 4 s,
-# evaluated for 15 s.
-ENVS, DT = 64, 0.04
-STEPS, EVALUATED_STEPS = round(4.0 / DT), round(15.0 / DT)
+ENVS = 64
+# s; long control intervals: rewards act on earlier actions after fewer updates.
+DT = 0.04
+# Episodes of 4 s in training, and of 15 s in the evaluation.
+STEPS = round(4.0 / DT)
+EVALUATED_STEPS = round(15.0 / DT)
 OPTIONS: dict[str, Any] = {"task": "goal", "goal_env": True, "control_dt": DT}
 # Standard deviation of the noise on the actions, and the time over which it is correlated, s.
-NOISE, NOISE_TIME = 0.25, 0.25
-# Factors of theta, theta_dot, x_dot, stick and the last action, and whether a mirror changes their
-# signs.
-FACTORS, ODD = [2.0, 0.25, 6.0, 1.0, 1.0], [1, 1, 1, 0, 1]
+NOISE = 0.25
+NOISE_TIME = 0.25
+# Factors of theta, theta_dot, x_dot, stick and the last action.
+FACTORS = [2.0, 0.25, 6.0, 1.0, 1.0]
+# Whether a mirror changes their signs.
+ODD = [1, 1, 1, 0, 1]
 
 
 class GoalsAhead(VecEnvWrapper):
@@ -33,10 +37,9 @@ class GoalsAhead(VecEnvWrapper):
 
     def mirror(self, observations: Any, signs: np.ndarray) -> dict[str, np.ndarray]:
         """The observations seen in a mirror where the sign is -1."""
-        return {
-            name: part * signs ** (ODD if name == "observation" else 1)
-            for name, part in observations.items()
-        }
+        mirrored = {name: part * signs for name, part in observations.items()}
+        mirrored["observation"] = observations["observation"] * signs**ODD
+        return mirrored
 
     def begin(self, observations: Any) -> dict[str, np.ndarray]:
         """Mirrors observations, with the signs of their goals from now on."""
@@ -55,9 +58,8 @@ class GoalsAhead(VecEnvWrapper):
         """Steps."""
         observations, rewards, dones, infos = self.venv.step_wait()
         for i in np.flatnonzero(dones):
-            infos[i]["terminal_observation"] = self.mirror(
-                infos[i]["terminal_observation"], self.signs[i]
-            )
+            last = infos[i]["terminal_observation"]
+            infos[i]["terminal_observation"] = self.mirror(last, self.signs[i])
         return self.begin(observations), rewards, dones, infos
 
 
@@ -75,15 +77,12 @@ class Features(BaseFeaturesExtractor):
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Features of shape (n, entries)."""
         error = (observations["desired_goal"] - observations["achieved_goal"])[:, :1]
-        return torch.cat(
-            [observations["observation"] * self.factors, torch.tanh(error / self.scales)], dim=1
-        )
+        scaled = observations["observation"] * self.factors
+        return torch.cat([scaled, torch.tanh(error / self.scales)], dim=1)
 
 
 def evaluate(model: TQC) -> str:
-    """The distances from the goal at the end of 64 episodes without exploration, and the share of
-    failures.
-    """
+    """The distances from the goal at the end of 64 episodes, and the share of failures."""
     # These seeds are far from those of training.
     env = GoalsAhead(CapsuleSB3VecEnv(64, 1_000_000, max_episode_steps=EVALUATED_STEPS, **OPTIONS))
     observations: Any = env.reset()
@@ -93,7 +92,8 @@ def evaluate(model: TQC) -> str:
         observations, _, dones, infos = env.step(actions)
         ends = {i: infos[i] for i in np.flatnonzero(dones)} | ends
     last = [end["terminal_observation"] for end in ends.values()]
-    errors = 100.0 * np.abs([(each["desired_goal"] - each["achieved_goal"])[0] for each in last])
+    goals = np.array([each["desired_goal"][0] for each in last])
+    errors = 100.0 * np.abs(goals - [each["achieved_goal"][0] for each in last])
     failed = np.mean([not end["TimeLimit.truncated"] for end in ends.values()])
     distances = f"median {np.median(errors):.1f} cm, mean {errors.mean():.1f} cm"
     return f"distance from the goal: {distances}; {failed:.0%} failed"
@@ -110,6 +110,8 @@ if __name__ == "__main__":
         ENVS, args.seed, initial_range=(1.047, 8.0), max_episode_steps=STEPS, **OPTIONS
     )
     sigma = np.full(1, NOISE * math.sqrt(2.0 / NOISE_TIME))
+    noise = OrnsteinUhlenbeckActionNoise(np.zeros(1), sigma, theta=1.0 / NOISE_TIME, dt=DT)
+    network = {"net_arch": [64, 64], "n_quantiles": 10, "features_extractor_class": Features}
     model = TQC(
         "MultiInputPolicy",
         GoalsAhead(batch),
@@ -117,15 +119,9 @@ if __name__ == "__main__":
         # The terms of the reward for energy and termination do not depend on the goal; they are in
         # the infos.
         replay_buffer_kwargs={"copy_info_dict": True},
-        policy_kwargs={
-            "net_arch": [64, 64],
-            "n_quantiles": 10,
-            "features_extractor_class": Features,
-        },
+        policy_kwargs=network,
         top_quantiles_to_drop_per_net=1,
-        action_noise=OrnsteinUhlenbeckActionNoise(
-            np.zeros(1), sigma, theta=1.0 / NOISE_TIME, dt=DT
-        ),
+        action_noise=noise,
         buffer_size=200_000,
         # Hindsight needs whole episodes.
         learning_starts=ENVS * (STEPS + 1),

@@ -13,9 +13,8 @@ parser.add_argument("--steps", type=int, default=1_000_000)
 args = parser.parse_args()
 
 env = VecNormalize(CapsuleSB3VecEnv(num_envs=64, seed=0))
-model = PPO("MlpPolicy", env, n_steps=128, batch_size=1024, seed=0, device="cpu", verbose=1).learn(
-    args.steps
-)
+model = PPO("MlpPolicy", env, n_steps=128, batch_size=1024, seed=0, device="cpu", verbose=1)
+model.learn(args.steps)
 
 env.training = False  # keeps the statistics of the observations
 score, spread = evaluate_policy(model, env, n_eval_episodes=64)

@@ -28,10 +28,9 @@ class TimeLimitPPO(PPO):
         """Records the last observations of the episodes that end."""
         if "final_obs" in infos:
             ended = np.flatnonzero(infos["_final_obs"])
+            last = torch.as_tensor(np.stack(infos["final_obs"][ended]))
             next_observations = next_observations.clone()
-            next_observations[ended] = torch.as_tensor(np.stack(infos["final_obs"][ended])).to(
-                next_observations
-            )
+            next_observations[ended] = last.to(next_observations)
         super().record_transition(next_observations=next_observations, infos=infos, **transition)
 
 
@@ -40,9 +39,8 @@ if __name__ == "__main__":
     parser.add_argument("--steps", type=int, default=20_000, help="of each environment")
     args = parser.parse_args()
 
-    env = wrap_env(
-        gym.make_vec("capsule_gym:CapsuleStickSlip-v0", num_envs=64, autoreset_mode="SAME_STEP")
-    )
+    env_id = "capsule_gym:CapsuleStickSlip-v0"
+    env = wrap_env(gym.make_vec(env_id, num_envs=64, autoreset_mode="SAME_STEP"))
     spaces = {
         "observation_space": env.observation_space,
         "action_space": env.action_space,
@@ -55,6 +53,5 @@ if __name__ == "__main__":
     cfg = PPO_CFG(time_limit_bootstrap=True)
     memory = RandomMemory(memory_size=cfg.rollouts, num_envs=env.num_envs, device=env.device)
     agent = TimeLimitPPO(models=models, memory=memory, cfg=cfg, **spaces)
-    SequentialTrainer(
-        env=env, agents=agent, cfg={"timesteps": args.steps, "headless": True}
-    ).train()
+    budget = {"timesteps": args.steps, "headless": True}
+    SequentialTrainer(env=env, agents=agent, cfg=budget).train()

@@ -10,11 +10,11 @@ parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--steps", type=int, default=30_000, help="of an epoch; there are ten")
 args = parser.parse_args()
 
-experiment = PPOExperimentBuilder(
-    EnvFactoryRegistered(task="capsule_gym:CapsuleStickSlip-v0", venv_type=VectorEnvType.DUMMY),
-    ExperimentConfig(watch=False, persistence_enabled=False),
-    OnPolicyTrainingConfig(
-        max_epochs=10, epoch_num_steps=args.steps, num_training_envs=8, num_test_envs=4
-    ),
-).build()
+env_id = "capsule_gym:CapsuleStickSlip-v0"
+envs = EnvFactoryRegistered(task=env_id, venv_type=VectorEnvType.DUMMY)
+options = ExperimentConfig(watch=False, persistence_enabled=False)
+training = OnPolicyTrainingConfig(
+    max_epochs=10, epoch_num_steps=args.steps, num_training_envs=8, num_test_envs=4
+)
+experiment = PPOExperimentBuilder(envs, options, training).build()
 print(experiment.run().trainer_result)

@@ -1,5 +1,4 @@
-"""The bits of whole episodes: `python -m tests.bits` compares them with committed hashes, `--write`
-writes new ones.
+"""The bits of whole episodes: `python -m tests.bits` compares them with committed hashes.
 
 `bits.json` has hashes of all observations, rewards and states of a batch over a whole episode, and
 of its metrics: for the plant under random torques, for every law of `baselines` under random
@@ -34,12 +33,17 @@ NUM_ENVS = 65
 HOLD = 5
 CYCLE = 400
 
+REAL = Disturbances.named("real")
+SHAKEN = replace(REAL, push=(0.0, 0.5), theta_resolution=0.001, torque_resolution=0.01)
+
 Act = Callable[[np.ndarray], np.ndarray]
 
 
 class Subject(NamedTuple):
-    """A case with a hash: its key in the file, the environment, and the start of a batch of
-    episodes by their seeds."""
+    """A case with a hash: its key in the file, its environment, and its actions.
+
+    `start` begins a batch of episodes by their seeds.
+    """
 
     name: str
     env_kwargs: dict[str, Any]
@@ -63,50 +67,66 @@ def random_actions(scale):
     return start
 
 
-def subjects():
-    """Yields all subjects."""
-    wide = {"randomization": "wide"}
-    capsule = Capsule(static_ratio=1.4, backward_ratio=1.3)
-    yield Subject("plant", {**wide, "observe_parameters": True}, random_actions(0.15))
-    total = {**wide, "controller": "baselines:gait", "total_torque": True, "residual_limit": 0.5}
-    yield Subject("plant under a total torque", total, random_actions(0.15))
-    yield Subject(
-        "plant anisotropic",
-        {**wide, "capsule": capsule, "initial_noise": 0.1},
-        random_actions(0.15),
+def plant(name, **env_kwargs):
+    """A plant under random torques."""
+    return Subject(f"plant{name}", env_kwargs, random_actions(0.15))
+
+
+def law(name, controller, **env_kwargs):
+    """A control law under random residuals."""
+    env_kwargs["controller"] = f"baselines:{controller}"
+    return Subject(f"law {name}", env_kwargs, random_actions(0.05))
+
+
+def plants():
+    """Yields the plants."""
+    yield plant("", randomization="wide", observe_parameters=True)
+    yield plant(
+        " under a total torque",
+        randomization="wide",
+        controller="baselines:gait",
+        total_torque=True,
+        residual_limit=0.5,
     )
+    anisotropic = Capsule(static_ratio=1.4, backward_ratio=1.3)
+    yield plant(" anisotropic", randomization="wide", capsule=anisotropic, initial_noise=0.1)
     rough = Capsule(
         static_ratio=1.3, stribeck_speed=0.1, viscous=0.2, slope=-0.02, motor_friction=0.1
     )
-    yield Subject(
-        "plant beyond Coulomb",
-        {**wide, "capsule": rough, "initial_noise": 0.1},
-        random_actions(0.15),
+    yield plant(" beyond Coulomb", randomization="wide", capsule=rough, initial_noise=0.1)
+    yield plant(" disturbed", randomization="real-wide", disturbances=SHAKEN)
+
+
+def laws():
+    """Yields the control laws."""
+    yield law(
+        "gait_predictive disturbed",
+        "gait_predictive",
+        randomization="real-wide",
+        disturbances=SHAKEN,
     )
-    real = Disturbances.named("real")
-    shaken = replace(real, push=(0.0, 0.5), theta_resolution=0.001, torque_resolution=0.01)
-    varied = {"randomization": "real-wide", "disturbances": shaken}
-    yield Subject("plant disturbed", varied, random_actions(0.15))
-    predictive = {**varied, "controller": "baselines:gait_predictive"}
-    yield Subject("law gait_predictive disturbed", predictive, random_actions(0.05))
-    for name, own in (("goal", shaken), ("velocity", replace(shaken, x_noise=0.001))):
-        law = {"task": name, "disturbances": own, "controller": f"baselines:{name}_pulses"}
-        yield Subject(f"law {name}_pulses disturbed", law, random_actions(0.05))
+    yield law("goal_pulses disturbed", "goal_pulses", task="goal", disturbances=SHAKEN)
+    measured = replace(SHAKEN, x_noise=0.001)
+    yield law(
+        "velocity_pulses disturbed", "velocity_pulses", task="velocity", disturbances=measured
+    )
     for name, make in LAWS.items():
+        task = make().task
         # A wide range of floors, so that the platform moves by pulses and by strokes.
-        own = {**wide, "task": task} if (task := make().task) else {}
-        yield Subject(
-            f"law {name}", {"controller": f"baselines:{name}", **own}, random_actions(0.05)
-        )
+        own = {"task": task, "randomization": "wide"} if task else {}
+        yield law(name, name, **own)
     # On light platforms the guard acts earlier.
-    yield Subject(
-        "law gait broad",
-        {"controller": "baselines:gait", "randomization": "broad"},
-        random_actions(0.05),
-    )
+    yield law("gait broad", "gait", randomization="broad")
+
+
+def subjects():
+    """Yields all subjects."""
+    yield from plants()
+    yield from laws()
     for policy in SCRIPTED.values():
         if "controller" not in policy.env_kwargs:
-            yield Subject(f"scripted {policy.name}", {**wide, **policy.env_kwargs}, policy.start)
+            env_kwargs = {"randomization": "wide", **policy.env_kwargs}
+            yield Subject(f"scripted {policy.name}", env_kwargs, policy.start)
     for name in policy_names(seeds=True):
         trained = capsule_gym.load_policy(name)
         yield Subject(f"policy {name}", trained.env_kwargs, trained.start)
@@ -123,15 +143,25 @@ def compute(subject):
         observations, rewards, _, _, info = env.step(act(observations))
         shown.append((observations, rewards, info["state"].copy()))
     digest = hashlib.sha256()
-    for array in (*map(np.array, zip(*shown, strict=True)), *env.episode_metrics().values()):
-        digest.update(np.ascontiguousarray(array).tobytes())
+    for column in zip(*shown, strict=True):
+        digest.update(np.array(column).tobytes())
+    for metric in env.episode_metrics().values():
+        digest.update(np.ascontiguousarray(metric).tobytes())
     return digest.hexdigest()
+
+
+def compare(subjects, committed):
+    """Yields what differs from the committed hashes."""
+    for subject in subjects:
+        found = compute(subject)
+        wanted = committed.get(subject.name)
+        if found != wanted:
+            yield f"{subject.name}: {found} here, {wanted} committed"
 
 
 @command("python -m tests.bits")
 def main(write: bool = False, first_seeds: bool = False) -> int:
-    """Computes the bits of whole episodes; the exit status is 1 if they differ from the committed
-    ones.
+    """Computes the bits of whole episodes; the exit status is 1 if they differ.
 
     Examples:
       python -m tests.bits
@@ -142,26 +172,18 @@ def main(write: bool = False, first_seeds: bool = False) -> int:
         first_seeds: Compare one training seed of each trained policy: `agents.leaderboard --check`
             evaluates all of them.
     """
+    chosen = list(subjects())
     if write:
-        write_atomically(
-            FILE,
-            json.dumps({subject.name: compute(subject) for subject in subjects()}, indent=1) + "\n",
-        )
+        hashes = {subject.name: compute(subject) for subject in chosen}
+        write_atomically(FILE, json.dumps(hashes, indent=1) + "\n")
     committed = json.loads(FILE.read_text(encoding="utf-8"))
-    wanted = {subject.name: subject for subject in subjects()}
-    wrong = [f"{name}: unknown subject" for name in committed if name not in wanted]
+    known = {subject.name for subject in chosen}
+    wrong = [f"{name}: unknown subject" for name in committed if name not in known]
     if first_seeds:
-        wanted = {
-            name: subject for name, subject in wanted.items() if not re.search(r"/seed-[1-9]", name)
-        }
-    for name, subject in wanted.items():
-        if (found := compute(subject)) != committed.get(name):
-            wrong.append(f"{name}: {found} here, {committed.get(name)} committed")
-    print(
-        *wrong,
-        f"{len(wanted)} subjects in {NUM_ENVS} environments: {len(wrong)} differences",
-        sep="\n",
-    )
+        chosen = [subject for subject in chosen if not re.search(r"/seed-[1-9]", subject.name)]
+    wrong += compare(chosen, committed)
+    summary = f"{len(chosen)} subjects in {NUM_ENVS} environments: {len(wrong)} differences"
+    print(*wrong, summary, sep="\n")
     return int(bool(wrong))
 
 

@@ -1,5 +1,4 @@
-"""Hypothesis: the same few examples in every test run; many, and other ones, with
-`--hypothesis-profile fuzz`."""
+"""Hypothesis: a few examples, the same in every test run; many with `--hypothesis-profile fuzz`."""
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -18,8 +17,7 @@ settings.load_profile("seeded")
 
 @pytest.fixture
 def refused(capsys):
-    """Asserts that a command ends with status 2, and returns what it has written to the standard
-    error."""
+    """Asserts that a command ends with status 2, and returns its standard error."""
 
     def call(main, *arguments):
         with pytest.raises(SystemExit) as stop:
@@ -34,8 +32,12 @@ def refused(capsys):
 def saved_figures(monkeypatch):
     """The figures of matplotlib that the test saves."""
     figure = pytest.importorskip("matplotlib.figure").Figure
-    save, saved = figure.savefig, []
-    monkeypatch.setattr(
-        figure, "savefig", lambda self, *a, **kwargs: saved.append(self) or save(self, *a, **kwargs)
-    )
+    save = figure.savefig
+    saved = []
+
+    def record(self, *arguments, **options):
+        saved.append(self)
+        save(self, *arguments, **options)
+
+    monkeypatch.setattr(figure, "savefig", record)
     return saved

@@ -36,7 +36,10 @@ export interface State {
   x_dot: number;
 }
 
-/** Fields of `capsule_gym.Disturbances`; a pair is a range from which each episode draws. Omitted fields are ideal. */
+/**
+ * Fields of `capsule_gym.Disturbances`; a pair is a range from which each episode draws. Omitted
+ * fields are ideal.
+ */
 export interface Disturbances {
   controls?: "both" | "law" | "agent";
   unmeasured?: ("theta" | "theta_dot" | "x_dot")[];
@@ -48,8 +51,9 @@ export interface Disturbances {
 }
 
 /**
- * Options of an environment by the names of the core; null for one that is not given. `core_options` of
- * `capsule_gym.envs.contract` returns them in Python. What follows from controller and task has no effect.
+ * Options of an environment by the names of the core; null for one that is not given.
+ * `core_options` of `capsule_gym.envs.contract` returns them in Python. What follows from
+ * controller and task has no effect.
  */
 export type Options = Record<string, number | null>;
 
@@ -61,7 +65,10 @@ export interface Description {
   layout: Record<string, number>;
   /** The entries of the observation in order: name, lowest and highest value. */
   entries: [string, number, number][];
-  /** What an episode draws: row of `world`, stream, place in the stream, low, range, and distribution. */
+  /**
+   * What an episode draws: row of `world`, stream, place in the stream, low, range, and
+   * distribution.
+   */
   draws: [number, number, number, number, number, number][];
 }
 
@@ -107,8 +114,9 @@ export interface FrozenPlant extends Plant {
 }
 
 /**
- * All quantities of the last step and of the episode, by the names in `quantities`, and values of the task; SI units.
- * A disturbed plant adds the sensor readings and the values that the episode has drawn.
+ * All quantities of the last step and of the episode, by the names in `quantities`, and values of
+ * the task; SI units. A disturbed plant adds the sensor readings and the values that the episode
+ * has drawn.
  */
 export type Info = {
   [quantity: string]: number | string | Record<string, number> | undefined;
@@ -184,7 +192,10 @@ export const constants: {
   nominal: Plant & Record<string, number>;
   /** Ranges from which environments draw M and mu. */
   ranges: Record<string, { M: [number, number]; mu: [number, number] }>;
-  /** Accepted ranges: M and mu in `reset` and `setPlant`; a disturbed plant's other constants in `reset`. */
+  /**
+   * Accepted ranges: M and mu in `reset` and `setPlant`; a disturbed plant's other constants in
+   * `reset`.
+   */
   limits: { M: [number, number]; mu: [number, number] } & Record<string, [number, number]>;
   /** The disturbances that "real" selects. */
   real: Disturbances;
@@ -205,9 +216,15 @@ export class Capsule {
   readonly info: Info;
   readonly metrics: Metrics;
   readonly description: Description;
-  /** The `quantities`, the law's memory, its row of the reference table, the task's memory, and the history. */
+  /**
+   * The `quantities`, the law's memory, its row of the reference table, the task's memory, and the
+   * history.
+   */
   readonly world: Float64Array;
-  /** What `check` compares: the rows of `info`, the memories of law and task, the last reading, and the observation. */
+  /**
+   * What `check` compares: the rows of `info`, the memories of law and task, the last reading, and
+   * the observation.
+   */
   readonly compared: (Float64Array | Float32Array)[];
   reset(start?: Start): { observation: Float32Array; info: Info };
   step(action: number): StepResult;
@@ -227,7 +244,9 @@ export class Episode extends Capsule {
 
 export function load(
   controller: string,
-  options?: { task?: string; disturbances?: "none" | "real" | Disturbances; options?: Options } | { set: string },
+  options?:
+    | { task?: string; disturbances?: "none" | "real" | Disturbances; options?: Options }
+    | { set: string },
 ): Promise<Capsule>;
 export function drive(driver: string, options?: (Start | Frozen) & Told): Promise<Episode>;
 /** A trained policy of your own: the result of `web.data.describe_policy` in Python as JSON. */

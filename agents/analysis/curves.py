@@ -32,17 +32,20 @@ def document() -> tuple[dict[str, str], dict[str, Callable[[], Any]]]:
     """Tables and figures of the leaderboard's stored results, without new evaluations."""
     rows = load_rows(ROOT / RESULTS, [candidate.name for candidate in all_candidates()])
     ranking_set = CRITERIA["speed"].ranking_set
-    rows.sort(key=lambda row: (-row.score(ranking_set, SPEED.name).mean(), row.name))
+
+    def order(row: LeaderboardRow) -> tuple[float, str]:
+        return -row.score(ranking_set, SPEED.name).mean(), row.name
+
+    rows.sort(key=order)
     learning = read_learning([row.name for row in rows if row.trained], "speed")
     evaluated = {name: runs for name, runs in learning.items() if runs}
-    figures: dict[str, Callable[[], Any]] = {
-        "curves_transport": partial(draw_transport, rows),
-        "curves_learning": partial(draw_learning, evaluated),
-    }
+    figures: dict[str, Callable[[], Any]] = {}
+    figures["curves_transport"] = partial(draw_transport, rows)
+    figures["curves_learning"] = partial(draw_learning, evaluated)
     for task in ("goal", "velocity"):
         names = [candidate.name for candidate in all_candidates(task) if candidate.trained]
-        label = CRITERIA[task].metric.label
-        figures[f"curves_{task}"] = partial(draw_learning, read_learning(names, task), label)
+        runs = read_learning(names, task)
+        figures[f"curves_{task}"] = partial(draw_learning, runs, CRITERIA[task].metric.label)
     return {"learning": table(learning)}, figures
 
 
@@ -74,24 +77,28 @@ def learning_curve(runs: Learning) -> tuple[np.ndarray, np.ndarray, np.ndarray, 
     """
     (steps,) = {tuple(steps) for steps, _ in runs.values()}
     columns = np.transpose([speeds for _, speeds in runs.values()])
-    found = [estimate(column[:, None]) for column in columns]
-    value, low, high = np.transpose([(each.value, each.low, each.high) for each in found])
+    found = []
+    for column in columns:
+        summary = estimate(column[:, None])
+        found.append((summary.value, summary.low, summary.high))
+    value, low, high = np.transpose(found)
     return np.array(steps), value, low, high
 
 
 def table(learning: Mapping[str, Learning]) -> str:
     """A Markdown table of the speed at the end of training, and the steps to 90 % of this speed."""
-    end = f"{SPEED.label} at the end"
-    lines = [["policy", "training seeds", "steps", end, "steps to 90 % of that"]]
+    head = ["policy", "training seeds", "steps", f"{SPEED.label} at the end"]
+    lines = [[*head, "steps to 90 % of that"]]
     without = []
     for name, runs in learning.items():
         if not runs:
             without.append(name)
             continue
         steps, value, low, high = learning_curve(runs)
-        reached = steps[value >= 0.9 * value[-1]][0]
+        end = steps[-1]
+        first = steps[value >= 0.9 * value[-1]][0]
         speed = SPEED.with_interval((value[-1], low[-1], high[-1]))
-        lines.append([name, str(len(runs)), f"{steps[-1]:,.0f}", speed, f"{reached:,.0f}"])
+        lines.append([name, str(len(runs)), f"{end:,.0f}", speed, f"{first:,.0f}"])
     text = markdown_table(lines)
     if without:
         text += f"\n\nWithout committed evaluations: {', '.join(without)}."
@@ -170,20 +177,7 @@ def draw_transport(rows: Sequence[LeaderboardRow]) -> Any:
     axes.xaxis.set_major_formatter("{x:g}")
     axes.xaxis.set_minor_formatter("")
     axes.set(xlabel="cost of transport", ylabel="mean speed (cm/s)")
-    # Names next to the axes, the highest mark's first, with a line to each mark.
-    marks.sort(key=lambda mark: -mark[1])
-    for n, (x, y, row) in enumerate(marks):
-        axes.annotate(
-            row.name,
-            (x, y),
-            xytext=(1.01, 1.0 - (n + 0.5) / len(marks)),
-            textcoords="axes fraction",
-            va="center",
-            color=colour_of(row),
-            parse_math=False,
-            arrowprops={"arrowstyle": "-", "color": FAINT, "relpos": (0.0, 0.5)},
-            zorder=1,
-        )
+    name_marks(axes, marks)
     # Outside: every corner inside the axes contains a front, a policy or a label's line.
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=4)
     axes.set_title("Speed against cost of transport, the paper's plant from 100 starts")
@@ -195,6 +189,25 @@ def draw_transport(rows: Sequence[LeaderboardRow]) -> Any:
         note += f" Without forward progress, and so without a cost: {', '.join(absent)}."
     add_note(figure, note)
     return figure
+
+
+def name_marks(axes: Any, marks: list[tuple[float, float, LeaderboardRow]]) -> None:
+    """Writes names next to the axes, the highest mark's first, with a line to each mark."""
+    line = {"arrowstyle": "-", "color": FAINT, "relpos": (0.0, 0.5)}
+    marks.sort(key=lambda mark: -mark[1])
+    for n, (x, y, row) in enumerate(marks):
+        height = 1.0 - (n + 0.5) / len(marks)
+        axes.annotate(
+            row.name,
+            (x, y),
+            xytext=(1.01, height),
+            textcoords="axes fraction",
+            va="center",
+            color=colour_of(row),
+            parse_math=False,
+            arrowprops=line,
+            zorder=1,
+        )
 
 
 def colour_of(row: LeaderboardRow) -> str:

@@ -52,7 +52,8 @@ def find_cycle(samples: np.ndarray) -> np.ndarray:
     samples = samples[-round(WINDOW / DT) :]
     theta = samples[:, THETA]
     middle = 0.5 * (theta.min() + theta.max())
-    rises = 1 + np.flatnonzero((theta[:-1] < middle) & (theta[1:] >= middle))
+    above = theta >= middle
+    rises = 1 + np.flatnonzero(~above[:-1] & above[1:])
     periods = np.diff(rises)
     # The cycle from the smallest theta on reaches up to a period further.
     fits = rises[1:] + periods < len(theta)
@@ -75,11 +76,12 @@ def document() -> tuple[dict[str, str], dict[str, Callable[[], Any]]]:
         cycle = cycles[name] = find_cycle(sample_episode(policy))
         period = DT * (len(cycle) - 1)
         distance = 100.0 * (cycle[-1, X] - cycle[0, X])
-        numbers = [f"{each:.2f}" for each in (period, distance, distance / period)]
         stuck = cycle[1:, X_DOT] == 0.0
         limited = np.abs(cycle[1:, TORQUE]) >= TORQUE_LIMIT
-        shares = [f"{100.0 * each.mean():.0f} %" for each in (stuck, limited)]
-        lines.append((name, *numbers, *shares))
+        line = [name, f"{period:.2f}", f"{distance:.2f}", f"{distance / period:.2f}"]
+        line.append(f"{100.0 * stuck.mean():.0f} %")
+        line.append(f"{100.0 * limited.mean():.0f} %")
+        lines.append(line)
     return {"cycles": markdown_table(lines)}, {"limit_cycle": lambda: draw(cycles)}
 
 

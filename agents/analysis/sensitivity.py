@@ -31,20 +31,29 @@ def _sized_as_real(*names: str) -> dict[str, Any]:
     return {name: getattr(REAL, name) for name in names}
 
 
+def _of_sensors(kind: str) -> dict[str, Any]:
+    return _sized_as_real(*(f"{name}_{kind}" for name in SENSORS))
+
+
+def _resolutions() -> dict[str, Any]:
+    # Readings are as coarse as their noise.
+    sizes = {f"{name}_resolution": getattr(REAL, f"{name}_noise") for name in SENSORS}
+    return {**sizes, "torque_resolution": 0.05}
+
+
 ALL = 'all of "real"'
 # Each disturbance by its name in tables: as in "real" (mean latency), if "real" contains it.
 DISTURBED: dict[str, dict[str, Any]] = {
-    "white noise": _sized_as_real(*(f"{name}_noise" for name in SENSORS)),
-    "bias": _sized_as_real(*(f"{name}_bias" for name in SENSORS)),
-    "drift": _sized_as_real(*(f"{name}_drift" for name in SENSORS)),
-    "resolution": {f"{name}_resolution": getattr(REAL, f"{name}_noise") for name in SENSORS},
+    "white noise": _of_sensors("noise"),
+    "bias": _of_sensors("bias"),
+    "drift": _of_sensors("drift"),
+    "resolution": _resolutions(),
     "latency": {"latency": float(np.mean(REAL.latency))},
     "motor lag": _sized_as_real("lag"),
     "motor friction": _sized_as_real("motor_friction"),
     "pushes": {"push": 0.5},
     ALL: _sized_as_real(*(name for name in DISTURBANCES if name != "drift_time")),
 }
-DISTURBED["resolution"]["torque_resolution"] = 0.05
 NONE = "none"
 # The interquartile mean of the speed (cm/s) and the number of failures, by disturbance.
 Cells = Mapping[str, tuple[float, int]]
@@ -91,6 +100,7 @@ def table(results: Mapping[str, Cells]) -> str:
     for policy, cells in results.items():
         line = [policy]
         for speed, failed in cells.values():
-            line.append(SPEED.format(speed) + (f" ({failed})" if failed else ""))
+            failures_in_brackets = f" ({failed})" if failed else ""
+            line.append(SPEED.format(speed) + failures_in_brackets)
         lines.append(line)
     return markdown_table(lines)

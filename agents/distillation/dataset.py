@@ -55,7 +55,8 @@ def collect(
     observations, _ = env.reset(seed=seeds, options=_plant_changes(student, rng))
     running = np.ones(count, bool)
     expert_acts = rng.random(count) < expert_share
-    inputs, regrets = [], []
+    inputs = []
+    regrets = []
     for _ in range(student.steps):
         # The expert observes M and mu, but no estimates; the student estimates, but neither M nor
         # mu.

@@ -2,10 +2,8 @@
 
 import io
 import textwrap
-from collections.abc import Mapping
-from typing import Any
 
-from agents.leaderboard.page import RANKING_SET, REAL, SPEED, grouped
+from agents.leaderboard.page import RANKING_SET, REAL, SPEED, Board, grouped
 from baselines.drawing import BLUE, VERMILION, new_figure, style
 from capsule_gym.files import canonical_hash
 
@@ -27,7 +25,7 @@ MARKED = 0.005
 CROSS = "\N{MULTIPLICATION SIGN}"
 
 
-def contents(board: Mapping[str, Any]) -> list[tuple[str, list[tuple[float, float]]]]:
+def contents(board: Board) -> list[tuple[str, list[tuple[float, float]]]]:
     """The lines of the chart: titles of groups, and policies with their bars.
 
     A bar is the mean speed (cm/s) and the share of failed episodes on a set.
@@ -45,7 +43,7 @@ def contents(board: Mapping[str, Any]) -> list[tuple[str, list[tuple[float, floa
     return found
 
 
-def digest(board: Mapping[str, Any]) -> str:
+def digest(board: Board) -> str:
     """The hash of what the chart shows, which its file contains.
 
     The file's outlines differ between versions of matplotlib.
@@ -53,7 +51,7 @@ def digest(board: Mapping[str, Any]) -> str:
     return canonical_hash(contents(board))
 
 
-def draw(board: Mapping[str, Any]) -> str:
+def draw(board: Board) -> str:
     """The chart as SVG; equal numbers give equal bytes with the same version of matplotlib."""
     lines = contents(board)
     with style():

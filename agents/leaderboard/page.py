@@ -27,6 +27,9 @@ from capsule_gym.evaluation.sets import EvaluationSet
 from capsule_gym.evaluation.statistics import paired_difference
 from capsule_gym.files import to_json
 
+# The content of leaderboard.json, and one of its rows.
+Board = Mapping[str, Any]
+Row = Mapping[str, Any]
 COMMAND = "python -m agents.leaderboard"
 TABLES = "docs/leaderboard_tables.md"
 # The main table: its groups of rows, its sets, and the row to whose speed those of the others are
@@ -92,7 +95,7 @@ def build(rows: Sequence[LeaderboardRow], sets: Sequence[EvaluationSet]) -> dict
     Raises:
         ValueError: if a row was evaluated on other sets.
     """
-    tasks = {}
+    tasks: dict[str, dict[str, Any]] = {}
     for task in dict.fromkeys(each.task for each in sets):
         own_sets = [each for each in sets if each.task == task]
         own_rows = [row for row in rows if row.task == task]
@@ -100,9 +103,10 @@ def build(rows: Sequence[LeaderboardRow], sets: Sequence[EvaluationSet]) -> dict
             "sets": {each.name: each.hash for each in own_sets},
             "rows": _ranked(own_rows, own_sets, CRITERIA[task]),
         }
-    main = tasks.pop("speed", {"sets": {}, "rows": []})
+    board = tasks.pop("speed", {"sets": {}, "rows": []})
+    board["tasks"] = tasks
     # Infinities become null.
-    text = to_json({**main, "tasks": tasks})
+    text = to_json(board)
     content: dict[str, Any] = json.loads(text, parse_float=_six_digits)
     return content
 
@@ -121,7 +125,7 @@ def _ranked(
     entries = [_entry(row, by_name.get(row.header["base"]), sets, metric) for row in rows]
     sign = 1.0 if criteria.ascending else -1.0
 
-    def rank(entry: Mapping[str, Any]) -> tuple[float, str]:
+    def rank(entry: Row) -> tuple[float, str]:
         mean = entry["results"][criteria.ranking_set][metric]["mean"]
         return sign * mean, entry["policy"]
 
@@ -138,8 +142,8 @@ def _entry(
     if base is not None:
         entry["minus_base"] = differences = {}
         for each in sets:
-            own, theirs = row.score(each.name, metric), base.score(each.name, metric)
-            differences[each.name] = paired_difference(own, theirs, mean=True).to_dict()
+            both = [run.score(each.name, metric) for run in (row, base)]
+            differences[each.name] = paired_difference(*both, mean=True).to_dict()
     return entry
 
 
@@ -151,14 +155,14 @@ def _summary(episodes: Sequence[Episode]) -> dict[str, Any]:
     return summary
 
 
-def grouped(board: Mapping[str, Any]) -> dict[str, list[Mapping[str, Any]]]:
+def grouped(board: Board) -> dict[str, list[Row]]:
     """The rows of the main table by group.
 
     The last group contains rows that are in no table of another page.
     """
     title_of = {name: title for title, names in GROUPS.items() for name in names}
     elsewhere = {name for names, _ in SECTIONS.values() for name in names}
-    groups: dict[str, list[Mapping[str, Any]]] = {title: [] for title in (*GROUPS, "Others")}
+    groups: dict[str, list[Row]] = {title: [] for title in (*GROUPS, "Others")}
     for row in board["rows"]:
         name = row["policy"]
         if name in title_of or name not in elsewhere:
@@ -166,7 +170,7 @@ def grouped(board: Mapping[str, Any]) -> dict[str, list[Mapping[str, Any]]]:
     return {title: rows for title, rows in groups.items() if rows}
 
 
-def message(board: Mapping[str, Any]) -> str:
+def message(board: Board) -> str:
     """The summary of the main table."""
     results = {row["policy"]: row["results"] for row in board["rows"]}
 
@@ -189,7 +193,7 @@ def message(board: Mapping[str, Any]) -> str:
     )
 
 
-def _main_table(board: Mapping[str, Any], columns: Sequence[str], names: Sequence[str] = ()) -> str:
+def _main_table(board: Board, columns: Sequence[str], names: Sequence[str] = ()) -> str:
     """Some columns of all rows with lines for the titles of groups, or only of some rows."""
     results = {row["policy"]: row["results"] for row in board["rows"]}
     reference = results[REFERENCE][RANKING_SET][SPEED.name]["mean"]
@@ -204,7 +208,7 @@ def _main_table(board: Mapping[str, Any], columns: Sequence[str], names: Sequenc
     return markdown_table(lines)
 
 
-def _main_cells(row: Mapping[str, Any], reference: float) -> dict[str, str]:
+def _main_cells(row: Row, reference: float) -> dict[str, str]:
     """The cells of `_main_table` by column; `reference` is the speed of `REFERENCE`, cm/s."""
     cells = {name: row[name] for name in ("policy", "senses", "told")}
     for name, result in row["results"].items():
@@ -216,7 +220,7 @@ def _main_cells(row: Mapping[str, Any], reference: float) -> dict[str, str]:
     return cells
 
 
-def _details(rows: Sequence[Mapping[str, Any]], sets: Iterable[str], criteria: Criteria) -> str:
+def _details(rows: Sequence[Row], sets: Iterable[str], criteria: Criteria) -> str:
     """A table for each set: means, worst seeds, interquartile means, differences to base laws.
 
     Columns without any value are omitted.
@@ -230,7 +234,7 @@ def _details(rows: Sequence[Mapping[str, Any]], sets: Iterable[str], criteria: C
     return "\n\n".join(tables)
 
 
-def _detail_cells(row: Mapping[str, Any], set_name: str, criteria: Criteria) -> dict[str, str]:
+def _detail_cells(row: Row, set_name: str, criteria: Criteria) -> dict[str, str]:
     """The cells of `_details` by column."""
     result = row["results"][set_name]
     cells = {"policy": row["policy"]}
@@ -288,7 +292,7 @@ def _replace_section(readme: str, name: str, text: str) -> str:
     return before + _section(name, text) + rest.partition(end)[2]
 
 
-def files(root: Path, board: Mapping[str, Any]) -> dict[str, str]:
+def files(root: Path, board: Board) -> dict[str, str]:
     """The texts of leaderboard.json, LEADERBOARD.md, the README, and the tables of other pages.
 
     Raises:

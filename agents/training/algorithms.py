@@ -143,7 +143,7 @@ def _make_venv(config: Config, seed: int, kwargs: dict[str, Any], steps: int) ->
     venv = DummyVecEnv([lambda: wrapped_env(config, kwargs, steps)] * config.num_envs)
     spaces = (venv.observation_space, venv.action_space)
     if not all(isinstance(space, gym.spaces.Box) for space in spaces):
-        found = f"{venv.observation_space} and {venv.action_space}"
+        found = " and ".join(map(str, spaces))
         raise RunError(f"--wrapper must leave observations and actions Box, got {found}")
     venv.seed(seed)
     return venv

@@ -202,7 +202,7 @@ class TrainingCallback(BaseCallback):
         line[f"score_{criteria.suffix}"] = round(score, 4)
         line[f"baseline_{criteria.column}"] = round(self.baseline_value, 4)
         self.progress.evaluations.append(line)
-        lines = [",".join(line)]
+        lines = [",".join(self.progress.evaluations[0])]
         lines += [",".join(map(str, each.values())) for each in self.progress.evaluations]
         write_atomically(self.run / EVALUATIONS, "\n".join([*lines, ""]))
 

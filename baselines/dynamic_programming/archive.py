@@ -105,11 +105,12 @@ class Archive:
         runs = [trajectory for _, trajectory in solved]
         best = max(runs, key=lambda run: _reward(problem, run))
         self.arrays[f"{problem.key} torques"] = best.choices[:, 0]
+        gains = [solution.gain for solution in solutions]
         steady = [run.steady_speed(problem.control_dt) for run in runs]
         self.results[problem.key] = Result(
             **asdict(problem),
             grids=[list(solution.grid.shape) for solution in solutions],
-            gains=[round(solution.gain, 4) for solution in solutions],
+            gains=[round(gain, 4) for gain in gains],
             steady=[round(speed, 4) for speed in steady],
             **_performance(best),
         )
@@ -205,8 +206,8 @@ def load_archive(folder: Path = FOLDER) -> Archive:
     if not (folder / ARCHIVE).is_file():
         return Archive()
     try:
-        content = json.loads((folder / ARCHIVE).read_text(encoding="utf-8"))["results"]
-        results = [Result(**fields) for fields in content]
+        content = json.loads((folder / ARCHIVE).read_text(encoding="utf-8"))
+        results = [Result(**fields) for fields in content["results"]]
         # Read from memory, since numpy does not close an invalid file.
         with np.load(io.BytesIO((folder / ARRAYS).read_bytes()), allow_pickle=False) as found:
             return Archive({result.key: result for result in results}, dict(found))
@@ -224,9 +225,10 @@ def _shapes(problem: Problem) -> tuple[tuple[int, int, int], ...]:
 
 def _reward(problem: Problem, trajectory: Trajectory) -> float:
     """The reward of the first episode, cm, less a deduction if it fails."""
-    metrics = {name: float(values[0]) for name, values in trajectory.metrics.items()}
-    reward = 100.0 * metrics["distance"] - problem.energy_weight * metrics["energy"]
-    return reward - FAILURE * metrics["failed"]
+    distance, energy, failed = (
+        float(trajectory.metrics[name][0]) for name in ("distance", "energy", "failed")
+    )
+    return 100.0 * distance - problem.energy_weight * energy - FAILURE * failed
 
 
 def _performance(trajectory: Trajectory) -> dict[str, float]:

@@ -94,7 +94,8 @@ def interpolate(
     corner = first + i * along_theta + j * along_s + k
     near = along_s_and_w(corner)
     far = along_s_and_w(corner + along_theta)
-    return near + theta * (far - near) - curvature * w * (1.0 - w)
+    linear = near + theta * (far - near)
+    return linear - curvature * w * (1.0 - w)
 
 
 @dataclass(frozen=True)

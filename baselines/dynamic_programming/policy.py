@@ -50,12 +50,15 @@ def _tables(*problems: Problem) -> _Tables:
     solutions = [known_results().solution(problem) for problem in problems]
     grids = [solution.grid for solution in solutions]
     curvatures = [cell_curvature(solution.curvature, solution.grid) for solution in solutions]
-    sizes = [solution.values.size for solution in solutions]
+    values = [solution.values.ravel() for solution in solutions]
+    sizes = [own.size for own in values]
+    shapes = [grid.shape for grid in grids]
+    axes = [grid.axes for grid in grids]
     return _Tables(
-        values=np.concatenate([solution.values.ravel() for solution in solutions]),
+        values=np.concatenate(values),
         starts=np.cumsum([0, *sizes[:-1]]),
-        shapes=np.array([grid.shape for grid in grids]),
-        axes=np.array([grid.axes for grid in grids]),
+        shapes=np.array(shapes),
+        axes=np.array(axes),
         curvatures=np.array(curvatures),
     )
 

@@ -98,7 +98,8 @@ def transitions(problem: Problem, grid: Grid, torques: np.ndarray) -> tuple[np.n
         part = slice(begin, begin + batch)
         for n in range(count):
             ends, rewards[part, n], failed = model.step(states[:, part], torques[part, n])
-            positions[part, n] = np.where(failed[:, None], FAILED, grid.positions(ends))
+            reached = grid.positions(ends)
+            positions[part, n] = np.where(failed[:, None], FAILED, reached)
     return positions, rewards
 
 
@@ -119,7 +120,8 @@ def _backup(
     best = np.full(len(rewards), -np.inf)
     chosen = np.zeros(len(rewards), np.int64)
     for torque in range(rewards.shape[1]):
-        found = rewards[:, torque] + next_values(values, positions[:, torque], curvature)
+        after = next_values(values, positions[:, torque], curvature)
+        found = rewards[:, torque] + after
         better = found > best
         best[better] = found[better]
         chosen[better] = torque
@@ -141,10 +143,11 @@ def solve(
     """
     actions = _evenly_spaced(grid)
     positions, rewards = transitions(problem, grid, actions)
-    values = np.zeros(grid.shape, np.float32)
+    values: np.ndarray = np.zeros(grid.shape, np.float32)
     gain = 0.0  # cm per step
     if start is not None:
-        values = start.at(grid.nodes()).astype(np.float32).reshape(grid.shape)
+        at_nodes = start.at(grid.nodes())
+        values = at_nodes.astype(np.float32).reshape(grid.shape)
         gain = start.gain * problem.control_dt
     cell = cell_curvature(curvature, grid)
     origin = grid.positions(np.array([[START_THETA], [0.0], [0.0]]))
@@ -205,7 +208,7 @@ def final_solutions(solution: Solution) -> list[Solution]:
     grid = solution.grid
     positions, rewards = transitions(problem, grid, _evenly_spaced(grid))
     cell = cell_curvature(solution.curvature, grid)
-    values = np.zeros(grid.shape, np.float32)
+    values: np.ndarray = np.zeros(grid.shape, np.float32)
     found = [replace(solution, values=values)]
     for _ in range(round(ENDING / problem.control_dt) - 1):
         improved, _ = _backup(values, positions, rewards, 0.0, cell)
@@ -293,7 +296,8 @@ def curvature_of(solution: Solution, trajectory: Trajectory) -> float:
     after = values[i, j, k + 1]
     second = after - 2.0 * values[i, j, k] + before
     _, spacing = solution.grid.axes[2].tolist()
-    return round(float(np.median(second)) / (2.0 * spacing**2), 3)
+    curvature = float(np.median(second)) / (2.0 * spacing**2)
+    return round(curvature, 3)
 
 
 def solve_on_grids(

@@ -81,10 +81,10 @@ def lyapunov(run: Trajectory, start: tuple[float, ...], plant: Plant) -> np.ndar
 class LawStudy:
     """Five cycles of one form of the adaptive law on each plant of the grid.
 
-    The torque limit is in N m. A run has `M` (kg), `mu`, `failed` (whether it ended early), `error_rms` of theta - theta_d
-    (rad), `peak_velocity` (rad/s), `peak_torque` (N m), `mean_speed` (cm/s), `eta` at its end, the
-    sum of all rises of the Lyapunov function (40) (`rise`) and the fraction of the time in which it
-    rises (`rising`).
+    The torque limit is in N m. A run has `M` (kg), `mu`, `failed` (whether it ended early),
+    `error_rms` of theta - theta_d (rad), `peak_velocity` (rad/s), `peak_torque` (N m), `mean_speed`
+    (cm/s), `eta` at its end, the sum of all rises of the Lyapunov function (40) (`rise`) and the
+    fraction of the time in which it rises (`rising`).
     """
 
     law: str
@@ -116,7 +116,8 @@ def study_law(regularised: bool, torque_limit: float = UNLIMITED) -> LawStudy:
     trajectories = simulate(controller, plants, torque_limit=torque_limit)
     runs = []
     for (M, mu), trajectory in zip(plants, trajectories, strict=True):
-        change = np.diff(lyapunov(trajectory, controller.memory, NOMINAL.plant(M, mu)))
+        V = lyapunov(trajectory, controller.memory, NOMINAL.plant(M, mu))
+        change = np.diff(V)
         rises = change[change > MIN_RISE]
         metrics = trajectory.metrics
         run: dict[str, Any] = {"M": M, "mu": mu, "failed": not trajectory.completed}
@@ -199,5 +200,6 @@ def study_variants() -> list[tuple[float, float, int, int, int]]:
     for beta, eta_0, n, rate in dict.fromkeys(choices):
         controller = adaptive(regularised=False, beta=beta, eta_0=eta_0, n=n, dt=1.0 / rate)
         failed, _ = run_cycles(controller, plant_grid())
-        variants.append((beta, eta_0, n, rate, int(failed.sum())))
+        failures = int(failed.sum())
+        variants.append((beta, eta_0, n, rate, failures))
     return variants

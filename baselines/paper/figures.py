@@ -70,22 +70,18 @@ def draw_tracking() -> Any:
     cycle = slice(0, CYCLE + 1)
     for run, (name, numbers) in zip(profile_runs(), published.RUNS.items(), strict=True):
         pen = PENS[name]
-        t = run.t[cycle]
-        rate = run.theta_dot[cycle]
-        angle = np.degrees(run.theta[cycle])
-        target_angle = np.degrees(run.reference[cycle, 0])
-        label = (
-            f"{name}, found: {run.theta_dot.max():.2f} rad/s, {np.degrees(run.theta).max():.2f}°"
-        )
-        for row, target, found, key, unit in (
-            (rates, run.reference[cycle, 1], rate, "peak_velocity", " rad/s"),
-            (angles, target_angle, angle, "swing", "°"),
+        swing = np.degrees(run.theta)
+        target = np.degrees(run.reference[:, 0])
+        label = f"{name}, found: {run.theta_dot.max():.2f} rad/s, {swing.max():.2f}°"
+        for row, wanted, found, key, unit in (
+            (rates, run.reference[:, 1], run.theta_dot, "peak_velocity", " rad/s"),
+            (angles, target, swing, "swing", "°"),
         ):
             value = numbers[key].value
             stated = f"published, {name}: {value:g}{unit}"
             for axes, text in zip(row, ("", stated), strict=True):
-                axes.plot(t, target, **REFERENCE)
-                axes.plot(t, found, **pen, label=label)
+                axes.plot(run.t[cycle], wanted[cycle], **REFERENCE)
+                axes.plot(run.t[cycle], found[cycle], **pen, label=label)
                 mark_published(axes, value, text, pen["color"])
     first, second = angles
     first.set(ylabel="angle θ (deg)", ylim=(-70.0, 100.0))
@@ -148,30 +144,28 @@ def _draw_law(title: str, quantities: dict[str, Quantity], stated: str) -> Any:
     """
     figure = new_figure(1.4 + 1.7 * len(quantities))
     panels = figure.subplots(len(quantities), 2, sharex="col", squeeze=False)
-    left, right = panels.T
     regularised, corrected = adaptive_runs().values()
-    for axes, quantity in zip(left, quantities.values(), strict=True):
-        _draw_plants(axes, regularised, quantity, DURATION)
-    for axes, quantity in zip(right, quantities.values(), strict=True):
-        _draw_plants(axes, corrected, quantity, CHATTER)
-    for axes, label in zip(left, quantities, strict=True):
-        axes.set_ylabel(label)
-    left[0].set_title(f"{title}, {REGULARISED_LAW}")
-    right[0].set_title(f"{CORRECTED_LAW}, the first {CHATTER:g} s")
+    for (left, right), (label, quantity) in zip(panels, quantities.items(), strict=True):
+        _draw_plants(left, regularised, quantity, DURATION)
+        _draw_plants(right, corrected, quantity, CHATTER)
+        left.set_ylabel(label)
+    left, right = panels[0]
+    left.set_title(f"{title}, {REGULARISED_LAW}")
+    right.set_title(f"{CORRECTED_LAW}, the first {CHATTER:g} s")
     for axes in panels[-1]:
         axes.set_xlabel("time (s)")
-    legend = left[0].get_legend_handles_labels()
+    legend = left.get_legend_handles_labels()
     figure.legend(*legend, loc="outside upper center", ncols=len(PLANTS))
     largest = "; ".join(
         f"{law} {_largest(runs, quantities)}" for law, runs in adaptive_runs().items()
     )
-    ended = [f"{run.t[-1]:.2f} s" for run in corrected if not run.completed]
+    ends = [f"{run.t[-1]:.2f} s" for run in corrected if not run.completed]
+    law = f"{CORRECTED_LAW.capitalize()}, with the torque limit of {TORQUE_LIMIT:g} N m"
+    lost = f"{len(ends)} of {len(PLANTS)} runs loses contact with the floor"
     add_note(
         figure,
         f"Largest absolute values, in the units of the panels: {largest}. In print: {stated}. "
-        f"{NO_CURVES}. {CORRECTED_LAW.capitalize()}, with the torque limit of {TORQUE_LIMIT:g} "
-        f"N m: {len(ended)} of {len(PLANTS)} runs loses contact with the floor, at "
-        f"{' and '.join(ended)} (cross).",
+        f"{NO_CURVES}. {law}: {lost}, at {' and '.join(ends)} (cross).",
     )
     return figure
 

@@ -193,8 +193,8 @@ def _move(steps: Cycle, h: float, p: Plant) -> _Motion:
     t = steps.t
     theta, theta_dot, theta_ddot = steps.motion
     x, x_dot, x_ddot = platform_motion(theta, theta_dot, theta_ddot, h, p)
-    rests = x_dot[-1] + h * x_ddot[-1] == 0.0
-    if not rests:
+    last_x_dot = x_dot[-1] + h * x_ddot[-1]
+    if last_x_dot != 0.0:
         t, theta, theta_dot, theta_ddot = (np.tile(row, CYCLES) for row in (t, *steps.motion))
         x, x_dot, x_ddot = platform_motion(theta, theta_dot, theta_ddot, h, p)
     ml = p.m * p.l
@@ -231,7 +231,8 @@ def _demands(
     reserve: bool,
 ) -> dict[str, float]:
     """Load over limit of each demand, at the samples of `cycle`."""
-    angle, velocity, acceleration = (np.abs(cycle.motion).max(axis=1) / BOUNDS).tolist()
+    largest = np.abs(cycle.motion).max(axis=1)
+    angle, velocity, acceleration = (largest / BOUNDS).tolist()
     limit = problem.torque_limit * (1.0 - TORQUE_RESERVE * reserve)
     shares = {"torque": motion.peak_torque / limit, "principle_1": angle}
     if problem.dropped != 2:
@@ -256,7 +257,8 @@ def _decode(z: np.ndarray, problem: ProfileProblem) -> tuple[tuple[float, ...], 
     velocity = float(z[7])
     if problem.dropped != 2:
         velocity = min(velocity, float(BOUNDS[1]))
-    return tuple(times.tolist()), velocity, velocity * float(10.0 ** z[8])
+    share = float(10.0 ** z[8])
+    return tuple(times.tolist()), velocity, velocity * share
 
 
 def _encode(times: Sequence[float], V1: float, P2: float) -> list[float]:
@@ -275,7 +277,8 @@ def search(
 ) -> Solution:
     """Solves one problem by differential evolution.
 
-    Feasible profiles rank by speed, all others by violation. The best of the `known` solutions and of the published profile joins the first generation.
+    Feasible profiles rank by speed, all others by violation. The best of the `known` solutions and
+    of the published profile joins the first generation.
     """
     from scipy.optimize import differential_evolution
 
@@ -285,8 +288,8 @@ def search(
         return -found.mean_speed if found.feasible else 1.0 + min(found.excess, MAX_EXCESS)
 
     # Durations and P2 / V1 by their logarithm.
-    bounds = np.array([*np.log10(DURATIONS), V1_RANGE, np.log10(P2_SHARE)])
-    points = [_encode(PROPOSED.times, V1, P2)]
+    bounds = np.vstack([np.log10(DURATIONS), V1_RANGE, np.log10(P2_SHARE)])
+    points = [_encode(PROPOSED.times.tolist(), V1, P2)]
     points += [_encode(solution.times, solution.V1, solution.P2) for solution in known]
     result = differential_evolution(
         objective,

@@ -76,12 +76,13 @@ class Demand(NamedTuple):
 
 
 def sample(profile: Profile, samples: int = SAMPLES_PER_PHASE) -> Cycle:
-    """Samples a cycle of the profile, each phase with the given number, both of its ends included."""
+    """Samples each phase of a cycle of the profile, both of its ends included."""
     phase = np.repeat(np.arange(len(profile.segments)), samples)
     durations = [segment.duration for segment in profile.segments]
     s = np.concatenate([np.linspace(0.0, duration, samples) for duration in durations])
     starts = np.append(0.0, profile.times)
-    return Cycle(starts[phase] + s, phase, *profile.evaluate_phases(phase, s))
+    motion = profile.evaluate_phases(phase, s)
+    return Cycle(starts[phase] + s, phase, *motion)
 
 
 def principle_3(cycle: Cycle, p: Plant) -> Demand:
@@ -96,8 +97,9 @@ def principle_3(cycle: Cycle, p: Plant) -> Demand:
 def principle_4(cycle: Cycle, p: Plant) -> Demand:
     """Eq. (8): a platform at rest stays at rest.
 
-    Load: the pendulum's force, N; limit: the static friction, N. The principle applies to the restoring stage, the last `RESTORING_PHASES`. In the phases before,
-    a violation is what moves the capsule.
+    Load: the pendulum's force, N; limit: the static friction, N. The principle applies to the
+    restoring stage, the last `RESTORING_PHASES`. In the phases before, a violation is what moves
+    the capsule.
     """
     pivot_force = _pivot_torque(cycle, p) * np.cos(cycle.theta)
     force = dynamics.driving_force(*cycle.motion, p) + pivot_force
@@ -111,9 +113,9 @@ def lemma_1(cycle: Cycle, p: Plant, *, sufficient: bool = False) -> Demand:
     """Lemma 1, Eq. (10), which the paper presents as sufficient for Principle 3.
 
     `sufficient` gives its premise (12). With a = m l theta'' + k theta + c theta' and
-    b = m l theta'^2, (12), sqrt(a^2 + b^2) < (M + m) g, is sufficient by Cauchy and Schwarz. (10) follows from (12) and is sufficient for nothing: at
-    theta = 0 with a = 0 it holds at every speed. Nor is it necessary for (7), in which a drops out
-    at theta = 0.
+    b = m l theta'^2, (12), sqrt(a^2 + b^2) < (M + m) g, is sufficient by Cauchy and Schwarz. (10)
+    follows from (12) and is sufficient for nothing: at theta = 0 with a = 0 it holds at every
+    speed. Nor is it necessary for (7), in which a drops out at theta = 0.
     """
     ml = p.m * p.l
     weight = (p.M + p.m) * p.g
@@ -146,12 +148,14 @@ def lemma_2(cycle: Cycle, p: Plant, *, sufficient: bool = False) -> Demand:
 def friction_bound(p: Plant) -> float:
     """The right side of Lemma 2 (15), (M + m) g / (m l) mu / sqrt(mu^2 + 1), rad/s^2."""
     weight = (p.M + p.m) * p.g / (p.m * p.l)
-    return weight * p.mu / math.sqrt(p.mu * p.mu + 1.0)
+    root = math.sqrt(p.mu * p.mu + 1.0)
+    return weight * p.mu / root
 
 
 def _pivot_torque(cycle: Cycle, p: Plant) -> np.ndarray:
     """k theta + c theta' where the print counts it as a force, otherwise zero."""
-    return p.pivot_torque_on_contact * (p.k * cycle.theta + p.c * cycle.theta_dot)
+    torque = p.k * cycle.theta + p.c * cycle.theta_dot
+    return p.pivot_torque_on_contact * torque
 
 
 def evaluate_demands() -> list[dict[str, Any]]:
@@ -201,7 +205,8 @@ def check_lemmas(states: int = 200_000, seed: int = 0) -> list[dict[str, Any]]:
     ):
         largest = np.array([0.5 * math.pi, *limits])
         motion = largest * rng.uniform(-1.0, 1.0, (states, 3))
-        samples = Cycle(np.zeros(states), np.zeros(states, np.int64), *motion.T)
+        unused = np.zeros(states, np.int64)
+        samples = Cycle(unused, unused, *motion.T)
         for name, forces, p in (
             (printed, "printed", PAPER),
             (corrected, "printed", PAPER),
@@ -230,7 +235,8 @@ def torque_without_acceleration(
     normal_force = np.maximum(0.0, dynamics.normal_force(theta, theta_dot, 0.0, p))
     friction = slip * p.mu * normal_force
     driving_force = ml * sin * theta_dot**2 + friction
-    return at_rest + ml * np.cos(theta) * driving_force / (p.M + p.m)  # Eq. (32)
+    moment = ml * np.cos(theta) * driving_force
+    return at_rest + moment / (p.M + p.m)  # Eq. (32)
 
 
 def _slope_of_torque(largest_theta: float, theta_dot: float, p: Plant) -> float:
@@ -281,7 +287,8 @@ def torque_at_peak(
 def check_torques() -> list[dict[str, Any]]:
     """Certified lower bounds on the torque at the peak for both profiles, N m.
 
-    `bound` is for any contact, `sticking` for stick. The proof holds where the `published` torque is below the `bound`.
+    `bound` is for any contact, `sticking` for stick. The proof holds where the `published` torque
+    is below the `bound`.
     """
     rows = []
     for name, numbers in published.RUNS.items():

@@ -61,11 +61,13 @@ def _compare(times: Times) -> Iterator[Comparison]:
     """All equations for the times t1 to t7, s."""
     _, _, t3, t4, t5, t6, t7 = times
     # (27), the printed Lemma 2 at t3 with theta(t3) = P2 t3, solved for P2.
-    half = 0.5 * (NEWTON.k * t3 + NEWTON.c - 1.0 / (t4 - t3))
+    pivot = NEWTON.k * t3 + NEWTON.c
+    half = 0.5 * (pivot - 1.0 / (t4 - t3))
     own_p2 = math.sqrt(half * half + BOUND) - half
     # (23): the P3 whose return covers phase IV and 2 theta_0.
     returned = 0.5 * own_p2 * (t4 - t3) + 2.0 * THETA_0
-    own_p3 = returned / (0.5 * ((t7 - t4) + (t6 - t5)))
+    duration = 0.5 * ((t7 - t4) + (t6 - t5))
+    own_p3 = returned / duration
     yield from _progressive_stage(times, own_p2)
     yield from _restoring_stage(times, own_p2, own_p3)
 

@@ -198,13 +198,15 @@ def speed_map(
 ) -> np.ndarray:
     """Mean speed along a profile, tracked exactly for five cycles from rest, for every M and mu.
 
-    The steps last h seconds. Where the motion would lift the platform, the floor is without friction.
+    The steps last h seconds. Where the motion would lift the platform, the floor is without
+    friction.
 
     Returns:
         Shape (M, mu), cm/s.
     """
     # In the middle of the steps, where theta_d'' does not jump.
-    t = (np.arange(round(profile.period / h)) + 0.5) * h
+    steps = round(profile.period / h)
+    t = (np.arange(steps) + 0.5) * h
     motion = profile.evaluate(t)
     travelled = np.empty((len(M), len(mu)))
     for i, mass in enumerate(M):

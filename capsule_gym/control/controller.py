@@ -98,7 +98,7 @@ class CoreLaw:
                 f"states, memories and rows of {self.name!r} must have the shapes {expected}"
             )
         torques = np.empty(n)
-        # One number more: an array of a law without constants would have no address.
+        # One number more: the core reads a number even for a law without constants.
         constants = np.array([*self.constants, 0.0])
         native.call("law_torques", self.number, constants, states, renewed, rows, torques, n)
         return torques, renewed

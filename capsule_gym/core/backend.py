@@ -1,5 +1,4 @@
-"""The build backend: scikit-build-core, which compiles with PyPI's `ziglang` where it finds no C++
-compiler.
+"""The build backend: scikit-build-core, with PyPI's `ziglang` where there is no C++ compiler.
 
 The environment variable CXX names another compiler. The environment variable REPOSITORY_URL sets
 the repository's address: the metadata gets its URLs, and the README gets absolute links.
@@ -27,7 +26,8 @@ COMPILERS = () if os.name == "nt" else ("c++", "g++", "clang++")
 
 if sys.implementation.name != "cpython" or sysconfig.get_config_var("Py_GIL_DISABLED"):
     raise SystemExit(
-        "capsule-gym needs CPython with its global lock: its module has the stable ABI, others have none"
+        "capsule-gym needs CPython with its global lock: "
+        "its module has the stable ABI, others have none"
     )
 # The modes of files in a wheel do not depend on who builds it.
 os.umask(0o022)
@@ -37,16 +37,26 @@ def find_compiler() -> str | None:
     """Returns the compiler of the environment or the first one that compiles C++20, or None."""
     if "CXX" in os.environ:
         return os.environ["CXX"]
-    for path in filter(None, map(shutil.which, COMPILERS)):
-        command = [path, "-std=c++20", "-fsyntax-only", "-x", "c++", "-"]
-        if subprocess.run(command, input=PROGRAM, capture_output=True, check=False).returncode == 0:
+    for name in COMPILERS:
+        path = shutil.which(name)
+        if path and compiles(path):
             return path
     return None
 
 
+def compiles(path: str) -> bool:
+    """Whether a compiler accepts what the sources need."""
+    command = [path, "-std=c++20", "-fsyntax-only", "-x", "c++", "-"]
+    return not subprocess.run(command, input=PROGRAM, capture_output=True, check=False).returncode
+
+
 def with_compiler_required(hook: Callable[..., list[str]]) -> Callable[..., list[str]]:
     """Makes a hook add a compiler to what a build needs, where there is none."""
-    return lambda *args, **named: [*hook(*args, **named), *([] if find_compiler() else [ZIG])]
+
+    def requires(*args: Any, **named: Any) -> list[str]:
+        return hook(*args, **named) + ([] if find_compiler() else [ZIG])
+
+    return requires
 
 
 def with_compiler(hook: Callable[..., str]) -> Callable[..., str]:
@@ -66,7 +76,8 @@ def with_compiler(hook: Callable[..., str]) -> Callable[..., str]:
         os.environ["CMAKE_ARGS"] = f"{os.environ.get('CMAKE_ARGS', '')} {option}"
         os.environ.setdefault("CMAKE_GENERATOR", "Ninja")
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-            os.environ["ZIG_GLOBAL_CACHE_DIR"] = os.environ["ZIG_LOCAL_CACHE_DIR"] = folder
+            os.environ["ZIG_GLOBAL_CACHE_DIR"] = folder
+            os.environ["ZIG_LOCAL_CACHE_DIR"] = folder
             return hook(*args, **named)
 
     return build_with
@@ -79,15 +90,14 @@ build_editable = with_compiler(build.build_editable)
 
 
 def link_absolutely(text: str, files: str) -> str:
-    """Makes relative links of Markdown text absolute below the URL `files`; without a URL, keeps
-    only their words.
-    """
+    """Makes relative links of Markdown text absolute below a URL, or keeps only their words."""
 
     def link(match: re.Match[str]) -> str:
         image, words, target = match.groups()
-        if files:
-            return f"{image}[{words}]({files}/{target}{'?raw=true' if image else ''})"
-        return "" if image else words
+        if not files:
+            return "" if image else words
+        query = "?raw=true" if image else ""
+        return f"{image}[{words}]({files}/{target}{query})"
 
     return re.sub(r"(!?)\[([^\[\]]*)\]\((?!https?:|#)([^()\s]+)\)", link, text)
 

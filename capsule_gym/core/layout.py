@@ -1,5 +1,4 @@
-"""The rows of `Simulation.world`, whose names the core defines
-(`capsule_gym/core/step/layout.hpp`).
+"""The rows of `Simulation.world`, whose names `core/step/layout.hpp` defines.
 
 The environments lie in one float64 array `world` of shape (blocks, rows, lanes). The first rows are
 those of `Row`, one per quantity; a `Layout` names the first rows of the parts behind them, which

@@ -18,7 +18,8 @@ from capsule_gym.core import _core
 LEVEL = os.environ.get("CAPSULE_GYM_LEVEL", _core.LEVELS[0])
 if LEVEL not in _core.LEVELS:
     raise ImportError(
-        f"CAPSULE_GYM_LEVEL must be one of {_core.LEVELS} on this processor, got {short_repr(LEVEL)}"
+        f"CAPSULE_GYM_LEVEL must be one of {_core.LEVELS} on this processor, "
+        f"got {short_repr(LEVEL)}"
     )
 _core.select_level(_core.LEVELS.index(LEVEL))
 
@@ -27,8 +28,9 @@ LINE = 8
 
 
 def aligned_zeros(shape: tuple[int, ...]) -> np.ndarray:
-    """Zeros, float64, whose first entry begins a cache line: a wide load that crosses one takes
-    twice as long.
+    """Zeros, float64, whose first entry begins a cache line.
+
+    A wide load that crosses one takes twice as long.
     """
     size = math.prod(shape)
     room = np.zeros(size + LINE)
@@ -53,8 +55,10 @@ def addressed(values: Iterable[Any]) -> list[float]:
 
 
 def call(name: str, *values: np.ndarray | float) -> int:
-    """Calls a function of `core/bindings/level.cpp` with numbers and arrays, and returns what it
-    returns.
+    """Calls a function of `core/bindings/level.cpp` with numbers and arrays.
+
+    Returns:
+        What the function returns, -1 where it returns nothing.
 
     Raises:
         TypeError: if the number of arguments or the type of one is not that of the C++ function. An
@@ -88,9 +92,10 @@ def evaluate(
     """
     # `np.broadcast_arrays` takes several times as long as a function of a few numbers.
     shape = np.broadcast_shapes(*map(np.shape, arguments))
-    inputs, outputs = np.empty((*shape, len(arguments))), np.empty((_core.MOST_RESULTS, *shape))
+    inputs = np.empty((*shape, len(arguments)))
+    outputs = np.empty((_core.MOST_RESULTS, *shape))
     for column, argument in enumerate(arguments):
         inputs[..., column] = argument
-    given = 0 if plant is None else address(plant)
-    count = call(name, inputs, len(arguments), outputs, math.prod(shape), given)
+    constants = 0 if plant is None else address(plant)
+    count = call(name, inputs, len(arguments), outputs, math.prod(shape), constants)
     return tuple(outputs[:count])

@@ -1,5 +1,4 @@
-"""Writes `_core.pyi`, the types of the compiled core: `python capsule_gym/core/stub.py`, which the
-build runs.
+"""Writes `_core.pyi`, the types of the compiled core; the build runs it.
 
 Rows, settings and all other names of the core are lists in C++. The stub shows them to type
 checkers and editors.
@@ -11,7 +10,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-HEAD = """# Written by capsule_gym/core/stub.py from the compiled module. Arrays are passed by their addresses.
+HEAD = """# Written by capsule_gym/core/stub.py from the compiled module.
+# Arrays are passed by their addresses.
 from typing import Any, Final
 
 """
@@ -63,13 +63,12 @@ def write_types(core: ModuleType) -> str:
         fields = getattr(core, name).__match_args__
         lines.append(f"class {name}(tuple[Any, ...]):")
         for field in fields:
-            lines += [
-                "    @property",
-                f"    def {field}(self) -> {types.get(field) or NUMBER_TYPES[name]}: ...",
-            ]
+            field_type = types.get(field) or NUMBER_TYPES[name]
+            lines += ["    @property", f"    def {field}(self) -> {field_type}: ..."]
         lines.append("")
     lines.append("class Row:")
-    lines += [f"    {name}: Final = {getattr(core.Row, name)}" for name in core.ROW_NAMES]
+    for name in core.ROW_NAMES:
+        lines.append(f"    {name}: Final = {getattr(core.Row, name)}")
     lines.append("")
     for name, value in sorted(vars(core).items()):
         if name.isupper():

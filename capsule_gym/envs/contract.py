@@ -28,6 +28,9 @@ from capsule_gym.parameters import (
 from capsule_gym.tasks.registry import find_task
 from capsule_gym.tasks.task import Task
 
+# The options by the names of the core, `_core.OPTIONS`; those not given are missing or None.
+CoreOptions = dict[str, float | None]
+
 DEFAULTS = EnvConfig()
 SPEED = find_task(DEFAULTS.task)
 
@@ -64,10 +67,10 @@ def describe(options: EnvConfig, controller: Controller | None) -> Description:
     return _core.describe(core_options(options, controller))
 
 
-def core_options(options: EnvConfig, controller: Controller | None) -> dict[str, float | None]:
-    """The options by the names of `_core.OPTIONS`; those not given are missing or None."""
+def core_options(options: EnvConfig, controller: Controller | None) -> CoreOptions:
+    """The options of an environment as options of the core."""
     task = find_task(options.task)
-    given: dict[str, float | None] = {name: getattr(options, name) for name in NUMBERS}
+    given: CoreOptions = {name: getattr(options, name) for name in NUMBERS}
     given["task"] = task.number
     if task.draw_range is not None:
         given["task_low"], given["task_high"] = task.draw_range
@@ -78,7 +81,7 @@ def core_options(options: EnvConfig, controller: Controller | None) -> dict[str,
     return given | disturbance_options(Disturbances.named(options.disturbances))
 
 
-def controller_options(controller: Controller | None) -> dict[str, float | None]:
+def controller_options(controller: Controller | None) -> CoreOptions:
     """The options of the core that follow from the controller."""
     acting = controller or NO_CONTROLLER
     return {
@@ -89,9 +92,9 @@ def controller_options(controller: Controller | None) -> dict[str, float | None]
     }
 
 
-def plant_options(capsule: Capsule, randomization: Randomization) -> dict[str, float | None]:
+def plant_options(capsule: Capsule, randomization: Randomization) -> CoreOptions:
     """The constants of the plant, and the ranges of drawn ones, as options of the core."""
-    given: dict[str, float | None] = {
+    given: CoreOptions = {
         "paper_normal_force": capsule.normal_force == "paper",
         "log_mu": randomization.log_mu,
     }
@@ -103,10 +106,10 @@ def plant_options(capsule: Capsule, randomization: Randomization) -> dict[str, f
     return given
 
 
-def disturbance_options(disturbances: Disturbances | None) -> dict[str, float | None]:
+def disturbance_options(disturbances: Disturbances | None) -> CoreOptions:
     """The disturbances as options of the core; varied plants draw those of an ideal environment."""
     found = disturbances or Disturbances()
-    given: dict[str, float | None] = {
+    given: CoreOptions = {
         "disturbed": disturbances is not None,
         "law_observes": found.controls != "agent",
         "agent_observes": found.controls != "law",

@@ -221,8 +221,7 @@ class Simulation:
         """
         self._check_varied(options)
         count = len(rows)
-        self._draw(rows)
-        drawn = self._drawn[:, :count]
+        drawn = self._draw(rows)
         resets.write_options(drawn, options, self.task, self._description)
         changes: list[tuple[int, float, float, float]] = []
         plant_options = map(options.get, ("changes", "capsule", "disturbances"))
@@ -243,9 +242,7 @@ class Simulation:
         # Nothing above changes the environments, so a reset that raises an error leaves them
         # unchanged.
         if changes or len(self._changes):
-            kept = self._changes[~np.isin(self._changes[:, 0], rows)]
-            merged = np.concatenate([kept, np.reshape(changes, (-1, 4))])
-            self._set_changes(merged[np.argsort(merged[:, 0], kind="stable")])
+            self._replace_changes(rows, changes)
         _core.call("begin_episodes", self._batch, count)
         self._everyone = False
         self.resets += 1
@@ -263,8 +260,8 @@ class Simulation:
                     "or with a Randomization of constants besides M and mu"
                 )
 
-    def _draw(self, rows: np.ndarray) -> None:
-        """Draws what the next episodes of these environments draw.
+    def _draw(self, rows: np.ndarray) -> np.ndarray:
+        """What the next episodes of these environments draw, shape (draws, n), a view.
 
         Raises an IndexError if there is no such environment.
         """
@@ -277,6 +274,7 @@ class Simulation:
                 f"rows must be indices of environments, from 0 to {self.num_envs - 1}, "
                 f"each at most once, got {short_repr(rows.tolist())}"
             )
+        return self._drawn[:, :count]
 
     def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> None:
         """One agent step.
@@ -424,6 +422,14 @@ class Simulation:
                 raise type(error)(f"{name}: {error}") from None
             schedule.append((t, float(change["M"]), float(change["mu"])))
         return schedule
+
+    def _replace_changes(
+        self, rows: np.ndarray, changes: list[tuple[int, float, float, float]]
+    ) -> None:
+        """Replaces the changes of M and mu of these environments."""
+        kept = self._changes[~np.isin(self._changes[:, 0], rows)]
+        merged = np.concatenate([kept, np.reshape(changes, (-1, 4))])
+        self._set_changes(merged[np.argsort(merged[:, 0], kind="stable")])
 
     def _set_changes(self, changes: np.ndarray) -> None:
         """Sets the changes of M and mu, as `changes` of the core's `Batch`."""

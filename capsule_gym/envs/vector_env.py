@@ -83,10 +83,7 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         self.simulation = env.make_simulation(num_envs, config)
         if max_episode_steps is None:
             max_episode_steps = self.simulation.task.episode_steps
-        accepted = "an integer >= 1, or -1 for no limit"
-        steps = check_integer("max_episode_steps", max_episode_steps, accepted, -1, sys.maxsize)
-        require(steps != 0, "max_episode_steps", accepted, steps)
-        self.max_episode_steps = None if steps == -1 else steps
+        self.max_episode_steps = check_time_limit(max_episode_steps)
         self.num_envs = self.simulation.num_envs
         self.render_mode = render_mode
         self.metadata = {
@@ -201,15 +198,7 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
             raise gym.error.ResetNeeded(
                 "call reset() before step(): some environment has no running episode"
             )
-        array = env.as_actions(actions)
-        # `count_nonzero` takes a fifth of the time of `any` and `all`.
-        if (
-            array is None
-            or array.shape != (self.num_envs, 1)
-            or np.count_nonzero(np.isfinite(array)) < self.num_envs
-        ):
-            accepted = f"finite numbers, clipped to [-1, 1], of shape ({self.num_envs}, 1)"
-            raise ValueError(f"actions must be {accepted}, got {short_repr(actions)}")
+        array = self._check_actions(actions)
         simulation = self.simulation
         active = ~self._ended if np.count_nonzero(self._ended) else None
         if active is not None and self.autoreset_mode is AutoresetMode.NEXT_STEP:
@@ -233,10 +222,24 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
             self._begin_next(info, ended)
         return simulation.observe(), rewards, terminated, truncated, info
 
+    def _check_actions(self, actions: Any) -> np.ndarray:
+        """The actions as float32, shape (num_envs, 1); raises a ValueError if they are not."""
+        array = env.as_actions(actions)
+        # `count_nonzero` takes a fifth of the time of `any` and `all`.
+        if (
+            array is None
+            or array.shape != (self.num_envs, 1)
+            or np.count_nonzero(np.isfinite(array)) < self.num_envs
+        ):
+            accepted = f"finite numbers, clipped to [-1, 1], of shape ({self.num_envs}, 1)"
+            raise ValueError(f"actions must be {accepted}, got {short_repr(actions)}")
+        return array
+
     def episode_metrics(self) -> dict[str, np.ndarray]:
         """The metrics of the running episodes, each of shape (num_envs,).
 
-        `task.METRICS` and the task define them. A whole episode takes `max_episode_steps`, or without a limit the elapsed time.
+        `task.METRICS` and the task define them. A whole episode takes `max_episode_steps`, or
+        without a limit the elapsed time.
         """
         return self.simulation.metrics(np.arange(self.num_envs), self.max_episode_steps)
 
@@ -369,6 +372,14 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
             # Rows of several lengths raise an error with the other invalid states.
             return states
         return array[rows] if array.ndim == 2 and len(array) == self.num_envs else states
+
+
+def check_time_limit(steps: Any) -> int | None:
+    """The agent steps until truncation, or None for -1, which is no limit."""
+    accepted = "an integer >= 1, or -1 for no limit"
+    steps = check_integer("max_episode_steps", steps, accepted, -1, sys.maxsize)
+    require(steps != 0, "max_episode_steps", accepted, steps)
+    return None if steps == -1 else steps
 
 
 def find_autoreset_mode(mode: Any) -> AutoresetMode:

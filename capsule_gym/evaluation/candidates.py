@@ -7,7 +7,7 @@ import os
 import pkgutil
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -23,6 +23,7 @@ from capsule_gym.policies.scripted import (
     LAW_POLICIES,
     Act,
     ScriptedPolicy,
+    Start,
     find_scripted,
     scripted_names,
 )
@@ -71,8 +72,7 @@ def wrap_policy(
         TypeError: if the policy is of another type, or `env_kwargs` is given for a policy that has
             its own.
     """
-    is_class = isinstance(policy, type)
-    start = None if is_class else getattr(policy, "start", None)
+    start = None if isinstance(policy, type) else getattr(policy, "start", None)
     if callable(start) and hasattr(policy, "env_kwargs"):
         if env_kwargs is not None:
             own = f"a policy that has its own, got {dict(env_kwargs)!r}"
@@ -81,28 +81,34 @@ def wrap_policy(
     if env_kwargs is None:
         env_kwargs = getattr(policy, "env_kwargs", {})
     kwargs = dict(env_kwargs)
-    type_name = type(policy).__name__
     if name is None:
-        name = getattr(policy, "name", getattr(policy, "__name__", type_name))
+        name = getattr(policy, "__name__", type(policy).__name__)
+        name = getattr(policy, "name", name)
     if isinstance(policy, Controller):
         if policy.task:
             kwargs.setdefault("task", getattr(policy.task, "name", policy.task))
         kwargs["controller"] = policy
         return ScriptedPolicy(name, EXTERNAL, kwargs)
-    if callable(start):
-        return ScriptedPolicy(name, EXTERNAL, kwargs, start)
+    if not callable(start):
+        start = _start_of(policy)
+    return ScriptedPolicy(name, EXTERNAL, kwargs, start)
+
+
+def _start_of(policy: Any) -> Start:
+    """The attribute `start` of a policy that has none."""
+    is_class = isinstance(policy, type)
     if is_class or not (callable(policy) or hasattr(policy, "predict")):
-        got = f"the class {policy.__name__}" if is_class else f"a {type_name}"
+        got = f"the class {policy.__name__}" if is_class else f"a {type(policy).__name__}"
         raise TypeError(
             "policy must be an object with predict(), as of Stable-Baselines3, or start(), a "
             f"Controller, or a function of observations, got {got}"
         )
     if callable(getattr(policy, "predict", None)):
-        return ScriptedPolicy(name, EXTERNAL, kwargs, _start_with_predict(policy))
-    return ScriptedPolicy(name, EXTERNAL, kwargs, lambda seeds: policy)
+        return _start_with_predict(policy)
+    return lambda seeds: policy
 
 
-def _start_with_predict(policy: Any) -> Callable[[Sequence[int]], Act]:
+def _start_with_predict(policy: Any) -> Start:
     """Calls `predict`, and passes a recurrent policy its state."""
     space = getattr(policy, "observation_space", None)
 

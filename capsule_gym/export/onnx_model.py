@@ -25,14 +25,11 @@ def _operations(policy: Policy, scale: np.ndarray, *, single: bool) -> list[tupl
         ("Clip", hidden, -policy.clip, policy.clip),
     ]
     for layer in layers:
-        operations.append(("Gemm", hidden, *layer))
-        operations.append((policy.activation.capitalize(), hidden))
-    operations.append(("Cast", real))
-    operations.append(("Gemm", real, *last))
+        operations += [("Gemm", hidden, *layer), (policy.activation.capitalize(), hidden)]
+    operations += [("Cast", real), ("Gemm", real, *last)]
     if policy.squashing == "tanh":
         operations.append(("Tanh", real))
-    operations.append(("Clip", real, -1.0, 1.0))
-    operations.append(("Cast", np.float32))
+    operations += [("Clip", real, -1.0, 1.0), ("Cast", np.float32)]
     return operations
 
 

@@ -1,6 +1,6 @@
 """Derivatives of a trajectory by the plant's constants, the torques and the initial state."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +18,8 @@ STATE = ("theta", "theta_dot", "x", "x_dot")
 # The constants by which a trajectory can be differentiated.
 PLANT = ("M", "mu", *CONSTANTS)
 KNOWN = (*PLANT, "torque", "torques", "state")
+NUM_INPUTS = len(_core.TRAJECTORY)
+"""Number of inputs of a trajectory before its torques."""
 
 
 class Sensitivity(NamedTuple):
@@ -58,19 +60,20 @@ def simulate(
         States and number of events so far, shape (n + 1, 5); their derivatives, shape (n + 1, 4,
         directions); the first interval in which an episode would have terminated, or -1.
     """
-    count = len(inputs) - len(_core.TRAJECTORY)
+    count = len(inputs) - NUM_INPUTS
     directions = partials.shape[1]
     width = _core.DIRECTIONS
     states = np.empty((count + 1, 5))
     slopes = np.empty((count + 1, 4, directions))
     for first in range(0, max(directions, 1), width):
         block = partials[:, first : first + width]
+        used = block.shape[1]
         seeds = np.zeros((len(inputs), width))
-        seeds[:, : block.shape[1]] = block
+        seeds[:, :used] = block
         given = seeds if directions else 0
         found = np.empty((count + 1, 4, width))
         ended = call("trajectory", inputs, given, count, steps, physics_dt, states, found)
-        slopes[..., first : first + width] = found[..., : block.shape[1]]
+        slopes[..., first : first + used] = found[..., :used]
     return states, slopes, ended
 
 
@@ -117,26 +120,30 @@ def sensitivity(
     (start,) = check_state("state", state, 1)
     inputs = trajectory_inputs(capsule, start, check_torques(torques))
     check_wrt(wrt, capsule)
-    partials = [partials_by(name, inputs) for name in wrt]
-    none = np.empty((len(inputs), 0))
+    blocks = [partials_by(name, inputs) for name in wrt]
+    partials = np.hstack([np.empty((len(inputs), 0)), *blocks])
     steps = int(settings.physics_steps * settings.law_steps)
-    states, slopes, ended = simulate(
-        inputs, np.hstack([none, *partials]), steps, settings.physics_dt
-    )
+    states, slopes, ended = simulate(inputs, partials, steps, settings.physics_dt)
     if ended >= 0:
-        begin, end = ended * control_dt, (ended + 1) * control_dt
+        times = f"between {ended * control_dt:g} and {(ended + 1) * control_dt:g} s"
         raise ValueError(
             "torques must keep |theta| < pi/2 and the platform on the floor, got an episode that "
-            f"would terminate in torques[{ended}], between {begin:g} and {end:g} s"
+            f"would terminate in torques[{ended}], {times}"
         )
     derivatives = {}
     first = 0
-    for name, own in zip(wrt, partials, strict=True):
-        last = first + own.shape[1]
-        several = name in ("torques", "state")
-        derivatives[name] = slopes[..., first:last] if several else slopes[..., first]
+    for name, block in zip(wrt, blocks, strict=True):
+        last = first + block.shape[1]
+        own = slopes[..., first:last]
+        derivatives[name] = own if name in ("torques", "state") else own[..., 0]
         first = last
-    return Sensitivity(states[:, :4], derivatives, states[:, 4].astype(np.int64))
+    events = states[:, 4].astype(np.int64)
+    return Sensitivity(states[:, :4], derivatives, events)
+
+
+def subset(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, Any]:
+    """The values of those names that have one."""
+    return {name: values[name] for name in names if name in values}
 
 
 def check_torques(torques: Any) -> np.ndarray:
@@ -146,8 +153,8 @@ def check_torques(torques: Any) -> np.ndarray:
         array = np.asarray(torques, np.float64)
     except (TypeError, ValueError, OverflowError):
         raise TypeError(f"torques must be {accepted}, got {short_repr(torques)}") from None
-    fits = array.ndim == 1 and bool((np.abs(array) <= LARGEST_TORQUE).all())
-    require(fits, "torques", accepted, torques)
+    inside = np.abs(array) <= LARGEST_TORQUE
+    require(array.ndim == 1 and bool(inside.all()), "torques", accepted, torques)
     return array
 
 
@@ -168,13 +175,13 @@ def check_wrt(wrt: Any, capsule: Capsule) -> None:
 
 def partials_by(name: str, inputs: np.ndarray) -> np.ndarray:
     """The derivatives of a trajectory's inputs by a name of `wrt`, shape (inputs, directions)."""
-    names = _core.TRAJECTORY
+    count = len(inputs)
     if name == "torque":
         factor = inputs.copy()
-        factor[: len(names)] = 0.0
+        factor[:NUM_INPUTS] = 0.0
         return factor[:, None]
     if name == "torques":
-        return np.eye(len(inputs), len(inputs) - len(names), -len(names))
+        return np.eye(count, count - NUM_INPUTS, -NUM_INPUTS)
     if name == "state":
-        return np.eye(len(inputs), len(STATE), -names.index(STATE[0]))
-    return np.eye(len(inputs), 1, -names.index(name))
+        return np.eye(count, len(STATE), -_core.TRAJECTORY.index(STATE[0]))
+    return np.eye(count, 1, -_core.TRAJECTORY.index(name))

@@ -40,7 +40,8 @@ class Excitation:
     def start(self, seeds: Any = (0,)) -> Callable[[Any], np.ndarray]:
         """The policy of an episode, from observations to actions."""
         generator = np.random.default_rng(self.seed)
-        frequencies = np.exp(generator.uniform(math.log(0.3), math.log(8.0), 16))
+        logarithms = generator.uniform(math.log(0.3), math.log(8.0), 16)
+        frequencies = np.exp(logarithms)
         phases = generator.uniform(0.0, 2.0 * np.pi, 16)
         steps = count()
 
@@ -48,10 +49,11 @@ class Excitation:
             if isinstance(observation, dict):
                 observation = observation["observation"]
             theta, theta_dot = observation[:2]
-            waves = np.sin(2.0 * np.pi * self.control_dt * next(steps) * frequencies + phases)
-            # Each wave of amplitude 1 has the mean square 1 / 2.
-            multisine = self.amplitude * waves.sum() / math.sqrt(8.0)
+            angles = 2.0 * np.pi * self.control_dt * next(steps) * frequencies + phases
+            # The mean square of each wave is 1 / 2.
+            multisine = self.amplitude * np.sin(angles).sum() / math.sqrt(8.0)
             torque = multisine - 0.6 * theta - 0.04 * theta_dot
-            return np.clip(np.array([torque / self.torque_limit], np.float32), -1.0, 1.0)
+            action = np.array([torque / self.torque_limit], np.float32)
+            return np.clip(action, -1.0, 1.0)
 
         return act

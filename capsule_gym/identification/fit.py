@@ -15,7 +15,7 @@ from capsule_gym.checks import check_number, nearest, require
 from capsule_gym.envs.config import DIRECT_PHYSICS_DT, EnvConfig
 from capsule_gym.envs.contract import check_step, describe
 from capsule_gym.files import replacing
-from capsule_gym.identification.derivatives import PLANT
+from capsule_gym.identification.derivatives import PLANT, subset
 from capsule_gym.identification.log import UNITS, read_log
 from capsule_gym.parameters import SENSORS, Capsule, Disturbances, Randomization
 
@@ -47,6 +47,8 @@ SAME = 3.0
 RATIO = 0.25
 LARGEST_CHI2 = 1.2
 FIGURES = (".png", ".svg", ".pdf")
+# Smallest square of a coefficient of an axis that is named.
+SMALLEST_SHARE = 0.1
 # Width of an interval in units of the range's from which on it is the prior's.
 OPEN = 0.8
 # The same width, below which an estimate at the end of its range is one that the log determines.
@@ -94,13 +96,16 @@ class Fit:
             coefficients by name, the best determined first. A value near 1 is the prior's.
         """
         ranges = self._problem.high - self._problem.low
-        sizes, axes = np.linalg.eigh(12.0 * self.covariance / np.outer(ranges, ranges))
+        relative = 12.0 * self.covariance / np.outer(ranges, ranges)
+        variances, axes = np.linalg.eigh(relative)
         names = list(self.estimates)
         found = []
-        for size, axis in zip(sizes, axes.T, strict=True):
-            order = np.argsort(-np.abs(axis))
-            largest = {names[n]: float(axis[n]) for n in order if axis[n] ** 2 > 0.1}
-            found.append((math.sqrt(max(size, 0.0)), largest))
+        for variance, axis in zip(variances, axes.T, strict=True):
+            largest = {}
+            for n in np.argsort(-np.abs(axis)):
+                if axis[n] ** 2 > SMALLEST_SHARE:
+                    largest[names[n]] = float(axis[n])
+            found.append((math.sqrt(max(variance, 0.0)), largest))
         return found
 
     def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
@@ -110,8 +115,10 @@ class Fit:
         inside = min(count - 1, math.ceil(level * count))
         found = {}
         for name, values in zip(self.estimates, np.sort(self.samples, axis=0).T, strict=True):
-            first = int(np.argmin(values[inside:] - values[: count - inside]))
-            found[name] = float(values[first]), float(values[first + inside])
+            lengths = values[inside:] - values[: count - inside]
+            first = int(lengths.argmin())
+            low, high = values[[first, first + inside]].tolist()
+            found[name] = low, high
         return found
 
     def randomization(self, level: float = 0.95) -> Randomization:
@@ -137,7 +144,8 @@ class Fit:
             limits = f"{low:.5g} to {high:.5g}"
             width = self.widths[name]
             note = "  not determined: the prior's" if width > OPEN else ""
-            rows.append(f"{name:16}{self.estimates[name]:12.5g}{limits:>26}{width:8.2f}{note}")
+            estimate = f"{self.estimates[name]:12.5g}"
+            rows.append(f"{name:16}{estimate}{limits:>26}{width:8.2f}{note}")
         rows.append(f"chi2 {self.chi2:.2f}; minima of the fits: {self.minima}")
         return "\n".join(rows)
 
@@ -157,16 +165,18 @@ class Fit:
         readings, _ = self._problem.predict(self._found, slopes=False)
         count = len(sensors)
         figure = Figure(figsize=(11.0, 2.2 * count + 4.5), layout="constrained")
-        grid = figure.add_gridspec(count + 1, 2, height_ratios=[1.0] * count + [2.0])
+        heights = [1.0] * count + [2.0]
+        grid = figure.add_gridspec(count + 1, 2, height_ratios=heights)
         for n, name in enumerate(sensors):
             predicted = readings[:, n, 0]
             left = figure.add_subplot(grid[n, 0])
             left.plot(t, log[name], ".", markersize=2, label="measured")
             left.plot(t, predicted, linewidth=0.8, label="predicted")
-            left.set(ylabel=f"{name} ({UNITS[name]})", xlim=(t[0], t[0] + 5.0))
+            left.set_ylabel(f"{name} ({UNITS[name]})")
+            left.set_xlim(t[0], t[0] + 5.0)
             right = figure.add_subplot(grid[n, 1])
             right.plot(t, log[name] - predicted, ".", markersize=2)
-            right.set(ylabel="residual")
+            right.set_ylabel("residual")
         figure.axes[0].legend(loc="upper right")
         axes = figure.add_subplot(grid[-1, :])
         names = list(self.estimates)
@@ -210,7 +220,9 @@ def identify(
         UserWarning: if the model does not explain the log, if the log does not determine a constant
             of the prior, or if an estimate lies at the end of its range.
     """
-    from capsule_gym.identification.shooting import ShootingProblem  # needs scipy
+    # These need scipy.
+    from capsule_gym.identification.posterior import sample_posterior
+    from capsule_gym.identification.shooting import ShootingProblem
 
     mapping = known is None or isinstance(known, Mapping)
     require(mapping, "known", "a dict of numbers by name", known, TypeError)
@@ -234,16 +246,11 @@ def identify(
     values = {**dict.fromkeys(OTHERS, 0.0), **fixed}
     problem = ShootingProblem(columns, ranges, prior.log_mu, values, physics_dt)
     unknowns, minima = search(problem)
-    shares, unknowns = problem.posterior(unknowns)
+    shares, unknowns = sample_posterior(problem, unknowns)
     fit = summarise(problem, shares, unknowns, minima)
     for doubt in doubts(fit):
         warnings.warn(doubt, UserWarning, stacklevel=2)
     return fit
-
-
-def subset(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, Any]:
-    """The values of those names that have one."""
-    return {name: values[name] for name in names if name in values}
 
 
 def check_known(known: Mapping[str, float]) -> dict[str, float]:
@@ -253,7 +260,9 @@ def check_known(known: Mapping[str, float]) -> dict[str, float]:
         if name not in QUANTITIES:
             similar = nearest(str(name), QUANTITIES)
             raise ValueError(f"known must have keys out of {QUANTITIES}, got {name!r}{similar}")
-        low, high = Disturbances.limits(name) if name in OTHERS else (-math.inf, math.inf)
+        low, high = -math.inf, math.inf
+        if name in OTHERS:
+            low, high = Disturbances.limits(name)
         accepted = f"a finite number from {low:g} to {high:g}"
         found[name] = check_number(f"known[{name!r}]", value, accepted, low, high)
     return found
@@ -298,22 +307,25 @@ def search(problem: "ShootingProblem") -> tuple[np.ndarray, tuple[float, ...]]:
     states = smooth.cut(SHORT)
     starts = []
     for latency, mu in STARTS:
-        shares = {"latency": latency, "mu": mu}
-        starts.append([*(shares.get(name, 0.5) for name in smooth.names), *states])
-    ends = fit_all(map(np.array, starts))
+        given = {"latency": latency, "mu": mu}
+        shares = [given.get(name, 0.5) for name in smooth.names]
+        starts.append(np.append(shares, states))
+    best_first = fit_all(starts)[:KEPT]
     states = smooth.cut()
     count = len(smooth.names)
-    ends = fit_all(np.append(end[:count], states) for end, _ in ends[:KEPT])
+    ends = fit_all([np.append(end[:count], states) for end, _ in best_first])
     for _ in range(2):
         best, smallest = ends[0]
         smooth.estimate_noise(best)
         different = [end for end, cost in ends[1:] if cost > smallest + SAME]
         ends = fit_all([best, *different])
     best, _ = ends[0]
-    problem.noise, problem.segments = smooth.noise, smooth.segments
+    problem.noise = smooth.noise
+    problem.segments = smooth.segments
     if jumps:
         best = np.insert(best, problem.names.index("static_ratio"), RATIO)
-    return best, tuple(round(float(cost), 1) for _, cost in ends)
+    minima = [round(float(cost), 1) for _, cost in ends]
+    return best, tuple(minima)
 
 
 def summarise(
@@ -322,23 +334,26 @@ def summarise(
     """The result of samples of a problem's shares, and of its unknowns of largest likelihood."""
     drawn, _ = problem.values(shares)
     samples = np.transpose([drawn[name] for name in problem.names])
-    means = samples.mean(axis=0).tolist()
+    means = samples.mean(axis=0)
     widths = math.sqrt(12.0) * shares.std(axis=0)
-    estimates = dict(zip(problem.names, means, strict=True))
+    estimates = dict(zip(problem.names, means.tolist(), strict=True))
     values = {**problem.known, **estimates}
+    capsule = Capsule(**subset(values, PLANT))
     errors = subset(values, OTHERS)
     for name in problem.sensors:
         noise, drift, time = problem.noise[name]
         if name == "x":
             errors["x_noise"] = math.hypot(noise, drift)
         else:
-            errors |= {f"{name}_noise": noise, f"{name}_drift": drift, "drift_time": time}
-    unmeasured = tuple(name for name in SENSORS if name not in problem.sensors)
+            errors[f"{name}_noise"] = noise
+            errors[f"{name}_drift"] = drift
+            errors["drift_time"] = time
+    errors["unmeasured"] = [name for name in SENSORS if name not in problem.sensors]
     return Fit(
         estimates=estimates,
         samples=samples,
-        capsule=Capsule(**subset(values, PLANT)),
-        disturbances=Disturbances(**errors, unmeasured=unmeasured),
+        capsule=capsule,
+        disturbances=Disturbances(**errors),
         chi2=problem.statistic(unknowns),
         minima=minima,
         widths=dict(zip(problem.names, widths.tolist(), strict=True)),
@@ -358,7 +373,8 @@ def doubts(fit: Fit) -> Iterator[str]:
     if not {"x", "x_dot"} & set(problem.sensors):
         yield "log has neither x nor x_dot: the intervals of M, mu, m, l and k may be too short"
     # The table shows what else is open.
-    undetermined = [name for name in fit.widths if fit.widths[name] > OPEN and name not in RANGES]
+    wide = [name for name, width in fit.widths.items() if width > OPEN]
+    undetermined = [name for name in wide if name not in RANGES]
     if undetermined:
         names = ", ".join(undetermined)
         yield f"the log does not determine {names}: the intervals are the prior's"

@@ -53,12 +53,14 @@ def read_log(log: Any) -> dict[str, np.ndarray]:
         shape = columns[name].shape
         require(shape == (rows,), f"column {name!r}", "one number for each row", shape)
         check_size(name, columns[name])
-    complete = {"t", "torque"} <= set(columns) and bool({"theta", "theta_dot"} & set(columns))
+    angle = "theta" in columns or "theta_dot" in columns
+    complete = "t" in columns and "torque" in columns and angle
     required = "of the columns 't', 'torque', and 'theta' or 'theta_dot'"
     require(complete, "log", required, tuple(columns))
     period = check_times(columns["t"])
     torque = columns["torque"]
-    require(np.ptp(torque) > 1e-6 * np.abs(torque).max(), "column 'torque'", "varied (N m)", torque)
+    varied = np.ptp(torque) > 1e-6 * np.abs(torque).max()
+    require(varied, "column 'torque'", "varied (N m)", torque)
     for place, rate in (("theta", "theta_dot"), ("x", "x_dot")):
         if place in columns and rate in columns:
             check_rate(columns, place, rate, period)
@@ -77,7 +79,8 @@ def read_csv(path: str | os.PathLike[str]) -> dict[str, list[str]]:
     reader = csv.DictReader(filter(str.strip, lines), skipinitialspace=True)
     rows = list(reader)
     names = reader.fieldnames or []
-    require(len({*names}) == len(names), "log", "of columns with different names", names)
+    different = len({*names}) == len(names)
+    require(different, "log", "of columns with different names", names)
     for row in rows:
         # DictReader puts further cells under None.
         accepted = f"of one number for each of {[*row][:-1]}"
@@ -105,10 +108,12 @@ def check_size(name: str, column: np.ndarray) -> None:
     else:
         accepted = "finite numbers, or NaN for a lost reading, not all"
         missing = lost.size and lost.all()
-    require(not (missing or np.isinf(column).any()), where, accepted, column)
+    infinite = np.isinf(column).any()
+    require(not (missing or infinite), where, accepted, column)
     largest = float(np.nanmax(np.abs(column), initial=0.0))
     limit = LARGEST.get(name, math.inf)
-    require(largest <= limit, where, f"in {UNITS[name]}, within +-{limit:g}", largest)
+    accepted = f"in {UNITS[name]}, within +-{limit:g}"
+    require(largest <= limit, where, accepted, largest)
 
 
 def check_times(t: np.ndarray) -> float:
@@ -120,14 +125,11 @@ def check_times(t: np.ndarray) -> float:
     worst = int(deviations.argmax()) if len(steps) else 0
     equal = bool((deviations <= UNEVEN * period).all())
     fits = equal and SHORTEST_PERIOD <= period <= LONGEST_PERIOD
-    accepted = (
-        f"in equal steps of {SHORTEST_PERIOD} to {LONGEST_PERIOD} s, over at least {SHORTEST:g} s "
-        f"and at most {LONGEST:g} s, in at most {MOST_ROWS} rows"
-    )
-    found = (
-        f"{len(t)} rows over {duration:g} s; the step after row {worst} is "
-        f"{steps[worst : worst + 1]}"
-    )
+    periods = f"{SHORTEST_PERIOD} to {LONGEST_PERIOD} s"
+    durations = f"at least {SHORTEST:g} s and at most {LONGEST:g} s"
+    accepted = f"in equal steps of {periods}, over {durations}, in at most {MOST_ROWS} rows"
+    step = steps[worst : worst + 1]
+    found = f"{len(t)} rows over {duration:g} s; the step after row {worst} is {step}"
     bounded = SHORTEST <= duration <= LONGEST and len(t) <= MOST_ROWS
     require(fits and bounded, "column 't'", accepted, found)
     return period
@@ -138,12 +140,15 @@ def check_rate(columns: Mapping[str, np.ndarray], place: str, rate: str, period:
 
     The change of the position over 0.1 s is compared with the mean rate.
     """
-    t, position, speed = columns["t"], columns[place], columns[rate]
+    t = columns["t"]
+    position = columns[place]
+    speed = columns[rate]
     width = max(1, round(0.1 / period))
     known = np.isfinite(speed)
     filled = np.interp(t, t[known], speed[known])
     mean = np.convolve(filled, np.ones(width) / width, "valid")[:-1]
-    change = (position[width:] - position[:-width]) / (width * period)
+    moved = position[width:] - position[:-width]
+    change = moved / (width * period)
     both = np.isfinite(change)
     change, mean = change[both], mean[both]
     if not both.any() or not change.std() or not mean.std():
@@ -151,8 +156,8 @@ def check_rate(columns: Mapping[str, np.ndarray], place: str, rate: str, period:
     ratio = change.std() / max(mean.std(), 1e-12)
     # Where noise dominates, the scales tell nothing.
     if not 0.5 < ratio < 2.0 and np.corrcoef(change, mean)[0, 1] > 0.9:
+        units = f"{UNITS[rate]} and {UNITS[place]}"
+        found = f"changes of {place} are {ratio:.3g} times the integral of {rate}"
         raise ValueError(
-            f"column {rate!r} must be the derivative of column {place!r}, "
-            f"in {UNITS[rate]} and {UNITS[place]}: "
-            f"changes of {place} are {ratio:.3g} times the integral of {rate}"
+            f"column {rate!r} must be the derivative of column {place!r}, in {units}: {found}"
         )

@@ -46,13 +46,14 @@ def record(
     plain: Any = getattr(env, "unwrapped", None)
     direct = isinstance(plain, CapsuleEnv) and plain.simulation.controller is None
     require(direct, "env", "an environment with direct torque, without a controller", env)
-    new = path is None or (os.path.isdir(Path(path).parent) and not os.path.exists(path))
-    require(new, "path", "that of a new file in a folder that exists", path)
+    if path is not None:
+        new = Path(path).parent.is_dir() and not Path(path).exists()
+        require(new, "path", "that of a new file in a folder that exists", path)
     settings, config = plain.simulation.settings, plain.simulation.options
     dt = config.control_dt
     scale = settings.torque_limit if settings.total_torque else settings.residual_limit
     limit = min(settings.residual_limit, settings.torque_limit)
-    steps = round(check_number("seconds", seconds, f"a finite number >= {dt:g} (s)", dt) / dt)
+    seconds = check_number("seconds", seconds, f"a finite number >= {dt:g} (s)", dt)
     if policy is None:
         policy = Excitation(torque_limit=scale, control_dt=dt)
     act = policy.start([0]) if hasattr(policy, "start") else policy
@@ -60,21 +61,17 @@ def record(
     require(callable(act), "policy", accepted, policy, TypeError)
     observation, info = env.reset(seed=seed, options=options)
     disturbed = Disturbances.named(config.disturbances)
-    sensors = list(STATE)
-    if disturbed is not None:
-        unmeasured = set(disturbed.unmeasured)
-        if disturbed.x_noise is None:
-            unmeasured.add("x")
-        sensors = [name for name in STATE if name not in unmeasured]
+    sensors = sensors_of(disturbed)
     source = "state" if disturbed is None else "reading"
     rows = []
-    for step in range(steps):
+    for step in range(round(seconds / dt)):
         reading = dict(zip(STATE, info[source].tolist(), strict=True))
         observation, _, terminated, truncated, info = env.step(act(observation))
         # That of the innermost environment: wrappers may change it.
         action = plain.simulation.world[0, Row.action, 0]
         torque = float(np.clip(scale * action, -limit, limit))
-        rows.append([step * dt, torque, *(reading[name] for name in sensors)])
+        readings = [reading[name] for name in sensors]
+        rows.append([step * dt, torque, *readings])
         if terminated or truncated:
             break
     names = ("t", "torque", *sensors)
@@ -82,3 +79,13 @@ def record(
         lines = [",".join(map(str, row)) for row in (names, *rows)]
         write_atomically(Path(path), "\n".join(lines) + "\n")
     return dict(zip(names, np.transpose(rows), strict=True))
+
+
+def sensors_of(disturbed: Disturbances | None) -> list[str]:
+    """The components of the state that are measured; without disturbances all are."""
+    if disturbed is None:
+        return list(STATE)
+    missing = [*disturbed.unmeasured]
+    if disturbed.x_noise is None:
+        missing.append("x")
+    return [name for name in STATE if name not in missing]

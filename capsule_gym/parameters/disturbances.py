@@ -93,9 +93,9 @@ class Disturbances:
         object.__setattr__(self, "unmeasured", tuple(names))
         choices = ("both", "law", "agent")
         check_choice("Disturbances.controls", self.controls, choices, "'both', 'law' or 'agent'")
-        self._check_size("stick_threshold", "a number of m/s")
+        self._check_field("stick_threshold", "a number of m/s")
         if self.x_noise is not None:
-            self._check_size("x_noise", "None or a number of m")
+            self._check_field("x_noise", "None or a number of m")
 
     def _checked_draws(self, name: str) -> Draws:
         """The value of a field of `DISTURBANCES`, a number or a range, after its check."""
@@ -112,7 +112,7 @@ class Disturbances:
             check_divisor(name, whose, end)
         return checked
 
-    def _check_size(self, name: str, kind: str) -> None:
+    def _check_field(self, name: str, kind: str) -> None:
         """Checks a field that is not drawn."""
         accepted = f"{kind} from 0 to {LARGEST_DISTURBANCE:g}"
         value = getattr(self, name)

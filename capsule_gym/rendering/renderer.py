@@ -180,11 +180,7 @@ class Renderer:
             self._close_if_asked()
         if self.closed:
             return None
-        self._canvas.fill(WHITE)
-        self._box(0, HEADER, WIDTH, 1, HAIRLINE)
-        self._box(0, HEADER + 1, WIDTH, FLOOR - HEADER - 1, PAPER)
-        self._box(0, FLOOR, WIDTH, RULER, FLOOR_FILL)
-        self._draw_floor(x)
+        self._draw_background(x)
         if ghost is not None:
             self._draw_ghost(*ghost, x)
         plant = f"M {M:.3f} kg     \N{GREEK SMALL LETTER MU} {mu:.4f}"
@@ -216,8 +212,12 @@ class Renderer:
             self._window = None
             self._pygame.display.quit()
 
-    def _draw_floor(self, x: float) -> None:
+    def _draw_background(self, x: float) -> None:
         """Draws the ruler with the platform at x in the middle, and the inside of the shell."""
+        self._canvas.fill(WHITE)
+        self._box(0, HEADER, WIDTH, 1, HAIRLINE)
+        self._box(0, HEADER + 1, WIDTH, FLOOR - HEADER - 1, PAPER)
+        self._box(0, FLOOR, WIDTH, RULER, FLOOR_FILL)
         start = MIDDLE - x / self._major * self._major_pixels
         first = math.floor(-start / self._major_pixels)
         left = round(SCALE * (start + first * self._major_pixels)) / SCALE

@@ -17,9 +17,7 @@ def tiny_file(tmp_path):
 @pytest.fixture
 def world(tmp_path, monkeypatch):
     """Two scripted policies and a checkpoint with two seeds."""
-    known = {
-        name: Sine(amplitude, name=name) for name, amplitude in (("adaptive", 0.3), ("bold", 0.5))
-    }
+    known = {"adaptive": Sine(0.3, name="adaptive"), "bold": Sine(0.5, name="bold")}
     monkeypatch.setattr(candidates, "scripted_names", lambda: list(known))
     monkeypatch.setattr(candidates, "find_scripted", known.get)
     monkeypatch.setattr(leaderboard, "SCRIPTED", known)

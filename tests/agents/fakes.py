@@ -5,18 +5,18 @@ import numpy as np
 
 from capsule_gym import Controller
 from capsule_gym.policies.policy import POLICY
+from capsule_gym.tasks.task import CONTROL_DT, TORQUE_LIMIT
 from tests.capsule_gym.policies import test_policy as policies
 
+FIRST = {"M": 0.5, "mu": 0.01, "seed": 0}
+SECOND = {"M": 0.6, "mu": 0.1, "seed": 1}
 CHANGED = {"M": 0.5, "mu": 0.01, "seed": 2, "changes": [{"t": 0.5, "M": 0.7, "mu": 0.3}]}
-PLANTS = {
-    "name": "tiny",
-    "plants": [{"M": 0.5, "mu": 0.01, "seed": 0}, {"M": 0.6, "mu": 0.1, "seed": 1}, CHANGED],
-}
+PLANTS = {"name": "tiny", "plants": [FIRST, SECOND, CHANGED]}
 
 
 @dataclass
 class Sine:
-    """A sine of torque, in parts of the limit of 1.5 N m."""
+    """A sine of torque, with its amplitude in N m and its period in s."""
 
     amplitude: float
     period: float = 0.7
@@ -31,8 +31,9 @@ class Sine:
 
         def act(observations):
             assert observations.shape[0] == len(seeds)
-            torque = self.amplitude / 1.5 * np.cos(2.0 * np.pi * 0.02 * next(steps) / self.period)
-            return np.full((len(seeds), 1), torque, np.float32)
+            phase = 2.0 * np.pi * CONTROL_DT * next(steps) / self.period
+            action = self.amplitude / TORQUE_LIMIT * np.cos(phase)
+            return np.full((len(seeds), 1), action, np.float32)
 
         return act
 
@@ -51,9 +52,11 @@ def make_policy(seed=0, **changes):
         "name": "learnt",
         "layers": ((weights, np.full(1, 0.1, np.float32)),),
         "training_seed": seed,
+        "mean": np.zeros(5),
+        "variance": np.ones(5),
+        "env_kwargs": {"randomization": "wide"},
     }
-    plain = {"mean": np.zeros(5), "variance": np.ones(5), "env_kwargs": {"randomization": "wide"}}
-    return policies.make_policy(**{**plain, **fields, **changes})
+    return policies.make_policy(**fields | changes)
 
 
 def write_run(folder, seed, **changes):

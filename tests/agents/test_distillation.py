@@ -10,11 +10,12 @@ from agents.distillation import __main__ as command
 from agents.distillation import dagger
 from agents.distillation.config import STUDENTS
 from agents.distillation.dagger import Network, interpolated_regret
-from agents.distillation.dataset import collect
+from agents.distillation.dataset import _plant_changes, collect
 from agents.training.signals import INTERRUPTED
 from baselines.dynamic_programming.policy import NUM_TORQUES, TORQUES
 from capsule_gym import load_policy
 from capsule_gym.parameters import NOMINAL
+from capsule_gym.policies.policy import POLICY
 from capsule_gym.tasks.task import CONTROL_DT
 
 NAME = "dp-distilled-wide"
@@ -60,10 +61,6 @@ def distilled(runs, *seeds):
     """Distils on the command line; returns the folders of the runs."""
     assert command.main(arguments(runs, *seeds)) == 0
     return [runs / NAME / f"seed-{seed}" for seed in seeds]
-
-
-def policy_file(run):
-    return run / "policy.safetensors"
 
 
 def test_the_loss_is_linear_between_the_torques_of_the_expert():
@@ -114,6 +111,15 @@ def test_a_student_observes_the_estimates():
     first, last = inputs[:4], inputs[-4:]
     assert (first[:, ESTIMATES] == first[0, ESTIMATES]).all()
     assert (last[:, M_DEVIATION] < 0.2 * first[:, M_DEVIATION]).all()
+
+
+def test_plants_change_at_the_rate_of_the_student_within_an_episode():
+    student = dataclasses.replace(STUDENT, num_envs=200)
+    seconds = student.steps * CONTROL_DT
+    changes = _plant_changes(student, np.random.default_rng(0))["changes"]
+    times = np.concatenate([[change["t"] for change in episode] for episode in changes])
+    assert times.max() < seconds
+    assert len(times) / len(changes) == pytest.approx(student.change_rate * seconds, rel=0.1)
 
 
 def test_a_policy_is_the_network_of_normalised_inputs(dataset):
@@ -171,7 +177,7 @@ def test_a_fit_lowers_the_loss(fitted):
 def test_a_policy_file_acts_as_the_network(fitted, dataset, tmp_path):
     network, losses = fitted
     policy = network.policy("student", STUDENT, 0, "none")
-    policy.save(policy_file(tmp_path))
+    policy.save(tmp_path / POLICY)
     actions = load_policy(tmp_path)(dataset.inputs)
     assert actions.tobytes() == policy(dataset.inputs).tobytes()
     regrets = interpolated_regret(
@@ -186,16 +192,16 @@ def test_the_same_seed_gives_the_same_policy(tmp_path, tiny):
     (run,) = distilled(tmp_path / "first", 0)
     (again,) = distilled(tmp_path / "second", 0)
     assert torch.get_num_threads() == 1
-    assert policy_file(run).read_bytes() == policy_file(again).read_bytes()
+    assert (run / POLICY).read_bytes() == (again / POLICY).read_bytes()
     assert load_policy(run).training_seed == 0
 
 
 def test_finished_runs_are_skipped(tmp_path, tiny):
     (finished,) = distilled(tmp_path, 0)
-    before = policy_file(finished).stat().st_mtime_ns
+    before = (finished / POLICY).stat().st_mtime_ns
     _, other = distilled(tmp_path, 0, 1)
-    assert policy_file(finished).stat().st_mtime_ns == before
-    assert policy_file(other).read_bytes() != policy_file(finished).read_bytes()
+    assert (finished / POLICY).stat().st_mtime_ns == before
+    assert (other / POLICY).read_bytes() != (finished / POLICY).read_bytes()
 
 
 @pytest.mark.parametrize(("failure_cost", "kept"), [(4.0, 6.0), (6.0, 5.0)])

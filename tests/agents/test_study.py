@@ -6,6 +6,7 @@ import re
 import signal
 import threading
 import time
+from unittest.mock import Mock
 
 import pytest
 
@@ -19,82 +20,107 @@ STEPS = 2048
 
 
 def job(folder, seed=0, **changes):
-    config = small(
-        "direct", "ppo", seed=seed, **{"total_steps": STEPS, "evaluate_every": 512, **changes}
-    )
+    settings = dict(total_steps=STEPS, evaluate_every=512) | changes
+    config = small("direct", "ppo", seed=seed, **settings)
     return Job("tiny", config, folder / "tiny" / f"seed-{seed}")
 
 
+def write_config(job, **more):
+    content = {"task": "direct", "algo": "ppo", "hyperparameters": job.config.to_dict(), **more}
+    job.run.mkdir(parents=True, exist_ok=True)
+    (job.run / "config.json").write_text(json.dumps(content))
+
+
 def test_a_run_with_other_settings_is_not_resumed(tmp_path):
-    run = tmp_path / "direct-ppo" / "seed-0"
-    run.mkdir(parents=True)
     config = dataclasses.replace(TRAINED_ROWS["direct-ppo"], gamma=0.5)
-    content = {"task": "direct", "algo": "ppo", "hyperparameters": config.to_dict()}
-    (run / "config.json").write_text(json.dumps(content))
+    write_config(Job("direct-ppo", config, tmp_path / "direct-ppo" / "seed-0"))
     with pytest.raises(RunError, match=r"gamma was 0\.5 and is 0\.995"):
         plan(["direct-ppo"], [0], tmp_path)
+
+
+def test_a_study_has_every_run_once(tmp_path):
     assert len(plan(["direct-ppo", "direct-ppo"], [1, 1], tmp_path)) == 1
 
 
-def test_a_run_that_fails_does_not_stop_the_others(tmp_path, monkeypatch):
+EVALUATIONS = """\
+steps,seconds,mean_speed_cm_s,failed,score_cm_s
+512,1.5,9.0,0.25,8.0
+2048,1.5,7.0,0.0,7.0
+"""
+
+
+@pytest.fixture
+def quick_training(monkeypatch):
+    """Trainings only write evaluations."""
+
     def train(run):
-        lines = "steps,seconds,mean_speed_cm_s,failed,score_cm_s\n512,1.5,9.0,0.25,8.0\n2048,1.5,7.0,0.0,7.0\n"
-        return bool((run / "evaluations.csv").write_text(lines))
+        return bool((run / "evaluations.csv").write_text(EVALUATIONS))
 
     monkeypatch.setattr("agents.training.loop.train", train)
-    jobs = [job(tmp_path, 0, gamma=2.0), job(tmp_path, 1)]
-    failures = train_all(jobs, 1)
-    assert (
-        list(failures) == [jobs[0]]
-        and "gamma must be a number in [0, 1], got 2.0" in failures[jobs[0]]
-    )
-    assert jobs[1].finished and not jobs[0].finished
-    assert (
-        " ".join(results_table(jobs).splitlines()[-1].split())
-        == "tiny/seed-1 2,048 512 9.00 cm/s, failed 25.0%"
-    )
-    assert "Traceback" in jobs[0].run.with_name("seed-0.log").read_text()
-    # A finished run is not trained again.
-    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
-    assert (
-        train_all(jobs[1:], 1) == {}
-        and {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
-    )
+
+
+def test_a_run_that_fails_does_not_stop_the_others(tmp_path, quick_training):
+    wrong, right = job(tmp_path, 0, gamma=2.0), job(tmp_path, 1)
+    failures = train_all([wrong, right], 1)
+    assert list(failures) == [wrong]
+    assert "gamma must be a number in [0, 1], got 2.0" in failures[wrong]
+    assert "Traceback" in wrong.run.with_name("seed-0.log").read_text()
+    assert not wrong.finished
+    assert right.finished
+
+
+def test_the_table_shows_the_best_evaluation(tmp_path):
+    one = job(tmp_path, 1)
+    one.run.mkdir(parents=True)
+    (one.run / "evaluations.csv").write_text(EVALUATIONS)
+    *_, line = results_table([job(tmp_path, 0), one]).splitlines()
+    assert line.split() == "tiny/seed-1 2,048 512 9.00 cm/s, failed 25.0%".split()
+
+
+def test_a_finished_run_is_not_trained_again(tmp_path, quick_training):
+    def times():
+        return {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
+
+    jobs = [job(tmp_path)]
+    assert train_all(jobs, 1) == {}
+    before = times()
+    assert train_all(jobs, 1) == {}
+    assert times() == before
 
 
 def test_an_interrupt_ends_a_study_after_the_present_runs(tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        "agents.training.loop.train", lambda run: signal.raise_signal(signal.SIGINT)
-    )
-    jobs = [job(tmp_path, seed) for seed in range(2)]
+    def interrupt(run):
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr("agents.training.loop.train", interrupt)
+    first, second = job(tmp_path, 0), job(tmp_path, 1)
     with pytest.raises(KeyboardInterrupt):
-        train_all(jobs, 1)
-    assert jobs[0].run.exists() and not jobs[1].run.exists()
+        train_all([first, second], 1)
+    assert first.run.exists()
+    assert not second.run.exists()
 
 
 def test_a_killed_worker_is_a_failure_of_the_unfinished_runs(tmp_path, monkeypatch):
-    jobs = [job(tmp_path, seed) for seed in range(2)]
+    first, second = job(tmp_path, 0), job(tmp_path, 1)
 
     def killed(self, tasks):
         next(iter(tasks))
-        jobs[0].run.mkdir(parents=True)
-        (jobs[0].run / FINISHED).write_text("{}")
+        first.run.mkdir(parents=True)
+        (first.run / FINISHED).touch()
         raise RuntimeError("a worker was killed\nand more")
 
     monkeypatch.setattr("joblib.Parallel.__call__", killed)
-    failures = train_all(jobs, 1)
-    assert list(failures) == [jobs[1]] and failures[jobs[1]].startswith(
-        "RuntimeError: a worker was killed"
-    )
+    failures = train_all([first, second], 1)
+    reason = "RuntimeError: a worker was killed; --resume continues"
+    assert failures == {second: reason}
 
 
 def test_a_lost_node_of_a_ray_cluster_loses_no_run(tmp_path, monkeypatch):
     cluster_utils = pytest.importorskip("ray.cluster_utils")
     # A busy machine starts nodes slowly.
     monkeypatch.setenv("RAY_raylet_start_wait_time_s", "300")
-    cluster = cluster_utils.Cluster(
-        initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False}
-    )
+    head = {"num_cpus": 1, "include_dashboard": False}
+    cluster = cluster_utils.Cluster(initialize_head=True, head_node_args=head)
     other = cluster.add_node(num_cpus=1)
     monkeypatch.setenv("RAY_ADDRESS", cluster.address)
     jobs = [job(tmp_path, seed, total_steps=12_000, evaluate_every=2000) for seed in range(3)]
@@ -119,79 +145,84 @@ def test_a_lost_node_of_a_ray_cluster_loses_no_run(tmp_path, monkeypatch):
         assert each.finished
         # Also the run that began on the lost node is, bit for bit, the run of a single process.
         whole = dataclasses.replace(each, run=tmp_path / "whole" / each.run.name)
-        assert train_all([whole], 1) == {} and differences(each.run, whole.run) == []
+        assert train_all([whole], 1) == {}
+        assert differences(each.run, whole.run) == []
 
 
 @pytest.fixture
 def finished(tmp_path):
     made = job(tmp_path / "runs", seed=3)
     write_run(made.run / "best", 3)
-    content = {
-        "task": "direct",
-        "algo": "ppo",
-        "hyperparameters": made.config.to_dict(),
-        "revision": "0123456789ab",
-    }
-    (made.run / "config.json").write_text(json.dumps(content))
+    write_config(made, revision="0123456789ab")
     (made.run / "evaluations.csv").write_text("steps,seconds\n")
-    (made.run / FINISHED).write_text("{}")
+    (made.run / FINISHED).touch()
     return made
 
 
 def test_the_best_policy_and_the_evaluations_are_published(finished, tmp_path):
-    checkpoints = tmp_path / "checkpoints"
-    folder = copy_policy(finished, checkpoints)
-    assert folder == checkpoints / "tiny" / "seed-3"
-    assert sorted(path.name for path in folder.iterdir()) == [
-        "evaluations.csv",
-        "policy.safetensors",
-    ]
-    assert (checkpoints / "tiny" / "config.json").read_bytes() == (
-        finished.run / "config.json"
-    ).read_bytes()
-    policy = (finished.run / "best" / "policy.safetensors").read_bytes()
+    row = tmp_path / "checkpoints" / "tiny"
+    assert copy_policy(finished, tmp_path / "checkpoints") == row / "seed-3"
     # Existing files are replaced.
-    (folder / "policy.safetensors").write_bytes(b"")
-    copy_policy(finished, checkpoints)
-    assert (folder / "policy.safetensors").read_bytes() == policy
+    (row / "seed-3" / "policy.safetensors").write_bytes(b"")
+    copy_policy(finished, tmp_path / "checkpoints")
+    copies = {
+        "config.json": "config.json",
+        "seed-3/evaluations.csv": "evaluations.csv",
+        "seed-3/policy.safetensors": "best/policy.safetensors",
+    }
+    found = {path.relative_to(row).as_posix() for path in row.rglob("*.*")}
+    assert found == set(copies)
+    for copy, original in copies.items():
+        assert (row / copy).read_bytes() == (finished.run / original).read_bytes()
 
 
 @pytest.mark.parametrize("revision", ["0123456789ab+", "unknown"])
 def test_a_revision_that_cannot_be_checked_out_is_not_published(finished, tmp_path, revision):
-    path = finished.run / "config.json"
-    path.write_text(json.dumps({**json.loads(path.read_text()), "revision": revision}))
-    with pytest.raises(
-        RunError, match=f"committed code, got the revision {re.escape(repr(revision))}"
-    ):
+    write_config(finished, revision=revision)
+    message = re.escape(f"committed code, got the revision {revision!r}")
+    with pytest.raises(RunError, match=message):
         copy_policy(finished, tmp_path / "checkpoints")
+    assert not (tmp_path / "checkpoints").exists()
+
+
+def test_an_unfinished_run_is_not_published(finished, tmp_path):
     (finished.run / FINISHED).unlink()
     with pytest.raises(RunError, match="not finished"):
         copy_policy(finished, tmp_path / "checkpoints")
     assert not (tmp_path / "checkpoints").exists()
 
 
-@pytest.mark.parametrize(
-    ("error", "status", "said"), [(None, 1, "failed: lost"), (KeyboardInterrupt, 130, "--resume")]
-)
-def test_failures_and_ctrl_c_have_their_exit_status(
-    tmp_path, monkeypatch, capsys, error, status, said
-):
-    def train(jobs, parallel, backend):
-        assert (len(jobs), parallel, backend) == (2, 3, "loky")
-        if error:
-            raise error
-        return {jobs[0]: "lost"}
+@pytest.fixture
+def study(tmp_path, monkeypatch):
+    """A study of two runs on the command line, with its revisions and the end of its training."""
 
-    monkeypatch.setattr("agents.study.train_all", train)
-    revisions = iter("0123456789ab 0123456789ab+ 0123456789ab 0123456789ab".split())
-    monkeypatch.setattr("agents.training.checkpoint.git_revision", lambda _: next(revisions))
-    words = ["direct-ppo", "--seeds", "0", "1", "--jobs", "3", "--runs", str(tmp_path), "--publish"]
-    # Before the training.
-    with pytest.raises(SystemExit, match="2"):
-        main(words)
-    assert (
-        "--publish needs runs of committed code, got the revision '0123456789ab+' of"
-        in capsys.readouterr().err
-    )
-    assert main(words) == status
+    def run(train, *revisions):
+        monkeypatch.setattr("agents.study.train_all", train)
+        revision = Mock(side_effect=revisions)
+        monkeypatch.setattr("agents.training.checkpoint.git_revision", revision)
+        words = "direct-ppo --seeds 0 1 --jobs 3 --publish --runs"
+        return main([*words.split(), str(tmp_path)])
+
+    return run
+
+
+def test_uncommitted_code_is_refused_before_the_training(study, refused):
+    error = refused(study, Mock(side_effect=AssertionError), "0123456789ab", "0123456789ab+")
+    assert "--publish needs runs of committed code, got the revision '0123456789ab+' of" in error
+
+
+def lose_first(jobs, parallel, backend):
+    assert (len(jobs), parallel, backend) == (2, 3, "loky")
+    return {jobs[0]: "lost"}
+
+
+def interrupt(jobs, parallel, backend):
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(
+    ("train", "status", "said"), [(lose_first, 1, "failed: lost"), (interrupt, 130, "--resume")]
+)
+def test_failures_and_ctrl_c_have_their_exit_status(study, capsys, train, status, said):
+    assert study(train, "0123456789ab", "0123456789ab") == status
     assert said in "".join(capsys.readouterr())

@@ -25,88 +25,111 @@ SCORES = {
     "open-loop-real": 8.6820,
     "gait": 14.6546,
 }
+REGULATOR = lqr.FILE.read_text(encoding="utf-8")
 
 
 @pytest.fixture
 def small(monkeypatch, tmp_path):
     """Small searches, whose results are in a file of their own, which contains no parameters
     yet."""
-    content = json.loads(gains.TUNED.read_text(encoding="utf-8"))
+    started = {}
+    for name, own in read().items():
+        started[name] = {"start": own["start"], "units": own["units"]}
     monkeypatch.setattr(gains, "TUNED", tmp_path / "tuned.json")
-    started = {
-        name: {"start": own["start"], "units": own["units"]} for name, own in content.items()
-    }
     gains.TUNED.write_text(json.dumps(started), encoding="utf-8")
     for name, value in SMALL.items():
         monkeypatch.setattr(tuning, name, value)
 
 
-def on_file(name):
-    return json.loads(gains.TUNED.read_text(encoding="utf-8"))[name]
+def read():
+    return json.loads(gains.TUNED.read_text(encoding="utf-8"))
+
+
+def open_loop_score(*amplitudes):
+    """Score and metrics of an open loop on two plants over 2 s."""
+    rest = [0.0] * (9 - len(amplitudes))
+    controller = periodic.open_loop((0.5, *amplitudes, *rest))
+    policy = ScriptedPolicy("open loop", "", {"controller": controller})
+    return tuning.score(policy, tuning.PAPER, 1, 2, 2.0)
+
+
+def test_standstill_scores_about_zero():
+    score, _ = open_loop_score()
+    assert abs(score) < 0.5
 
 
 def test_a_failure_scores_below_standstill():
-    drop = ScriptedPolicy("drop", "", {"controller": periodic.open_loop((0.5, 1.5, *[0.0] * 8))})
-    rest = ScriptedPolicy("rest", "", {"controller": periodic.open_loop((0.5, *[0.0] * 9))})
-    (dropped, metrics), (rested, _) = (
-        tuning.score(each, tuning.PAPER, 1, 2, 2.0) for each in (drop, rest)
-    )
-    assert metrics["failures"] == 2 and dropped < -5.0 < abs(rested) < 0.5
+    score, metrics = open_loop_score(1.5)
+    assert metrics["failures"] == 2
+    assert score < -5.0
 
 
-def test_a_search_has_the_size_that_its_help_names(monkeypatch):
-    runs = Counter()
+@pytest.fixture
+def runs(monkeypatch):
+    """How often a search of the default size has run laws by seed, number of plants and seconds."""
+    counted = Counter()
 
     def score_law(name, point, seed, plants, seconds):
-        runs[seed, plants, seconds] += 1
+        counted[seed, plants, seconds] += 1
         return 0.0, {}
 
     monkeypatch.setattr(tuning, "score_law", score_law)
     assert tuning.main(["pd"]) == 0
-    # 200 generations of 20 candidates, each on 32 plants that no other generation and no evaluation
-    # set has.
-    searched = {seed: count for (seed, plants, _), count in runs.items() if plants == 32}
-    assert len(searched) == 200 and set(searched.values()) == {20}
-    assert min(searched) >= 2**40 and (np.diff(sorted(searched)) >= 32).all()
-    # The parameters on file, and the mean at the start and after each quarter of the search, on
-    # whole episodes.
-    assert [(seconds, count) for (_, plants, seconds), count in runs.items() if plants == 1024] == [
-        (33.0, 6)
-    ]
+    return counted
 
 
-def test_only_better_parameters_replace_those_on_file(small, monkeypatch):
-    assert tuning.main(["open-loop", "--generations", "1"]) == 0
-    first = on_file("open-loop")
-    assert first["found"]["command"].endswith("open-loop --generations 1 --seed 0 --step 0.5")
-    monkeypatch.setattr(tuning, "score", lambda *arguments: (-1.0, {}))
-    assert (
-        tuning.main(["open-loop", "--generations", "1", "--seed", "1"]) == 0
-        and on_file("open-loop") == first
-    )
+def test_a_search_has_200_generations_of_20_candidates(runs):
+    searched = [count for (_, plants, _), count in runs.items() if plants == 32]
+    assert searched == [20] * 200
 
 
-def test_a_search_is_seeded_and_keeps_its_best_when_interrupted(small, monkeypatch):
+def test_no_two_generations_have_a_plant_in_common_or_one_of_an_evaluation_set(runs):
+    seeds = sorted(seed for seed, plants, _ in runs if plants == 32)
+    assert min(seeds) >= 2**40
+    assert (np.diff(seeds) >= 32).all()
+
+
+def test_a_search_validates_on_whole_episodes_after_each_quarter(runs):
+    # The parameters on file, and the mean at the start and after each quarter.
+    validated = [(seconds, count) for (_, plants, seconds), count in runs.items() if plants == 1024]
+    assert validated == [(33.0, 6)]
+
+
+def test_better_parameters_replace_those_on_file(small):
     assert tuning.main(["gait", "--generations", "3", "--step", "0.2"]) == 0
-    found = on_file("gait")
-    assert len(found["parameters"]) == len(found["start"])
-    assert (
-        found["found"]["command"]
-        == "python -m baselines.tuning gait --generations 3 --seed 0 --step 0.2"
-    )
+    own = read()["gait"]
+    assert len(own["parameters"]) == len(own["start"])
+    command = "python -m baselines.tuning gait --generations 3 --seed 0 --step 0.2"
+    assert own["found"]["command"] == command
+
+
+def test_worse_parameters_do_not_replace_those_on_file(small, monkeypatch):
+    assert tuning.main(["open-loop", "--generations", "1"]) == 0
+    first = read()
+    command = first["open-loop"]["found"]["command"]
+    assert command.endswith("open-loop --generations 1 --seed 0 --step 0.5")
+    monkeypatch.setattr(tuning, "score", lambda *arguments: (-1.0, {}))
+    assert tuning.main(["open-loop", "--generations", "1", "--seed", "1"]) == 0
+    assert read() == first
+
+
+def test_a_search_is_seeded(small):
+    arguments = ["gait", "--generations", "3", "--step", "0.2"]
+    assert tuning.main(arguments) == 0
+    first = read()
     # The same seed finds the same parameters. They are no better, so the file stays the same.
-    assert (
-        tuning.main(["gait", "--generations", "3", "--step", "0.2"]) == 0
-        and on_file("gait") == found
-    )
-    own, calls = tuning.score, []
+    assert tuning.main(arguments) == 0
+    assert read() == first
+
+
+def test_a_search_keeps_its_best_when_interrupted(small, monkeypatch):
+    score = tuning.score
+    calls = []
 
     def interrupted(*arguments):
         if not calls:  # another search has written its parameters
-            gains.TUNED.write_text(
-                json.dumps(json.loads(gains.TUNED.read_text(encoding="utf-8")) | {"gait": "other"})
-            )
-        calls.append(own(*arguments))
+            gains.TUNED.write_text(json.dumps(read() | {"gait": "other"}))
+        calls.append(score(*arguments))
         if len(calls) == 10:
             raise KeyboardInterrupt
         return calls[-1]
@@ -114,34 +137,43 @@ def test_a_search_is_seeded_and_keeps_its_best_when_interrupted(small, monkeypat
     monkeypatch.setattr(tuning, "score", interrupted)
     with pytest.raises(SystemExit, match="130"):
         tuning.main(["pd", "--generations", "100"])
-    assert (
-        len(on_file("pd")["parameters"]) == len(on_file("pd")["start"])
-        and on_file("gait") == "other"
-    )
+    content = read()
+    assert len(content["pd"]["parameters"]) == len(content["pd"]["start"])
+    assert content["gait"] == "other"
+
+
+@pytest.mark.parametrize("name", SCORES)
+def test_entries_of_the_file_have_the_same_length(name):
+    own = read()[name]
+    assert len(own["start"]) == len(own["units"]) == len(own["parameters"])
+    assert min(own["units"]) > 0.0
 
 
 @pytest.mark.parametrize(("name", "expected"), SCORES.items())
 def test_the_score_of_the_start_of_a_search(name, expected):
-    own = json.loads(gains.TUNED.read_text(encoding="utf-8"))[name]
-    assert (
-        len(own["start"]) == len(own["units"]) == len(own["parameters"]) and min(own["units"]) > 0.0
-    )
-    assert tuning.score_law(name, np.array(own["start"]), 0, 8, 10.0)[0] == pytest.approx(
-        expected, abs=1e-3
-    )
+    start = np.array(read()[name]["start"])
+    score, _ = tuning.score_law(name, start, 0, 8, 10.0)
+    assert score == pytest.approx(expected, abs=1e-3)
 
 
-def test_the_regulator_with_the_best_score_is_written(monkeypatch, tmp_path):
-    committed = lqr.FILE.read_text(encoding="utf-8")
-    best, lazy = json.loads(committed), json.loads(committed)
-    lazy["gains"] = [[0.0] * 3 for _ in lazy["gains"]]
+@pytest.fixture
+def lazy(monkeypatch, tmp_path):
+    """A regulator that does nothing, with another file of the regulator and short validations."""
+    content = json.loads(REGULATOR)
     monkeypatch.setattr(lqr, "FILE", tmp_path / "lqr.json")
-    for name, value in (("VALIDATION_PLANTS", 32), ("HORIZON", 5.0)):
-        monkeypatch.setattr(tuning, name, value)
+    monkeypatch.setattr(tuning, "VALIDATION_PLANTS", 32)
+    monkeypatch.setattr(tuning, "HORIZON", 5.0)
+    return {**content, "gains": [[0.0] * 3 for _ in content["gains"]]}
+
+
+def test_no_regulator_is_written_before_all_are_tried(lazy, monkeypatch):
     monkeypatch.setattr(lqr, "candidates", lambda: map(dict, (lazy, None)))
     with pytest.raises(TypeError):
         tuning.main(["lqr"])
     assert not lqr.FILE.exists()
-    monkeypatch.setattr(lqr, "candidates", lambda: iter([lazy, best, lazy]))
+
+
+def test_the_regulator_with_the_best_score_is_written(lazy, monkeypatch):
+    monkeypatch.setattr(lqr, "candidates", lambda: iter([lazy, json.loads(REGULATOR), lazy]))
     assert tuning.main(["lqr"]) == 0
-    assert lqr.FILE.read_text(encoding="utf-8") == committed
+    assert lqr.FILE.read_text(encoding="utf-8") == REGULATOR

@@ -43,7 +43,8 @@ def test_logs_are_of_plants_that_the_prior_contains():
     # The first plant's log has 57 rows.
     assert len(log["t"]) > 1990
     assert truth["x_dot_bias"] == 0.0
-    assert abs(truth["latency"] / identification.PHYSICS_DT % 1.0 - 0.5) > 0.5 - 1e-9
+    steps = truth["latency"] / identification.PHYSICS_DT
+    assert abs(steps % 1.0 - 0.5) > 0.5 - 1e-9
 
 
 @pytest.fixture
@@ -90,8 +91,8 @@ def test_the_agent_of_the_identified_plant_is_compared_with_the_others(rig_train
 def test_an_agent_is_trained_on_the_plants_that_it_is_given(monkeypatch):
     small = replace(rig.CONFIG, num_envs=8, n_steps=32, batch_size=64, n_epochs=1)
     monkeypatch.setattr(rig, "CONFIG", small)
-    agent = rig.train(0, 64, randomization="wide")
-    assert agent.start([0])(np.zeros((1, 20), np.float32)).shape == (1, 1)
+    act = rig.train(0, 64, randomization="wide").start([0])
+    assert act(np.zeros((1, 20), np.float32)).shape == (1, 1)
 
 
 def test_the_derivatives_of_one_trajectory(capsys):

@@ -30,6 +30,11 @@ def test_rates_are_bars_of_their_colours(tmp_path, saved_figures):
     assert {path.name for path in tmp_path.iterdir()} == {"speed.svg", "speed.png"}
 
 
+def test_the_residual_of_a_law_is_limited_as_torques_are():
+    # A fifth of 1.5 N m.
+    assert throughput.LAW["residual_limit"] == pytest.approx(0.3)
+
+
 def test_every_contender_steps_or_resets(monkeypatch):
     monkeypatch.setattr(throughput, "TURN_SECONDS", 1e-3)
     for make in throughput.contenders().values():

@@ -80,7 +80,8 @@ def test_the_loop_learns_what_pays_in_the_end(loop):
 def test_the_loop_updates_at_a_falling_rate(loop):
     _, rates, _ = loop
     # 10 epochs in batches of 64.
-    assert rates == pytest.approx(3e-4 * (1.0 - 2048e-6 * np.repeat(range(3), 320)))
+    updates = np.repeat(range(3), 320)
+    assert rates == pytest.approx(3e-4 * (1.0 - 2048e-6 * updates))
 
 
 def test_the_loop_begins_with_orthogonal_weights(loop):

@@ -36,7 +36,7 @@ def programs(monkeypatch, tmp_path):
     """Writes programs that end with a status into the only folder of PATH."""
     monkeypatch.setenv("PATH", str(tmp_path))
 
-    def write(**statuses):
+    def write(statuses):
         for name, status in statuses.items():
             program = tmp_path / name
             program.write_text(f"#!/bin/sh\nexit {status}\n")
@@ -45,7 +45,7 @@ def programs(monkeypatch, tmp_path):
     return write
 
 
-def build(backend, kind):
+def run_build(backend, kind):
     """The requirements of a build, and the environment that it sees."""
     needed = getattr(backend, f"get_requires_for_build_{kind}")("ninja")
     folder, given, seen = getattr(backend, f"build_{kind}")("here", settings=1)
@@ -58,12 +58,12 @@ def build(backend, kind):
 @KINDS
 @pytest.mark.parametrize("named", [False, True])
 def test_a_build_takes_the_compiler_that_it_finds(kind, named, backend, programs, monkeypatch):
-    programs(**{"c++": 1})
+    programs({"c++": 1})
     if named:
         monkeypatch.setenv("CXX", "named")
     else:
-        programs(**{"g++": 0, "clang++": 0})
-    needed, seen = build(backend, kind)
+        programs({"g++": 0, "clang++": 0})
+    needed, seen = run_build(backend, kind)
     assert needed == ["ninja"]
     assert seen["CXX"].endswith("named" if named else "g++")
     assert set(SET).isdisjoint(seen)
@@ -72,8 +72,8 @@ def test_a_build_takes_the_compiler_that_it_finds(kind, named, backend, programs
 @NOT_ON_WINDOWS
 @KINDS
 def test_a_build_asks_for_zig_where_it_finds_no_compiler(kind, backend, programs):
-    programs(**{"c++": 1})
-    needed, seen = build(backend, kind)
+    programs({"c++": 1})
+    needed, seen = run_build(backend, kind)
     assert needed == ["ninja", backend.ZIG]
     assert "zig;cc" in seen["CMAKE_ARGS"]
     assert seen["CMAKE_GENERATOR"] == "Ninja"

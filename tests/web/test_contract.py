@@ -27,6 +27,14 @@ STEPS = 6
 # Largest values of constants that are 0 on the nominal capsule, and of disturbances.
 LARGEST_CONSTANTS = {"viscous": 1.0, "stribeck_speed": 0.5, "slope": 0.1, "motor_friction": 0.1}
 LARGEST_DISTURBANCES = {"latency": 0.06, "drift_time": 1.0, "lag": 0.01, "push": 3.0}
+# Arguments of the environment: numbers with their limits, and flags.
+NUMBERS = {
+    "torque_limit": (0.5, 2.0),
+    "residual_limit": (0.0, 3.0),
+    "energy_weight": (0.0, 5.0),
+    "termination_penalty": (0.0, 100.0),
+}
+FLAGS = ("total_torque", "observe_parameters", "observe_estimates")
 
 
 def chance(rng, probability=0.5):
@@ -122,22 +130,20 @@ def draw_kwargs(rng):
         kwargs["capsule"] = draw_capsule(rng)
     kwargs["randomization"] = draw_randomization(rng)
     kwargs["disturbances"] = draw_disturbances(rng)
-    kwargs["torque_limit"] = rng.uniform(0.5, 2.0)
-    if chance(rng):
-        kwargs["residual_limit"] = rng.uniform(0.0, 3.0)
-    kwargs["total_torque"] = chance(rng, 0.3)
-    kwargs["energy_weight"] = rng.uniform(0.0, 5.0)
-    kwargs["termination_penalty"] = rng.uniform(0.0, 100.0)
-    kwargs["observe_parameters"] = chance(rng)
-    kwargs["observe_estimates"] = chance(rng)
+    for name, limits in NUMBERS.items():
+        if chance(rng, 0.8):
+            kwargs[name] = rng.uniform(*limits)
+    for name in FLAGS:
+        kwargs[name] = chance(rng)
     kwargs["stack_size"] = int(rng.integers(1, 5))
     kwargs["control_dt"] = draw_control_dt(rng, controller)
     if chance(rng):
         kwargs["physics_dt"] = float(rng.choice([5e-4, 1e-3]))
-    if chance(rng, 0.3):
-        kwargs["initial_range"] = (rng.uniform(0.0, 1.0), rng.uniform(0.0, 5.0))
-    elif chance(rng):
-        kwargs["initial_noise"] = rng.uniform(0.0, 0.2)
+    start = rng.choice([None, "initial_noise", "initial_range"])
+    if start == "initial_noise":
+        kwargs[start] = rng.uniform(0.0, 0.2)
+    elif start == "initial_range":
+        kwargs[start] = (rng.uniform(0.0, 1.0), rng.uniform(0.0, 5.0))
     return kwargs
 
 
@@ -246,7 +252,7 @@ def test_everything_is_drawn_at_least_once(drawn):
 def test_javascript_asks_the_core_as_python_does(node, tmp_path, drawn):
     environments, cases = drawn
     file = tmp_path / "cases.json"
-    file.write_text(json.dumps(cases), encoding="utf-8")
+    file.write_text(json.dumps(cases), "utf-8")
     found = node(SCRIPT, file)
     for env, case, theirs in zip(environments, cases, found, strict=True):
         for name, value in compute(env, case["seed"], case["action"]).items():

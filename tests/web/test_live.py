@@ -11,7 +11,7 @@ from capsule_gym.evaluation.sets import SET_NAMES, load_set
 from tests import ROOT
 from web import build, data, episodes
 
-COMMITTED = json.loads(episodes.FILE.read_text(encoding="utf-8"))
+COMMITTED = episodes.committed_episodes()
 PLANT = {"M": 0.5, "mu": 0.01}
 
 
@@ -48,34 +48,30 @@ def few_episodes(tmp_path, monkeypatch):
     monkeypatch.setattr(episodes, "RECORDED", ("dp-nominal",))
     monkeypatch.setattr(episodes, "SEEDS", 2)
     monkeypatch.setattr(episodes, "EPISODE_STEPS", 30)
-    episodes.FILE.write_text("[]", encoding="utf-8")
+    episodes.FILE.write_text("[]", "utf-8")
     assert episodes.main(["--write"]) == 0
 
 
-@pytest.mark.usefixtures("few_episodes")
-def test_written_episodes_are_equal():
+def test_written_episodes_are_equal(few_episodes):
     assert episodes.main([]) == 0
 
 
-@pytest.mark.usefixtures("few_episodes")
-def test_every_driver_has_an_episode_on_a_set_of_its_task():
-    written = json.loads(episodes.FILE.read_text(encoding="utf-8"))
+def test_every_driver_has_an_episode_on_a_set_of_its_task(few_episodes):
+    written = episodes.committed_episodes()
     found = [(each["driver"], each["set"], each["plant"]) for each in written]
     assert found == [("adaptive", "drift", 0), ("goal-pulses", "goal", 1)]
 
 
-@pytest.mark.usefixtures("few_episodes")
-def test_recordings_have_all_plants_of_every_set():
+def test_recordings_have_all_plants_of_every_set(few_episodes):
     recorded = np.load(episodes.RECORDINGS)
     assert list(recorded) == [f"dp-nominal {name}" for name in SET_NAMES]
     assert {actions.shape for actions in recorded.values()} == {(2, 30)}
 
 
-@pytest.mark.usefixtures("few_episodes")
-def test_other_episodes_and_recordings_differ(capsys):
-    first, second = json.loads(episodes.FILE.read_text(encoding="utf-8"))
+def test_what_differs_is_printed(few_episodes, capsys):
+    first, second = episodes.committed_episodes()
     first["steps"] = 3
-    episodes.FILE.write_text(json.dumps([first, second]), encoding="utf-8")
+    episodes.FILE.write_text(json.dumps([first, second]), "utf-8")
     recorded = dict(np.load(episodes.RECORDINGS))
     recorded["dp-nominal paper"] += 1
     np.savez_compressed(episodes.RECORDINGS, **recorded)
@@ -91,11 +87,10 @@ def test_a_single_bit_fails_the_check(node, tmp_path, monkeypatch):
     episode |= data.describe_frozen(plant)
     del episode["seed"]
     episode["mu"] = float(np.nextafter(plant.mu, 1.0))
-    monkeypatch.setattr(data, "FILE", tmp_path / "episodes.json")
-    data.FILE.write_text(json.dumps([episode]), encoding="utf-8")
+    monkeypatch.setattr(data, "committed_episodes", lambda: [episode])
     archive = data.pack_data(build.compile_wasm())
     module = tmp_path / "capsule.mjs"
-    module.write_text(build.build_module(archive), encoding="utf-8")
+    module.write_text(build.build_module(archive), "utf-8")
     assert node("show(await live.check());", module=module) is False
 
 
@@ -105,7 +100,7 @@ def mine(tmp_path):
     described = data.describe_policy("mine", load_policy("residual-ppo"))
     described["network"] = described["network"].tolist()
     file = tmp_path / "mine.json"
-    file.write_text(json.dumps(described), encoding="utf-8")
+    file.write_text(json.dumps(described), "utf-8")
     return f"""
         import {{ readFileSync }} from "node:fs";
         const mine = JSON.parse(readFileSync({json.dumps(str(file))}));
@@ -389,7 +384,7 @@ def test_tasks_have_pythons_observations_and_metrics(node, task, options, distur
 
 
 def test_types_declare_what_there_is(node):
-    types = (ROOT / "web/capsule.d.mts").read_text(encoding="utf-8")
+    types = (ROOT / "web/capsule.d.mts").read_text("utf-8")
     declared = re.findall(r"^export (?:class|function|const) (\w+)", types, re.MULTILINE)
     assert sorted(declared) == node("show(Object.keys(live).sort());")
 
@@ -402,6 +397,14 @@ WRONG_CALLS = {
         "RangeError: disturbances.lag must be .* got 2,1",
     'live.load("direct", { disturbances: { lag: [] } })':
         "RangeError: disturbances.lag must be .* got $",
+    'live.load("direct", { disturbances: { x_noise: -1 } })':
+        r"RangeError: disturbances.x_noise must be .* in \[0, .*\], got -1",
+    'live.load("direct", { disturbances: { stick_threshold: -1 } })':
+        r"RangeError: disturbances.stick_threshold must be .* in \[0, .*\], got -1",
+    'live.load("direct", { disturbances: { controls: "none" } })':
+        "RangeError: disturbances.controls must be one of both, law, agent, got none",
+    'live.load("direct", { disturbances: { unmeasured: ["x"] } })':
+        "RangeError: disturbances.unmeasured must be an array out of theta, .*, got x",
     'live.load("direct", { set: "paper", task: "goal" })':
         "RangeError: task must be left out: the set says it",
     'live.drive("pd", { set: "goal", plant: 0 })':

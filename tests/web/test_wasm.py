@@ -63,7 +63,7 @@ def triples():
 def found(run_node, tmp_path_factory, triples):
     """The multiply-adds of the triples, computed by node."""
     folder = tmp_path_factory.mktemp("fma")
-    (folder / "fma.cpp").write_text(SOURCE, encoding="utf-8")
+    (folder / "fma.cpp").write_text(SOURCE, "utf-8")
     (folder / "fma.wasm").write_bytes(build.compile_wasm(folder / "fma.cpp"))
     (folder / "triples").write_bytes(triples.tobytes())
     bits = run_node(SCRIPT, folder / "fma.wasm", folder / "triples")

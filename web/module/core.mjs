@@ -69,23 +69,25 @@ export function describe(core, options) {
   const layout = named(NAMES.LAYOUT, Array.from(counts, Number));
   checkPeriods(options.control_dt, settings);
   checkRows(layout.rows);
-  const entries =
-    addresses(entriesAt, layout.entries, ENTRY_SIZE).map((place) => readEntry(buffer, place));
-  const draws = addresses(drawsAt, layout.draws, DRAW_SIZE)
-                  .map((place) => Array.from(new Float64Array(buffer, place, 6)));
-  return {settings, layout, entries, draws};
+  return {
+    settings,
+    layout,
+    entries: Array.from({length: layout.entries}, (_, n) => readEntry(buffer, entriesAt, n)),
+    draws: Array.from({length: layout.draws}, (_, n) => readDraw(buffer, drawsAt, n)),
+  };
 }
 
-/** The addresses of structs that follow each other. */
-function addresses(first, count, size) {
-  return Array.from({length: count}, (_, n) => first + size * n);
-}
-
-/** Reads an entry of the observation: its name, and its bounds. */
-function readEntry(buffer, at) {
+/** Reads an entry of the observation by its number: its name, and its bounds. */
+function readEntry(buffer, first, n) {
+  const at = first + ENTRY_SIZE * n;
   const name = readText(buffer, new Uint32Array(buffer, at)[0]);
   const [age, low, high] = new Float64Array(buffer, at + 8);
   return [age > 0 ? `${name} ${age}` : name, low, high];
+}
+
+/** Reads a draw by its number. */
+function readDraw(buffer, first, n) {
+  return Array.from(new Float64Array(buffer, first + DRAW_SIZE * n, 6));
 }
 
 /** Throws an error for periods that do not divide each other. */

@@ -123,7 +123,7 @@ class Plot {
     context.clip();
   }
 
-  stroke(rival) {
+  strokeCurve(rival) {
     const {context} = this.sheet;
     context.lineJoin = "round";
     context.setLineDash(rival ? [5, 3] : []);
@@ -152,7 +152,7 @@ export class TimeChart extends Plot {
     this.shade(lanes[0]);
     for (const lane of lanes.toReversed()) {
       this.path(lane);
-      this.stroke(lane !== lanes[0]);
+      this.strokeCurve(lane !== lanes[0]);
     }
     this.line(now);
     this.sheet.context.restore();
@@ -228,7 +228,7 @@ export class PhasePortrait extends Plot {
     context.beginPath();
     for (let step = first; step <= last; step++) context.lineTo(x(step), y(step));
     context.globalAlpha = 0.75;
-    this.stroke(rival);
+    this.strokeCurve(rival);
     context.globalAlpha = 1;
     disc(context, [x(last), y(last)], 4, colour(rival ? "rival" : "ball-colour"));
   }

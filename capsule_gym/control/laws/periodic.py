@@ -77,7 +77,8 @@ def pd(parameters: Sequence[float] | None = None) -> Controller:
         parameters: period (s), mean, cosines and sines of theta_d (rad), K_theta (N m/rad) and
             K_theta_dot (N m s/rad); None for the tuned ones.
     """
-    *series, K_theta, K_theta_dot = known_parameters("pd") if parameters is None else parameters
+    given = known_parameters("pd") if parameters is None else parameters
+    *series, K_theta, K_theta_dot = given
     theta_d, theta_d_dot = fourier(series)
     columns = {
         THETA_D: theta_d,

@@ -10,8 +10,9 @@ namespace LEVEL {
 struct Condition {
   long long place;
 };
-inline Condition branch = {
-    -1};  // the condition of the present branch; its place is -1 outside of branches
+
+// The condition of the present branch; its place is -1 outside of branches.
+inline Condition branch = {-1};
 
 // Append to the list and return the place. Who keeps the list defines them:
 // bindings/recorded_functions.hpp.

@@ -89,7 +89,7 @@ template <class P> struct Phase {
     auto r = runge_kutta(s, slip, p.kinetic_friction(slip), u, p, tau, first);
     if (!(r.smallest >= 0.0)) {
       auto lifted = p.pressed_accelerations(s.theta, s.theta_dot, s.x_dot, slip, 0.0, u);
-      r = runge_kutta(s, slip, 0.0, u, p, tau, lifted);
+      r = runge_kutta(s, slip, T(0.0), u, p, tau, lifted);
     }
     return finish(tau, r);
   }

@@ -32,11 +32,9 @@ template <class T> INLINE T swept(T start, T end, T turned, T h) {
 
 // One classical Runge-Kutta step of h seconds inside one phase, with the friction coefficient mu;
 // `first` is `pressed_accelerations` at the start.
-template <class P>
-INLINE Stepped<Number<P>> runge_kutta(const State<Number<P>>& s, Number<P> slip, Number<P> mu,
-                                      Number<P> u, const P& p, Number<P> h,
-                                      const Accelerations<Number<P>>& first) {
-  using T = Number<P>;
+template <class P, class T = Number<P>>
+INLINE Stepped<T> runge_kutta(const State<T>& s, T slip, T mu, T u, const P& p, T h,
+                              const Accelerations<T>& first) {
   // The accelerations do not depend on x, and not on x_dot on a level floor with Coulomb friction:
   // sums suffice.
   T half = 0.5 * h;
@@ -61,9 +59,8 @@ INLINE Stepped<Number<P>> runge_kutta(const State<Number<P>>& s, Number<P> slip,
 
 // The quantity that stays positive while the phase lasts, and its time derivative: m/s in slip, N
 // in stick. For one environment.
-template <class P>
-INLINE Boundary<Number<P>> boundary(const State<Number<P>>& s, Number<P> x_ddot, Number<P> slip,
-                                    Number<P> u, const P& p) {
+template <class P, class T = Number<P>>
+INLINE Boundary<T> boundary(const State<T>& s, T x_ddot, T slip, T u, const P& p) {
   if (slip != 0.0) return {slip * s.x_dot, slip * x_ddot};
   return {p.stick_margin(s.theta, s.theta_dot, u).value,
           p.stick_margin_rate(s.theta, s.theta_dot, u)};
@@ -72,10 +69,8 @@ INLINE Boundary<Number<P>> boundary(const State<Number<P>>& s, Number<P> x_ddot,
 // Takes a step of h seconds inside one phase, and returns whether the phase lasts; if not,
 // `event_step` takes the step. may_stick = false asserts that slip is nowhere 0.0, which saves a
 // third of the work.
-template <bool may_stick, class P>
-INLINE auto smooth_step(const State<Number<P>>& s, Number<P> slip, Number<P> u, const P& p,
-                        Number<P> h, Stepped<Number<P>>& r) {
-  using T = Number<P>;
+template <bool may_stick, class P, class T = Number<P>>
+INLINE auto smooth_step(const State<T>& s, T slip, T u, const P& p, T h, Stepped<T>& r) {
   T mu = p.kinetic_friction(slip);
   auto at_start = p.pressed_accelerations(s.theta, s.theta_dot, s.x_dot, slip, mu, u);
   r = runge_kutta(s, slip, mu, u, p, h, at_start);

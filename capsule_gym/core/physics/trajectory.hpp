@@ -49,8 +49,8 @@ bool take_interval(State<T>& s, T u, const P& p, long long steps, double h, doub
     // Most steps stay in one phase, and need less than `plant_step` computes.
     T slip = p.contact_phase(s, u);
     Stepped<T> r;
-    bool lasts = slip == 0.0 ? smooth_step<true>(s, slip, u, p, h, r)
-                             : smooth_step<false>(s, slip, u, p, h, r);
+    bool lasts = slip == 0.0 ? smooth_step<true>(s, slip, u, p, T(h), r)
+                             : smooth_step<false>(s, slip, u, p, T(h), r);
     double normal_force = value(r.first.normal);
     if (lasts) {
       s = r.end;

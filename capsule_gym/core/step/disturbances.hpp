@@ -57,15 +57,6 @@ template <class T> INLINE T rounded(T value, T resolution) {
 template <class T> struct SensorErrors {
   T noise, bias, drift, resolution;
 };
-template <class T> INLINE SensorErrors<T> errors_of_theta(const Disturbances<T>& d) {
-  return {d.theta_noise, d.theta_bias, d.theta_drift, d.theta_resolution};
-}
-template <class T> INLINE SensorErrors<T> errors_of_theta_dot(const Disturbances<T>& d) {
-  return {d.theta_dot_noise, d.theta_dot_bias, d.theta_dot_drift, d.theta_dot_resolution};
-}
-template <class T> INLINE SensorErrors<T> errors_of_x_dot(const Disturbances<T>& d) {
-  return {d.x_dot_noise, d.x_dot_bias, d.x_dot_drift, d.x_dot_resolution};
-}
 
 // The reading of a sensor that shows a value, with the present drift and a standard normal number.
 template <class T> INLINE T read_sensor(const SensorErrors<T>& errors, T shown, T drift, T white) {

@@ -86,14 +86,15 @@ template <class T, int N> struct Disturbed {
       auto [slow_0, slow_1] = normals(word_of(key, count, 2));
       T kept = GET(drift_share);
       T fresh = sqrt(1.0 - kept * kept);
-#define SENSOR(name, white, slow)                                        \
-  {                                                                      \
-    auto errors = errors_of_##name(disturbances(j));                     \
-    T drift = kept * GET(drift_of_##name) + fresh * slow * errors.drift; \
-    T reading = read_sensor(errors, GET(late_##name), drift, white);     \
-    if (settings.with_##name == 0.0) reading = 0.0;                      \
-    PUT_WHERE(active, drift_of_##name, drift);                           \
-    PUT_WHERE(active, read_##name, reading);                             \
+#define SENSOR(name, white, slow)                                                                  \
+  {                                                                                                \
+    auto d = disturbances(j);                                                                      \
+    SensorErrors<T> errors = {d.name##_noise, d.name##_bias, d.name##_drift, d.name##_resolution}; \
+    T drift = kept * GET(drift_of_##name) + fresh * slow * errors.drift;                           \
+    T reading = read_sensor(errors, GET(late_##name), drift, white);                               \
+    if (settings.with_##name == 0.0) reading = 0.0;                                                \
+    PUT_WHERE(active, drift_of_##name, drift);                                                     \
+    PUT_WHERE(active, read_##name, reading);                                                       \
   }
       SENSOR(theta, white_0, slow_0)
       SENSOR(theta_dot, white_1, slow_1)

@@ -292,10 +292,12 @@ template <class T, int N> struct Step {
     // Environments that began together read the same line.
     const double* first = batch.reference + (long long)b.clock[0] * size;
     for (long long r = 0; r < size; r++) {
-      if (same) EACH store(line + r * N + j, T(first[r]));
-      else
-        for (int j = 0; j < n; j++)
-          line[r * N + j] = batch.reference[(long long)b.clock[j] * size + r];
+      double* present = line + r * N;
+      if (same) {
+        EACH store(present + j, T(first[r]));
+      } else {
+        for (int j = 0; j < n; j++) present[j] = batch.reference[(long long)b.clock[j] * size + r];
+      }
     }
   }
 

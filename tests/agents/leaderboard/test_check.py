@@ -1,4 +1,5 @@
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
@@ -17,48 +18,65 @@ WRONG = {
     "--check --plants 0": "--plants",
     "--plants 5": "--plants",
     "lernt": "got lernt; did you mean 'learnt'?",
+    "pd --from-results": "--from-results must be given without names, got 'pd'",
+    "pd": "adaptive: no results in adaptive.npz; `python -m agents.leaderboard NAME` writes them",
 }
-WRONG["pd --from-results"] = "--from-results must be given without names, got 'pd'"
-WRONG["pd"] = (
-    "adaptive: no results in adaptive.npz; `python -m agents.leaderboard NAME` writes them"
+# Fast on all sets; on one set; the others take minutes.
+FAST = (
+    "adaptive",
+    "lqr",
+    "pd",
+    "oscillator",
+    "gait-guarded",
+    "gait-predictive",
+    "goal-pulses",
+    "velocity-pulses",
+    "dp-oracle",
+    "dp-nominal",
+    "direct-ppo",
 )
+SLOW = ("mpc", "adaptive-as-published", "feedback-linearising", "open-loop")
 
 
-def test_written_results_pass_the_check_and_the_chart_is_stale_if_a_drawn_number_changes(written):
-    assert checked(written) == [] and evaluated_again(written, *all_candidates()) == []
-    assert not list(written.glob(".*")) and not list((written / RESULTS).glob(".*"))
+@pytest.fixture(scope="module")
+def sets():
+    return [load_set(name) for name in leaderboard.SETS]
+
+
+def test_the_published_pages_are_those_of_the_results(sets):
+    candidates = [each for task in leaderboard.TASKS for each in all_candidates(task)]
+    assert list(leaderboard.find_stale(leaderboard.ROOT, candidates, sets)) == []
+
+
+@pytest.mark.parametrize(("names", "count"), [(FAST, None), (SLOW, 1)], ids=["fast", "slow"])
+def test_the_first_episodes_of_policies_are_those_of_the_results(sets, names, count):
+    firsts = [replace(each, plants=each.plants[:1]) for each in sets[:count]]
+    rows = leaderboard.evaluate([find_candidate(name) for name in names], firsts)
+    assert list(leaderboard.check_episodes(leaderboard.ROOT, rows)) == []
+
+
+def test_written_results_pass_the_check(written):
+    assert checked(written) == []
+    assert evaluated_again(written, *all_candidates()) == []
+
+
+def test_no_temporary_files_are_left(written):
+    assert not list(written.glob(".*"))
+    assert not list((written / RESULTS).glob(".*"))
+
+
+def test_the_readme_keeps_its_own_text(written):
     readme = (written / "README.md").read_text()
-    assert (
-        readme.startswith("# Title\n\n<!--")
-        and readme.count("\n\nBetween.\n\n") == 1
-        and "Torque as a" in readme
-    )
+    assert readme.startswith("# Title\n\n<!--")
+    assert readme.count("\n\nBetween.\n\n") == 1
+    assert "Torque as a" in readme
+
+
+def test_the_chart_is_stale_if_a_drawn_number_changes(written):
     before = (written / CHART).read_text()
     edit_row(written, "pd", lambda row: row.scores["real"][0].fill(1.0))
     (written / CHART).write_text(before)
     assert checked(written) == [f"{CHART} differs from the results"]
-
-
-def test_the_published_pages_and_the_first_episodes_of_policies_are_those_of_the_results():
-    names = [
-        "adaptive",
-        "lqr",
-        "pd",
-        "oscillator",
-        "gait-guarded",
-        "gait-predictive",
-        "goal-pulses",
-        "velocity-pulses",
-    ]
-    names += ["dp-oracle", "dp-nominal", "direct-ppo"]
-    sets = [load_set(name) for name in leaderboard.SETS]
-    candidates = {each.name: each for task in leaderboard.TASKS for each in all_candidates(task)}
-    assert list(leaderboard.find_stale(leaderboard.ROOT, list(candidates.values()), sets)) == []
-    firsts = [replace(each, plants=each.plants[:1]) for each in sets]
-    slow = ("mpc", "adaptive-as-published", "feedback-linearising", "open-loop")
-    for chosen, own in ((names, firsts), (slow, firsts[:1])):
-        rows = leaderboard.evaluate([candidates[name] for name in chosen], own)
-        assert list(leaderboard.check_episodes(leaderboard.ROOT, rows)) == []
 
 
 def test_check_names_changed_rows(written):
@@ -67,14 +85,15 @@ def test_check_names_changed_rows(written):
     scripted.SCRIPTED.pop("rocking")
     gone, revision, changed, *pages = checked(written)
     assert gone == "rocking: has results and does not exist"
-    assert (revision, changed) == tuple(
-        f"learnt: {field} differs from its results" for field in ("revision", "files")
-    )
+    assert revision == "learnt: revision differs from its results"
+    assert changed == "learnt: files differs from its results"
     assert all(line.endswith(" differs from the results") for line in pages)
+
+
+def test_check_needs_results_of_every_policy(written):
     write_run(written / "checkpoints" / "fresh" / "seed-0", 0)
-    with pytest.raises(
-        ValueError, match=r"fresh: no results in fresh\.npz; `python -m agents\.leaderboard NAME`"
-    ):
+    message = r"fresh: no results in fresh\.npz; `python -m agents\.leaderboard NAME`"
+    with pytest.raises(ValueError, match=message):
         checked(written)
 
 
@@ -83,25 +102,25 @@ def test_check_names_stale_pages(written, name):
     text = (written / name).read_text()
     (written / name).write_text("" if name == CHART else text.replace("adaptive", "?", 1))
     assert checked(written) == [f"{name} differs from the results"]
-    (written / name).write_text(text)
-    assert checked(written) == []
 
 
-@pytest.mark.parametrize("name", ["learnt", "rocking"])
-def test_check_compares_the_last_bit_of_every_episode(written, name):
+@pytest.mark.parametrize(("name", "seed"), [("learnt", "training seed 1, "), ("rocking", "")])
+def test_check_compares_the_last_bit_of_every_episode(written, name, seed):
     def nudge(row):
         row.scores["paper"][0, -1, 1] *= 1.0 + 2.0**-51
 
     edit_row(written, name, nudge)
     (stale,) = evaluated_again(written, find_candidate(name))
     assert stale.startswith(f"{name} on paper: mean_speed is ")
-    seed = "training seed 1, " if name == "learnt" else ""
-    assert (
-        f" now ({seed}episode 1; 1 of " in stale
-        and evaluated_again(written, find_candidate("pd")) == []
-    )
-    # The first plants of every set alone, without and with the episode that differs.
-    assert [len(evaluated_again(written, find_candidate(name), plants=n)) for n in (1, 2)] == [0, 1]
+    assert f" now ({seed}episode 1; 1 of " in stale
+    assert evaluated_again(written, find_candidate("pd")) == []
+
+
+@pytest.mark.parametrize(("plants", "differences"), [(1, 0), (2, 1)])
+def test_the_first_plants_of_every_set_are_checked_alone(written, plants, differences):
+    edit_row(written, "rocking", lambda row: row.scores["paper"][0, :, 1].fill(9.0))
+    found = evaluated_again(written, find_candidate("rocking"), plants=plants)
+    assert len(found) == differences
 
 
 @pytest.fixture
@@ -113,43 +132,59 @@ def main(world, monkeypatch):
         return replace(make_set(name, (0.5, 0.01)), task="goal" if name == "goal" else "speed")
 
     monkeypatch.setattr(leaderboard, "load_set", load)
-    evaluate = leaderboard.evaluate
-    monkeypatch.setattr(
-        leaderboard,
-        "evaluate",
-        lambda *args, **kwargs: evaluate(*args, **{**kwargs, "horizon": 0.4}),
-    )
+    monkeypatch.setattr(leaderboard, "evaluate", partial(leaderboard.evaluate, horizon=0.4))
     monkeypatch.setattr(leaderboard, "ROOT", world)
     return lambda *words: leaderboard.main([*words, "--jobs", "1"])
 
 
-def test_command_line(main, world, capsys, refused):
-    assert "adaptive: no results" in refused(main, "--check") and main() == main("--check") == 0
+@pytest.fixture
+def ready(main):
+    """The command after it has written everything."""
+    assert main() == 0
+    return main
+
+
+def test_check_passes_after_everything_is_written(main, capsys, refused):
+    assert "adaptive: no results" in refused(main, "--check")
+    assert main() == 0
+    assert main("--check") == 0
+    assert main("--check", "pd") == 0
     assert "The leaderboard is up to date." in capsys.readouterr().out
-    # Every task has a table of its own, on another page.
+
+
+def test_every_task_has_a_table_on_another_page(ready, world):
     (_, _, stay) = table((world / TABLES).read_text(), "start:goal]")
-    assert stay[0] == "stay" and "stay" not in (world / "LEADERBOARD.md").read_text()
+    assert stay[0] == "stay"
+    assert "stay" not in (world / "LEADERBOARD.md").read_text()
+
+
+def test_pages_are_written_from_results(ready, world, capsys):
     (world / "LEADERBOARD.md").unlink()
-    assert main("--check", "--from-results") == 1
+    assert ready("--check", "--from-results") == 1
     assert "- LEADERBOARD.md differs from the results" in capsys.readouterr().out
-    assert main("--from-results") == main("--check", "pd") == 0
+    assert ready("--from-results") == 0
+    assert ready("--check", "--from-results") == 0
+
+
+def test_an_unchanged_row_keeps_the_bytes_of_its_results(ready, world):
+    def contents():
+        return {path.name: path.read_bytes() for path in (world / RESULTS).iterdir()}
+
+    before = contents()
     write_run(world / "checkpoints" / "learnt" / "seed-1", 1, clip=9.0)
     write_run(world / "checkpoints" / "fresh" / "seed-0", 0)
-    contents = {path.name: path.read_bytes() for path in (world / RESULTS).iterdir()}
-    assert main("learnt", "fresh", "pd") == 0
-    # The results of an unchanged row keep their bytes.
-    new = {path.name: path.read_bytes() for path in (world / RESULTS).iterdir()}
-    assert {name for name in new if contents.get(name) != new[name]} == {"fresh.npz", "learnt.npz"}
+    assert ready("learnt", "fresh", "pd") == 0
+    changed = {name for name, content in contents().items() if before.get(name) != content}
+    assert changed == {"fresh.npz", "learnt.npz"}
     assert "|fresh|" in (world / "LEADERBOARD.md").read_text()
 
 
-def test_uncommitted_training_code_raises_an_error(main, world, refused):
-    assert main() == 0
+@pytest.mark.parametrize("words", [[], ["dirty"]])
+def test_uncommitted_training_code_raises_an_error(ready, world, refused, words):
     write_run(world / "checkpoints" / "dirty" / "seed-3", 3, revision="0123456789ab+")
-    for words in ([], ["dirty"]):
-        assert "dirty/seed-3: the revision 0123456789ab+ is not committed" in refused(main, *words)
+    assert "dirty/seed-3: the revision 0123456789ab+ is not committed" in refused(ready, *words)
     assert not (world / RESULTS / "dirty.npz").exists()
-    assert "dirty: no results" in refused(main, "--check")
+    assert "dirty: no results" in refused(ready, "--check")
 
 
 def test_finished_rows_survive_an_interruption(main, world, monkeypatch, capsys):
@@ -160,7 +195,8 @@ def test_finished_rows_survive_an_interruption(main, world, monkeypatch, capsys)
         raise KeyboardInterrupt
 
     monkeypatch.setattr(leaderboard, "evaluate", interrupted)
-    assert main() == 130 and [path.name for path in (world / RESULTS).iterdir()] == ["adaptive.npz"]
+    assert main() == 130
+    assert [path.name for path in (world / RESULTS).iterdir()] == ["adaptive.npz"]
     assert not (world / "LEADERBOARD.md").exists()
     assert "Stopped. The rows that were finished are kept" in capsys.readouterr().out
 

@@ -17,24 +17,22 @@ from agents.training.presets import PRESETS
 from capsule_gym import load_policy
 from capsule_gym.policies.policy import POLICY
 
-SMALL = {
-    "num_envs": 8,
-    "batch_size": 64,
-    "hidden": 8,
-    "evaluation_episodes": 2,
-    "evaluate_every": 10_000,
-}
+SMALL = dict(
+    num_envs=8,
+    batch_size=64,
+    hidden=8,
+    evaluation_episodes=2,
+    evaluate_every=10_000,
+)
+SMALL_PPO = SMALL | dict(n_steps=32, n_epochs=2)
+SMALL_OFF_POLICY = SMALL | dict(learning_starts=300, buffer_size=2000)
 # Columns with times, and with counts since the last resumption.
 CLOCKS = ("core_seconds", "time/fps", "time/time_elapsed", "time/iterations")
 
 
 def small(action_mode, algo, **changes):
-    extra = (
-        {"n_steps": 32, "n_epochs": 2}
-        if algo == "ppo"
-        else {"learning_starts": 300, "buffer_size": 2000}
-    )
-    return dataclasses.replace(PRESETS[action_mode, algo], **{**SMALL, **extra, **changes})
+    settings = SMALL_PPO if algo == "ppo" else SMALL_OFF_POLICY
+    return dataclasses.replace(PRESETS[action_mode, algo], **settings | changes)
 
 
 def finished(folder, config):
@@ -70,9 +68,9 @@ def train_until(run, steps, monkeypatch, *, killed):
 
 def parameters(archive):
     """Networks and optimisers of an archive as bytes, loaded without unpickling."""
-    torch.save(
-        load_from_zip_file(archive, load_data=False, device="cpu")[1:], content := io.BytesIO()
-    )
+    _, *parameters = load_from_zip_file(archive, load_data=False, device="cpu")
+    content = io.BytesIO()
+    torch.save(parameters, content)
     return content.getvalue()
 
 
@@ -82,20 +80,17 @@ def network(folder):
     if not (folder / POLICY).is_file():
         return b""
     policy = load_policy(folder / POLICY)
-    return b"".join(
-        array.tobytes()
-        for array in (policy.mean, policy.variance, *itertools.chain(*policy.layers))
-    )
+    arrays = itertools.chain((policy.mean, policy.variance), *policy.layers)
+    return b"".join(array.tobytes() for array in arrays)
 
 
 def rows(path):
     """The complete lines of a CSV file, without empty fields and times."""
-    with path.open(newline="") as file:
-        lines = [row for row in csv.DictReader(file) if None not in row.values()]
-    return [
-        {name: value for name, value in row.items() if value and name not in CLOCKS}
-        for row in lines
-    ]
+    found = []
+    for row in csv.DictReader(path.read_text().splitlines()):
+        if None not in row.values():
+            found.append({name: row[name] for name in row if row[name] and name not in CLOCKS})
+    return found
 
 
 def log(run):
@@ -103,12 +98,10 @@ def log(run):
     step again."""
     found = {}
     for path in sorted((run / "logs").glob("progress-*.csv")):
-        found = {
-            steps: row
-            for steps, row in found.items()
-            if steps <= int(path.stem.removeprefix("progress-"))
-        }
-        found |= {int(row["time/total_timesteps"]): row for row in rows(path)}
+        first = int(path.stem.removeprefix("progress-"))
+        found = {steps: row for steps, row in found.items() if steps <= first}
+        for row in rows(path):
+            found[int(row["time/total_timesteps"])] = row
     return found
 
 

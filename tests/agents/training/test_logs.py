@@ -9,79 +9,98 @@ from tqdm import tqdm
 
 from agents.training import callbacks
 from agents.training.loop import begin, train
-from tests.agents.training.small import log, small
-
-WATCHED = (
-    "mean_speed",
-    "failed",
-    "stuck_fraction",
-    "reward_progress",
-    "reward_energy",
-    "reward_termination",
-)
+from tests.agents.training.small import finished, log, small
 
 
-def train_briefly(folder, total_steps=768, **options):
-    config = small(
-        "direct", "ppo", total_steps=total_steps, evaluate_every=256, episode_seconds=0.4
-    )
-    if not folder.exists():
-        begin(folder, config)
-    return config, train(folder, **options)
+def briefly(**changes):
+    return small("direct", "ppo", evaluate_every=256, episode_seconds=0.4, **changes)
 
 
-def test_the_log_holds_the_terms_of_the_reward(tmp_path, monkeypatch):
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A run, what it shows on a terminal, and its last episodes by steps."""
     screen = io.StringIO()
-    monkeypatch.setattr(screen, "isatty", lambda: True)
-    monkeypatch.setattr(callbacks, "tqdm", partial(tqdm, file=screen))
-    record, moved, spent = callbacks.TrainingCallback._record_episodes, {}, {}
+    screen.isatty = lambda: True
+    record = callbacks.TrainingCallback._record_episodes
+    episodes = {}
 
     def recorded(self):
-        moved[self.num_timesteps] = np.median(
-            [100.0 * episode["distance"] for episode in self.model.ep_info_buffer]
-        )
-        spent[self.num_timesteps] = np.median(
-            [episode["energy"] for episode in self.model.ep_info_buffer]
-        )
+        episodes[self.num_timesteps] = [dict(each) for each in self.model.ep_info_buffer]
         record(self)
 
-    monkeypatch.setattr(callbacks.TrainingCallback, "_record_episodes", recorded)
-    config, finished = train_briefly(tmp_path / "run", total_steps=1000)
-    assert finished
-    # The progress bar on a terminal ends at the total, which the last rollout exceeds.
-    assert "100%" in screen.getvalue() and "1.00k/1.00k" in screen.getvalue()
-    lines = log(tmp_path / "run")
-    assert list(lines) == [256, 512, 768, 1024]
+    folder = tmp_path_factory.mktemp("logs") / "run"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(callbacks, "tqdm", partial(tqdm, file=screen))
+        patch.setattr(callbacks.TrainingCallback, "_record_episodes", recorded)
+        finished(folder, briefly(total_steps=1000))
+    return folder, screen.getvalue(), episodes
+
+
+def test_the_progress_bar_ends_at_the_total_which_the_last_rollout_exceeds(run):
+    _, screen, _ = run
+    assert "100%" in screen
+    assert "1.00k/1.00k" in screen
+
+
+def test_the_log_has_a_line_for_every_rollout(run):
+    folder, _, _ = run
+    assert list(log(folder)) == [256, 512, 768, 1024]
+
+
+@pytest.fixture(scope="module")
+def line(run):
+    """A line of the log."""
+    folder, _, _ = run
+    names = ("episodes/", "evaluation/")
+    row = log(folder)[768]
     # Episodes without progress have an infinite cost, which is not logged.
-    line = {
-        name: float(value)
-        for name, value in lines[768].items()
-        if name.startswith(("episodes/", "evaluation/"))
-    }
-    assert {f"episodes/{name}" for name in WATCHED} | {"evaluation/stuck_fraction"} <= set(line)
+    return {name: float(value) for name, value in row.items() if name.startswith(names)}
+
+
+@pytest.mark.parametrize(
+    "name", ["episodes/mean_speed", "episodes/failed", "evaluation/stuck_fraction"]
+)
+def test_the_log_holds_metrics(line, name):
+    assert name in line
+
+
+def test_the_log_holds_the_terms_of_the_reward(run, line):
+    _, _, episodes = run
+    energy = np.median([episode["energy"] for episode in episodes[768]])
+    moved = np.median([100.0 * episode["distance"] for episode in episodes[768]])
+    weight = briefly().energy_weight
     assert 0.0 <= line["episodes/stuck_fraction"] <= 1.0
-    assert line["episodes/reward_energy"] == pytest.approx(
-        -config.energy_weight * spent[768], rel=1e-4
-    )
-    assert line["episodes/reward_progress"] == pytest.approx(moved[768], abs=1e-5)
-    assert line["episodes/reward_termination"] in {-10.0 * share for share in (0.0, 0.5, 1.0)}
+    assert line["episodes/reward_energy"] == pytest.approx(-weight * energy, rel=1e-4)
+    assert line["episodes/reward_progress"] == pytest.approx(moved, abs=1e-5)
+    assert line["episodes/reward_termination"] in {0.0, -5.0, -10.0}
 
 
-def test_weights_and_biases_follows_a_run_under_the_same_name_where_it_is_asked_for(
-    tmp_path, monkeypatch
-):
+@pytest.fixture
+def wandb(monkeypatch):
+    """A substitute of wandb, and what it was asked for."""
     begun = []
-    wandb = SimpleNamespace(
-        init=lambda **options: begun.append(options) or wandb, finish=lambda: begun.append("end")
-    )
-    monkeypatch.setitem(sys.modules, "wandb", wandb)
-    for folder in "aba":
-        train_briefly(tmp_path / folder, total_steps=256, wandb=True)
-    assert begun[1::2] == ["end"] * 3 and begun[0]["id"] == begun[4]["id"] != begun[2]["id"]
-    assert (begun[0]["name"], begun[0]["project"], begun[0]["sync_tensorboard"]) == (
-        "a",
-        "capsule_gym",
-        True,
-    )
+
+    def init(**options):
+        begun.append(options)
+        return module
+
+    module = SimpleNamespace(init=init, finish=lambda: begun.append("end"))
+    monkeypatch.setitem(sys.modules, "wandb", module)
+    return begun
+
+
+def test_weights_and_biases_follows_a_run_under_the_same_name(tmp_path, wandb):
+    for name in ("first", "second"):
+        begin(tmp_path / name, briefly(total_steps=256))
+    for name in ("first", "second", "first"):
+        train(tmp_path / name, wandb=True)
+    first, _, second, _, again, _ = wandb
+    assert wandb[1::2] == ["end"] * 3
+    assert first["id"] == again["id"] != second["id"]
+    assert (first["name"], first["project"]) == ("first", "capsule_gym")
+    assert first["sync_tensorboard"]
+
+
+def test_weights_and_biases_is_imported_only_where_it_is_asked_for(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "wandb", None)
-    assert train_briefly(tmp_path / "run")[1]
+    finished(tmp_path / "run", briefly(total_steps=256))

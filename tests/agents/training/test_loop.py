@@ -1,12 +1,13 @@
 import dataclasses
 import itertools
 import json
+import shutil
 
 import numpy as np
 import pytest
 import torch
 
-from agents.criteria import CRITERIA
+from agents.criteria import CRITERIA, Criteria
 from agents.training.algorithms import make_env, make_model
 from agents.training.callbacks import validation_plants
 from agents.training.config import read_config
@@ -17,7 +18,7 @@ from capsule_gym.evaluation.episodes import evaluate, scores
 from capsule_gym.evaluation.statistics import interquartile_mean
 from capsule_gym.parameters import RANDOMIZATIONS
 from tests.agents.training.small import (
-    SMALL,
+    SMALL_PPO,
     differences,
     finished,
     log,
@@ -29,119 +30,199 @@ from tests.agents.training.small import (
 
 
 def test_bootstrap_happens_at_time_limits_only():
-    # SB3 adds gamma V(last observation) to the reward if TimeLimit.truncated is set; a large
-    # constant V shows where.
     config = small(
         "direct", "ppo", total_steps=256, episode_seconds=0.4, initial_range=(1.047, 8.0)
     )
     env = make_env(config, 0)
     env.norm_reward = False
     model = make_model(config, env)
+    # SB3 adds gamma V(last observation) to the reward if TimeLimit.truncated is set; a large
+    # constant V shows where.
     for name, parameter in model.policy.named_parameters():
         if name.startswith("value_net"):
             torch.nn.init.constant_(parameter, 1000.0 if name.endswith("bias") else 0.0)
     model.learn(256)
-    buffer = model.rollout_buffer
     # Each environment takes 32 steps, in episodes of 20.
-    ended, rewards = buffer.episode_starts[1:] == 1.0, buffer.rewards[:-1]
+    ended = model.rollout_buffer.episode_starts[1:] == 1.0
+    rewards = model.rollout_buffer.rewards[:-1]
     failed = rewards < -0.9 * config.termination_penalty
-    assert (
-        (ended & ~failed).any()
-        and failed.any()
-        and np.array_equal(rewards > 500.0, ended & ~failed)
-    )
+    truncated = ended & ~failed
+    assert truncated.any()
+    assert failed.any()
+    assert np.array_equal(rewards > 500.0, truncated)
 
 
-def test_a_run_folder_holds_what_a_policy_needs(tmp_path, capsys, monkeypatch):
+CONFIG = small("residual", "ppo", total_steps=768, evaluate_every=256)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A run in a new folder, whose first evaluation has the best score."""
     falling = itertools.count(0, -1)
-    monkeypatch.setattr(type(CRITERIA["speed"]), "score", lambda *_: next(falling))
-    run = tmp_path / "run"
-    config = small("residual", "ppo", total_steps=768, evaluate_every=256)
     torch.set_num_threads(2)
-    finished(run, config)
-    assert torch.get_num_threads() == 1  # sums of several have other bits
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Criteria, "score", lambda *_: next(falling))
+        return finished(tmp_path_factory.mktemp("runs") / "new" / "run", CONFIG)
+
+
+@pytest.fixture(scope="module")
+def content(run):
+    return json.loads((run / "config.json").read_text())
+
+
+def test_a_training_uses_one_thread(run):
+    # Sums of several have other bits.
+    assert torch.get_num_threads() == 1
+
+
+def test_a_folder_that_holds_a_run_is_not_used_again(run):
     with pytest.raises(FileExistsError):
-        begin(run, config)
-    content = json.loads((run / "config.json").read_text())
-    named = content["algo"], content["seed"], content["env"]["controller"]
-    assert named == ("ppo", 0, "baselines:adaptive") and content["revision"]
+        begin(run, CONFIG)
+
+
+def test_a_run_records_how_it_was_trained(content):
+    assert (content["algo"], content["seed"]) == ("ppo", 0)
+    assert content["env"]["controller"] == "baselines:adaptive"
+    assert content["revision"]
     assert {"torch", "stable-baselines3", "numpy", "gymnasium"} <= set(content["versions"])
-    steps = [int(row["steps"]) for row in rows(run / "evaluations.csv")]
-    assert steps == [256, 512, 768] and parameters(run / "best/model.zip") != parameters(
-        run / "model.zip"
-    )
-    assert log(run)[768]["evaluation/score"] and list((run / "logs").glob("events*"))
+
+
+def test_a_run_keeps_its_best_and_its_last_agent(run):
+    assert [row["steps"] for row in rows(run / "evaluations.csv")] == ["256", "512", "768"]
+    assert parameters(run / "best/model.zip") != parameters(run / "model.zip")
+
+
+def test_a_run_logs_a_table_and_for_tensorboard(run):
+    assert log(run)[768]["evaluation/score"]
+    assert list((run / "logs").glob("events*"))
+
+
+def test_the_policy_of_a_run_has_its_settings(run, content):
     policy = load_policy(run)
     assert json.loads(json.dumps(policy.env_kwargs)) == content["env"]
     assert (policy.training_seed, policy.revision) == (0, content["revision"])
-    assert train(run, 1024) and "falls until 1,024 steps" in capsys.readouterr().out
-    assert read_config(run) == dataclasses.replace(config, total_steps=1024)
-    with pytest.raises(
-        ValueError, match=r"^total_steps must be an integer >= 1024, the steps of the run, got 0$"
-    ):
+
+
+def test_a_run_is_resumed_for_more_steps(run, tmp_path, capsys):
+    longer = shutil.copytree(run, tmp_path / "run")
+    assert train(longer, 1024)
+    assert "falls until 1,024 steps" in capsys.readouterr().out
+    assert read_config(longer) == dataclasses.replace(CONFIG, total_steps=1024)
+
+
+def test_a_run_has_at_least_its_present_steps(run):
+    message = r"^total_steps must be an integer >= 768, the steps of the run, got 0$"
+    with pytest.raises(ValueError, match=message):
         train(run, 0)
 
 
 RANGES = {"mass_range": (0.42, 0.44), "friction_range": (0.06, 0.07)}
-WRAPPED = {"wrapper": ("tests.agents.training.wrappers:Swing",), "randomization": "real", **RANGES}
-JUDGED = [
-    ("CapsuleGoal-v0", "goal_time_s", changes)
-    for changes in ({"static_ratio": 1.5, **RANGES}, WRAPPED)
-]
-JUDGED += [("CapsuleVelocity-v0", "velocity_error_percent", {"command_range": (0.05, 0.06)})]
+WRAPPED = {"wrapper": ("tests.agents.training.wrappers:Swing",), "randomization": "real"}
+# Environment, column of the main metric, and changes of the preset.
+OTHER_TASKS = {
+    "goal": ("CapsuleGoal-v0", "goal_time_s", {"static_ratio": 1.5, **RANGES}),
+    "wrapped": ("CapsuleGoal-v0", "goal_time_s", WRAPPED | RANGES),
+    "velocity": (
+        "CapsuleVelocity-v0",
+        "velocity_error_percent",
+        {"command_range": (0.05, 0.06)},
+    ),
+}
+every_case = pytest.mark.parametrize("case", OTHER_TASKS)
+without_wrapper = pytest.mark.parametrize("case", ["goal", "velocity"])
 
 
-@pytest.mark.parametrize(("env", "column", "changes"), JUDGED)
-def test_a_run_in_another_environment_is_judged_by_its_task(
-    tmp_path, monkeypatch, env, column, changes
-):
-    settings = {
-        **SMALL,
-        "n_steps": 32,
-        "n_epochs": 1,
-        "total_steps": 768,
-        "evaluate_every": 256,
-        **changes,
-    }
-    config = dataclasses.replace(preset(env, "direct", "ppo"), episode_seconds=0.4, **settings)
-    run, whole, task = tmp_path / "run", finished(tmp_path / "whole", config), config.task
-    begin(run, config)
+def config_of(case):
+    env, _, changes = OTHER_TASKS[case]
+    settings = SMALL_PPO | dict(
+        n_epochs=1, total_steps=768, evaluate_every=256, episode_seconds=0.4
+    )
+    return dataclasses.replace(preset(env, "direct", "ppo"), **settings | changes)
+
+
+@pytest.fixture(scope="module")
+def others(tmp_path_factory):
+    """A run in each of the other environments."""
+    folder = tmp_path_factory.mktemp("others")
+    return {case: finished(folder / case, config_of(case)) for case in OTHER_TASKS}
+
+
+@every_case
+def test_a_killed_run_in_another_environment_ends_the_same(tmp_path, monkeypatch, others, case):
+    run = tmp_path / "run"
+    begin(run, config_of(case))
     train_until(run, 600, monkeypatch, killed=True)
-    assert train(run) and differences(run, whole) == []
-    lines = rows(run / "evaluations.csv")
-    assert {column, f"baseline_{column}", "failed"} < set(lines[-1])
-    assert float(lines[-1][f"baseline_{column}"]) < float(lines[-1][column])
-    assert {f"evaluation/{name}" for name in CRITERIA[task].weights} < set(log(run)[768])
+    assert train(run)
+    assert differences(run, others[case]) == []
+
+
+@every_case
+def test_a_run_in_another_environment_is_evaluated_by_its_task(others, case):
+    _, column, _ = OTHER_TASKS[case]
+    last = rows(others[case] / "evaluations.csv")[-1]
+    assert {column, f"baseline_{column}", "failed"} < set(last)
+    assert float(last[f"baseline_{column}"]) < float(last[column])
+    weights = CRITERIA[config_of(case).task].weights
+    assert {f"evaluation/{name}" for name in weights} < set(log(others[case])[768])
+
+
+@every_case
+def test_validation_plants_are_of_the_run(case):
+    config = config_of(case)
     plants = validation_plants(config)
-    assert plants.task == task and min(plant.mu for plant in plants.plants) >= 0.05
-    if config.wrapper:
-        assert float(log(run)[768]["episodes/failed"]) > 0.2  # by the wrapper
-        with pytest.raises(ValueError, match="name_or_path must be"):
-            load_policy(run)
-        return
-    policy = load_policy(run)
-    assert policy.env_kwargs["task"] == task
-    if (M := config.mass_range) and (mu := config.friction_range):
-        assert all(
-            M[0] <= plant.M <= M[1] and mu[0] <= plant.mu <= mu[1] for plant in plants.plants
-        )
-        assert (policy.env_kwargs["randomization"].M, policy.env_kwargs["randomization"].mu) == (
-            M,
-            mu,
-        )
-    expected = (1.5, plants.capsule) if config.static_ratio else (1.3, None)
-    assert (plants.capsule.static_ratio, policy.env_kwargs.get("capsule")) == expected
-    values = scores(evaluate(policy, plants), column.rpartition("_")[0])
-    assert f"{interquartile_mean(values)[0]:.4f}" in {
-        f"{float(line[column]):.4f}" for line in lines
-    }
+    least_mass, largest_mass = config.mass_range
+    least_friction, largest_friction = config.friction_range
+    assert plants.task == config.task
+    for plant in plants.plants:
+        assert least_mass <= plant.M <= largest_mass
+        assert least_friction <= plant.mu <= largest_friction
 
 
-def test_model_selection_uses_draws_of_its_own():
-    draws = validation_plants(small("residual", "ppo")).plants
-    masses, (low, high) = {plant.M for plant in draws}, RANDOMIZATIONS["paper"].M
-    assert min(plant.seed for plant in draws) >= 1_000_000 and len(masses) == len(draws)
-    assert all(low <= M <= high for M in masses)
-    assert validation_plants(small("residual", "ppo", seed=1)).plants[0].seed not in {
-        p.seed for p in draws
-    }
+def test_episodes_that_a_wrapper_ends_have_failed(others):
+    assert float(log(others["wrapped"])[768]["episodes/failed"]) > 0.2
+
+
+def test_a_wrapped_run_has_no_policy_file(others):
+    with pytest.raises(ValueError, match="name_or_path must be"):
+        load_policy(others["wrapped"])
+
+
+@without_wrapper
+def test_a_policy_has_the_plants_of_its_run(others, case):
+    config = config_of(case)
+    env_kwargs = load_policy(others[case]).env_kwargs
+    assert env_kwargs["task"] == config.task
+    assert env_kwargs["randomization"].M == config.mass_range
+    assert env_kwargs["randomization"].mu == config.friction_range
+
+
+@pytest.mark.parametrize(
+    ("case", "static_ratio", "named"), [("goal", 1.5, True), ("velocity", 1.3, False)]
+)
+def test_a_policy_has_the_static_ratio_of_its_run(others, case, static_ratio, named):
+    capsule = validation_plants(config_of(case)).capsule
+    assert capsule.static_ratio == static_ratio
+    assert load_policy(others[case]).env_kwargs.get("capsule") == (capsule if named else None)
+
+
+@without_wrapper
+def test_the_best_policy_has_an_evaluated_value(others, case):
+    _, column, _ = OTHER_TASKS[case]
+    episodes = evaluate(load_policy(others[case]), validation_plants(config_of(case)))
+    (value, *_) = interquartile_mean(scores(episodes, column.rpartition("_")[0]))
+    evaluated = [float(line[column]) for line in rows(others[case] / "evaluations.csv")]
+    assert f"{value:.4f}" in {f"{each:.4f}" for each in evaluated}
+
+
+def test_model_selection_has_distinct_plants_of_the_training_range():
+    plants = validation_plants(small("residual", "ppo")).plants
+    low, high = RANDOMIZATIONS["paper"].M
+    assert len({plant.M for plant in plants}) == len(plants)
+    assert all(low <= plant.M <= high for plant in plants)
+
+
+def test_model_selection_has_seeds_of_its_own():
+    first, second = (validation_plants(small("residual", "ppo", seed=n)).plants for n in (0, 1))
+    seeds = {plant.seed for plant in first}
+    assert min(seeds) >= 1_000_000
+    assert second[0].seed not in seeds

@@ -5,7 +5,6 @@ import dataclasses
 import json
 import math
 import re
-from contextlib import nullcontext
 
 import pytest
 
@@ -20,60 +19,91 @@ from capsule_gym.files import to_json
 from capsule_gym.policies.policy import IMITATION
 
 
+def config_with(name, value):
+    config = next(each for each in PRESETS.values() if hasattr(each, name))
+    return dataclasses.replace(config, **{name: value})
+
+
+def assert_refused(name, value):
+    words, *_ = RANGES[name]
+    with pytest.raises(ValueError, match=f"^{name} must be {re.escape(words)}, got"):
+        config_with(name, value).check()
+
+
+@pytest.mark.parametrize("name", RANGES)
+def test_a_range_begins_where_its_words_say(name):
+    words, low, _, _ = RANGES[name]
+    if ">= " in words or "[" in words:
+        config_with(name, low).check()
+    else:
+        assert_refused(name, low)
+
+
 @pytest.mark.parametrize("name", RANGES)
 def test_a_range_ends_where_its_words_say(name):
-    words, low, high, _ = RANGES[name]
-    config = next(each for each in PRESETS.values() if hasattr(each, name))
-    for end, refused in (
-        (low, ">= " not in words and "[" not in words),
-        (high, not math.isfinite(high)),
-    ):
-        changed = dataclasses.replace(config, **{name: end})
-        with (
-            pytest.raises(ValueError, match=f"^{name} must be {re.escape(words)}, got")
-            if refused
-            else nullcontext()
-        ):
-            changed.check()
-
-
-@pytest.mark.parametrize("name", [*TRAINED_ROWS, *STUDENTS])
-def test_a_rows_settings_are_those_that_its_policies_were_trained_with(name):
-    record, policies = (
-        json.loads((CHECKPOINTS / name / CONFIG).read_text("utf-8")),
-        find_candidate(name).policies,
-    )
-    if name in STUDENTS:
-        assert record["hyperparameters"] == json.loads(to_json(dataclasses.asdict(STUDENTS[name])))
-        expected = STUDENTS[name].env_kwargs, IMITATION, HIDDEN
-        assert all((CLIP, EPSILON) == (each.clip, each.epsilon) for each in policies)
-        assert (
-            min(each.variance.min() for each in find_candidate("dp-distilled-wide").policies)
-            == MIN_VARIANCE
-        )
+    _, _, high, _ = RANGES[name]
+    if math.isfinite(high):
+        config_with(name, high).check()
     else:
-        settings = TRAINED_ROWS[name]
-        assert dataclasses.replace(read_config(CHECKPOINTS / name), seed=0) == settings
-        expected = settings.env_kwargs(), settings.algo, settings.hidden
-        rollout = settings.num_envs * (settings.n_steps if settings.algo == "ppo" else 1)
-        ends = [
-            math.ceil(each / rollout) * rollout
-            for each in (settings.evaluate_every, settings.total_steps)
-        ]
-        for path in (CHECKPOINTS / name).glob(f"*/{EVALUATIONS}"):
-            assert read_evaluations(path, settings.task)[0][[0, -1]].tolist() == ends
-    for policy in policies:
-        assert (policy.env_kwargs, policy.algorithm) == expected[:2] and policy.revision == record[
-            "revision"
-        ]
-        assert [bias.size for _, bias in policy.layers] == [expected[2], expected[2], 1]
+        assert_refused(name, high)
+
+
+def record_of(name):
+    return json.loads((CHECKPOINTS / name / CONFIG).read_text("utf-8"))
+
+
+def assert_policies(name, env_kwargs, algorithm, hidden):
+    revision = record_of(name)["revision"]
+    for policy in find_candidate(name).policies:
+        assert policy.env_kwargs == env_kwargs
+        assert policy.algorithm == algorithm
+        assert policy.revision == revision
+        assert [bias.size for _, bias in policy.layers] == [hidden, hidden, 1]
+
+
+@pytest.mark.parametrize("name", TRAINED_ROWS)
+def test_a_rows_settings_are_those_that_its_policies_were_trained_with(name):
+    settings = TRAINED_ROWS[name]
+    assert dataclasses.replace(read_config(CHECKPOINTS / name), seed=0) == settings
+    assert_policies(name, settings.env_kwargs(), settings.algo, settings.hidden)
+
+
+@pytest.mark.parametrize("name", TRAINED_ROWS)
+def test_a_row_was_evaluated_until_the_end_of_its_training(name):
+    settings = TRAINED_ROWS[name]
+    rollout = settings.num_envs * (settings.n_steps if settings.algo == "ppo" else 1)
+    ends = [
+        math.ceil(steps / rollout) * rollout
+        for steps in (settings.evaluate_every, settings.total_steps)
+    ]
+    for path in (CHECKPOINTS / name).glob(f"*/{EVALUATIONS}"):
+        steps, _ = read_evaluations(path, settings.task)
+        assert [steps[0], steps[-1]] == ends
+
+
+@pytest.mark.parametrize("name", STUDENTS)
+def test_a_students_settings_are_those_that_its_policies_were_trained_with(name):
+    student = STUDENTS[name]
+    expected = json.loads(to_json(dataclasses.asdict(student)))
+    assert record_of(name)["hyperparameters"] == expected
+    assert_policies(name, student.env_kwargs, IMITATION, HIDDEN)
+
+
+@pytest.mark.parametrize("name", STUDENTS)
+def test_a_students_policies_have_its_normalisation(name):
+    for policy in find_candidate(name).policies:
+        assert (policy.clip, policy.epsilon) == (CLIP, EPSILON)
+
+
+def test_the_least_variance_of_a_student_is_bounded():
+    policies = find_candidate("dp-distilled-wide").policies
+    assert min(policy.variance.min() for policy in policies) == MIN_VARIANCE
 
 
 def test_the_table_of_commands_names_every_row_and_its_seeds():
     page = (CHECKPOINTS / "README.md").read_text(encoding="utf-8")
-    lines = re.findall(
-        r"^\| `([\w-]+)` \| (\d+)(?: to (\d+))? \| `python (.*)` \|$", page, re.MULTILINE
-    )
+    row = r"^\| `([\w-]+)` \| (\d+)(?: to (\d+))? \| `python (.*)` \|$"
+    lines = re.findall(row, page, re.MULTILINE)
     assert sorted(name for name, *_ in lines) == checkpoint_names()
     for name, first, last, command in lines:
         seeds = [run.training_seed for run in find_candidate(name).policies]
@@ -86,5 +116,4 @@ def test_the_table_of_commands_names_every_row_and_its_seeds():
         options = train.read_args([*words, "--gamma", "0.9"])
         expected = dataclasses.replace(TRAINED_ROWS[name], seed=7, gamma=0.9)
         assert options.hyperparameters == expected
-        assert options.action_mode == expected.action_mode
-        assert options.algo == expected.algo
+        assert (options.action_mode, options.algo) == (expected.action_mode, expected.algo)

@@ -23,152 +23,259 @@ from capsule_gym.evaluation.sets import EvaluationSet, PlantSpec
 from capsule_gym.parameters import Capsule
 from tests import ROOT
 
+SPEED = Problem()
+RESULTS = known_results().results
+PAGE = (ROOT / "docs" / "optimum.md").read_text(encoding="utf-8")
+SMALL = (13, 18, 7)
 
-def test_trajectories_give_the_speeds_on_file_to_the_last_bit():
+
+@pytest.fixture
+def some():
+    """Three results and three plants of the archive, with arrays of their own."""
     known = known_results()
-    keys = [Problem(M=0.35, mu=0.5).key, Problem().key, Problem(mu=0.45, static_ratio=1.3).key]
-    arrays = {
-        name: each[:3] if name.startswith("plants") else each for name, each in known.arrays.items()
-    }
-    some = Archive({key: known.results[key] for key in keys}, arrays)
+    problems = [Problem(M=0.35, mu=0.5), SPEED, Problem(mu=0.45, static_ratio=1.3)]
+    results = {problem.key: RESULTS[problem.key] for problem in problems}
+    arrays = {f"{key} torques": known.arrays[f"{key} torques"] for key in results}
+    for name in ("plants", "plants torques"):
+        arrays[name] = known.arrays[name][:3]
+    return Archive(results, arrays)
+
+
+def test_trajectories_give_the_speeds_on_file_to_the_last_bit(some):
     assert some.check() == []
-    some.arrays[f"{keys[0]} torques"] = some.arrays[f"{keys[0]} torques"][::-1]
-    some.arrays["plants torques"] = np.roll(arrays["plants torques"], 1, axis=1)
-    assert len(some.check()) == 1 + 3
 
 
-def test_the_plants_of_the_sets_are_solved_themselves_and_others_are_interpolated():
-    known = known_results()
-    np.testing.assert_allclose(known.results[Problem().key].grids, solver.GRIDS, rtol=0.007)
+def test_other_torques_of_a_problem_are_found(some):
+    name = f"{next(iter(some.results))} torques"
+    some.arrays[name] = some.arrays[name][::-1]
+    assert len(some.check()) == 1
+
+
+def test_other_torques_of_plants_are_found(some):
+    some.arrays["plants torques"] = np.roll(some.arrays["plants torques"], 1, axis=1)
+    assert len(some.check()) == 3
+
+
+def test_the_main_problem_is_solved_on_all_grids():
+    np.testing.assert_allclose(RESULTS[SPEED.key].grids, solver.GRIDS, rtol=0.007)
+
+
+def test_the_plants_of_the_sets_are_solved_themselves():
     plants = set_plants()
-    assert list(known.plant_speeds) == plants and len(plants) > 700
-    solved = np.array([optimal_speed(*plant) for plant in plants])
-    ratios = np.array([interpolated_speed(*plant) for plant in plants]) / solved
-    assert 0.001 < np.abs(ratios - 1.0).mean() < 0.02 and np.abs(ratios - 1.0).max() < 0.0335
-    # Solved again, a plant has the torques on file; a solution on a much coarser grid is slightly
-    # slower.
-    runs = (plants[722], solver.GRIDS[0]), (plants[1], (13, 18, 7))
-    again, coarse = (
-        archive.solve_plant(Problem(M=M, mu=mu), known, shape) for (M, mu), shape in runs
-    )
+    assert len(plants) > 700
+    assert list(known_results().plant_speeds) == plants
+
+
+def test_interpolated_speeds_are_close_to_solved_ones():
+    plants = set_plants()
+    solved = np.array([optimal_speed(M, mu) for M, mu in plants])
+    interpolated = np.array([interpolated_speed(M, mu) for M, mu in plants])
+    errors = np.abs(interpolated / solved - 1.0)
+    assert 0.001 < errors.mean() < 0.02
+    assert errors.max() < 0.0335
+
+
+def test_a_plant_that_is_solved_again_has_the_torques_on_file():
+    known = known_results()
+    M, mu = set_plants()[722]
+    again = archive.solve_plant(Problem(M=M, mu=mu), known, solver.GRIDS[0])
     assert (again.choices[:, 0] == known.arrays["plants torques"][722]).all()
-    assert 0.9 < coarse.metrics["mean_speed"][0] / solved[1] < 1.01
-    assert (
-        optimal_speed(0.75, 0.1) == known_results().results[Problem(M=0.75, mu=0.1).key].mean_speed
-    )
-    assert optimal_speed(0.625, 0.1) == pytest.approx(
-        0.5 * (optimal_speed(0.5, 0.1) + optimal_speed(0.75, 0.1))
-    )
-    with pytest.raises(
-        ValueError,
-        match=r"M must be in \[0.35, 1.0\] kg and mu in \[0.005, 0.5\], got M=0.3, mu=0.1",
-    ):
+
+
+def test_a_solution_on_a_much_coarser_grid_is_slightly_slower():
+    M, mu = set_plants()[1]
+    coarse = archive.solve_plant(Problem(M=M, mu=mu), known_results(), SMALL)
+    assert 0.9 < coarse.metrics["mean_speed"][0] / optimal_speed(M, mu) < 1.01
+
+
+def test_the_speed_of_a_plant_of_the_grid_is_that_on_file():
+    assert optimal_speed(0.75, 0.1) == RESULTS[Problem(M=0.75, mu=0.1).key].mean_speed
+
+
+def test_the_speed_between_plants_of_the_grid_is_interpolated():
+    mean = 0.5 * (optimal_speed(0.5, 0.1) + optimal_speed(0.75, 0.1))
+    assert optimal_speed(0.625, 0.1) == pytest.approx(mean)
+
+
+def test_a_plant_outside_the_grid_raises_an_error():
+    message = r"M must be in \[0.35, 1.0\] kg and mu in \[0.005, 0.5\], got M=0.3, mu=0.1"
+    with pytest.raises(ValueError, match=message):
         optimal_speed(0.3, 0.1)
+
+
+def test_a_cell_has_the_plants_around_a_plant():
     corners, *_ = GRID.cell(0.6, 0.07)
-    assert [GRID.plants[corner] for corner in corners] == [
-        (M, mu) for M in (0.5, 0.75) for mu in (0.03, 0.1)
-    ]
-    # Rounded observations and plants outside the grid use its edge.
+    plants = [GRID.plants[corner] for corner in corners]
+    assert plants == [(0.5, 0.03), (0.5, 0.1), (0.75, 0.03), (0.75, 0.1)]
+
+
+def test_rounded_observations_and_plants_outside_the_grid_use_its_edge():
     assert GRID.cell(float(np.float32(0.35)), 0.6) == GRID.cell(0.35, 0.5)
     assert GRID.cell(2.0, 0.0) == GRID.cell(1.0, 0.005)
 
 
+@pytest.mark.parametrize(("ratio", "grid"), [(1.0, GRID), (1.3, STICKY_GRID), (1.2, None)])
+def test_the_grid_of_a_static_ratio(ratio, grid):
+    assert find_grid(Capsule(static_ratio=ratio)) == grid
+
+
+def oracle_on(grid, plants):
+    """Episodes of the oracle with the values of a grid."""
+
+    def start(seeds):
+        return Oracle(len(seeds), grid=grid).act
+
+    policy = replace(SCRIPTED["dp-oracle"], start=start)
+    return evaluate(policy, plants)
+
+
 def test_static_friction_that_is_planned_with_makes_the_optimum_faster():
-    assert [find_grid(Capsule(static_ratio=ratio)) for ratio in (1.0, 1.3, 1.2)] == [
-        GRID,
-        STICKY_GRID,
-        None,
-    ]
-    plants, capsule = (
-        tuple(PlantSpec(M, mu, seed=0) for M, mu in ((0.4, 0.25), (0.6, 0.4))),
-        STICKY_GRID.capsule,
-    )
-    found = []
-    for grid in (GRID, STICKY_GRID):
-        policy = replace(
-            SCRIPTED["dp-oracle"], start=lambda seeds, grid=grid: Oracle(len(seeds), grid=grid).act
-        )
-        found.append(evaluate(policy, EvaluationSet("some", plants, capsule=capsule)))
-    for unaware, aware in zip(*found, strict=True):
-        assert not aware["failed"] and aware["mean_speed"] > 1.03 * unaware["mean_speed"]
-        assert aware["stuck_fraction"] > 0.3 and aware["share_of_optimum"] > 0.95
+    specs = (PlantSpec(0.4, 0.25, seed=0), PlantSpec(0.6, 0.4, seed=0))
+    plants = EvaluationSet("some", specs, capsule=STICKY_GRID.capsule)
+    aware = oracle_on(STICKY_GRID, plants)
+    for episode, unaware in zip(aware, oracle_on(GRID, plants), strict=True):
+        assert not episode["failed"]
+        assert episode["mean_speed"] > 1.03 * unaware["mean_speed"]
+        assert episode["stuck_fraction"] > 0.3
+        assert episode["share_of_optimum"] > 0.95
 
 
-def test_results_survive_the_file(tmp_path, monkeypatch):
+@pytest.fixture
+def solution():
+    """A solution with random values."""
     values = np.random.default_rng(0).uniform(-50.0, 80.0, (5, 6, 7)).astype(np.float32)
-    solution = Solution(
-        Problem(), Grid((5, 6, 7), (-3.0, 9.0), (-1.0, 4.0), 0.5), values, 0.4, 20.0
-    )
-    slow, fast = (
-        repeat(Problem(), (scale * np.arange(1650) % 121).astype(np.uint8)) for scale in (0, 1)
-    )
-    solved, grids, written = [(solution, slow), (solution, fast), (solution, slow)], [], Archive()
-    monkeypatch.setattr(
-        solver, "solve_on_grids", lambda problem, shapes: grids.append(len(shapes)) or solved
-    )
-    list(written.solve([Problem(), Problem(energy_weight=1.0), Problem(control_dt=0.04)]))
-    written.save(tmp_path)
+    return Solution(SPEED, Grid((5, 6, 7), (-3.0, 9.0), (-1.0, 4.0), 0.5), values, 0.4, 20.0)
+
+
+@pytest.fixture
+def fast():
+    """A trajectory with the larger reward of those that `written` contains."""
+    return repeat(SPEED, (np.arange(1650) % 121).astype(np.uint8))
+
+
+@pytest.fixture
+def written(monkeypatch, solution, fast):
+    """An archive of three solved problems, and the numbers of grids for each."""
+    slow = repeat(SPEED, np.zeros(1650, np.uint8))
+    grids = []
+
+    def solved(problem, shapes):
+        grids.append(len(shapes))
+        return [(solution, slow), (solution, fast), (solution, slow)]
+
+    monkeypatch.setattr(solver, "solve_on_grids", solved)
+    found = Archive()
+    list(found.solve([SPEED, Problem(energy_weight=1.0), Problem(control_dt=0.04)]))
+    return found, grids
+
+
+def test_the_main_problem_is_solved_on_the_most_grids(written):
+    _, grids = written
+    assert grids == [4, 2, 3]
+
+
+def test_only_speed_problems_have_values(written):
+    # The policies look ahead with them.
+    found, _ = written
+    others = [name for name in found.arrays if "torques" not in name]
+    assert others == [f"{SPEED.key} differences", f"{SPEED.key} numbers"]
+
+
+def test_the_trajectory_of_the_largest_reward_is_kept(written, fast):
+    found, _ = written
+    assert (found.repeat(SPEED).choices == fast.choices).all()
+
+
+def test_results_survive_the_file(written, solution, fast, tmp_path):
+    found, _ = written
+    found.save(tmp_path)
     read = load_archive(tmp_path)
-    assert read.results == written.results and grids == [4, 2, 3]
-    # Only the policies of the speed problems look ahead with values.
-    assert sum("torques" not in name for name in read.arrays) == 2
-    # `repeat` returns the trajectory of the largest reward.
-    assert (read.repeat(Problem()).choices == fast.choices).all()
-    again = read.solution(Problem())
-    np.testing.assert_allclose(again.values, values, atol=0.003)
-    assert (again.grid, again.curvature, again.gain) == (solution.grid, 0.4, 20.0)
+    again = read.solution(SPEED)
+    assert read.results == found.results
+    assert sorted(read.arrays) == sorted(found.arrays)
+    assert (read.repeat(SPEED).choices == fast.choices).all()
+    np.testing.assert_allclose(again.values, solution.values, atol=0.003)
+    assert again.grid == solution.grid
+    assert again.curvature == 0.4
+    assert again.gain == 20.0
 
 
-def test_the_command_solves_what_is_missing_and_keeps_it(tmp_path, monkeypatch, capsys, refused):
-    problems, calls = [Problem(), Problem(energy_weight=2.0), Problem(mu=0.3)], []
+@pytest.fixture
+def problems(monkeypatch):
+    """Three problems, the computation of the third is interrupted once, and two quick plants."""
+    chosen = [SPEED, Problem(energy_weight=2.0), Problem(mu=0.3)]
+    solved = []
 
     def quick(problem, shapes):
-        calls.append(problem)
-        if len(calls) == 3:
+        solved.append(problem)
+        if len(solved) == 3:
             raise KeyboardInterrupt
-        return solve_on_grids(problem, [(13, 18, 7)])
+        return solve_on_grids(problem, [SMALL])
 
-    monkeypatch.setattr(command, "PROBLEMS", problems)
-    monkeypatch.setattr(solver, "solve_on_grids", quick)
+    def constant(problem, _):
+        return repeat(problem, np.full(1650, 60, np.uint8))
+
+    monkeypatch.setattr(command, "PROBLEMS", chosen)
     monkeypatch.setattr(command, "set_plants", lambda: [(0.5, 0.01), (0.5, 0.02)])
-    monkeypatch.setattr(
-        archive, "solve_plant", lambda problem, _: repeat(problem, np.full(1650, 60, np.uint8))
-    )
+    monkeypatch.setattr(solver, "solve_on_grids", quick)
+    monkeypatch.setattr(archive, "solve_plant", constant)
+    return chosen, solved
+
+
+def test_the_command_solves_what_is_missing_and_keeps_it(tmp_path, problems, capsys):
+    chosen, solved = problems
     arguments = ["--folder", str(tmp_path / "new")]
-    refused(command.main, [*arguments, "--check"])
     assert command.main(arguments) == 130
-    assert list(load_archive(tmp_path / "new").results) == [each.key for each in problems[:2]]
-    assert command.main(arguments) == 0 and calls[3:] == problems[2:]
+    filed = load_archive(tmp_path / "new").results
+    assert list(filed) == [problem.key for problem in chosen[:2]]
+    assert command.main(arguments) == 0
+    assert solved[3:] == chosen[2:]
     assert command.main([*arguments, "--check"]) == 0
     assert "5 trajectories repeated: 0 differ" in capsys.readouterr().out
+
+
+def test_a_check_without_results_is_an_error(tmp_path, refused):
+    refused(command.main, ["--folder", str(tmp_path / "new"), "--check"])
+
+
+def test_the_status_says_that_a_trajectory_differs(monkeypatch):
     monkeypatch.setattr(Archive, "check", lambda self: ["another"])
-    assert command.main([*arguments, "--check"]) == 1
-    monkeypatch.undo()
+    assert command.main(["--check"]) == 1
+
+
+def test_the_report_prints_speeds_with_the_limits_of_their_gains(capsys):
     assert command.main(["--report"]) == 0
-    assert "20.91" in next(
-        line for line in capsys.readouterr().out.splitlines() if "22.53 to 22.66" in line
-    )
+    lines = capsys.readouterr().out.splitlines()
+    (main,) = (line for line in lines if "22.53 to 22.66" in line)
+    assert "20.91" in main
 
 
-def test_the_page_shows_the_results_on_file():
-    known, page = (
-        known_results().results,
-        (ROOT / "docs" / "optimum.md").read_text(encoding="utf-8"),
-    )
-    assert {problem.key for problem in command.PROBLEMS} == set(known)
-    rows = [
-        [each.energy_weight, each.mean_speed, each.cost_of_transport] for each in known.values()
-    ]
-    rows = [row for row in rows if row[0]]
-    for grid in (GRID, STICKY_GRID):
-        speeds = np.reshape(
-            [known[each.key].mean_speed for each in plant_problems(grid)], (len(grid.M), -1)
-        )
-        rows += np.column_stack([grid.M, speeds]).tolist()
-    for each in (known[Problem(control_dt=control_dt).key] for control_dt in (0.02, 0.01, 0.005)):
-        rows.append([1e3 * each.control_dt, each.mean_speed, max(each.steady), each.gains[-1]])
-        assert f"{each.gains[-1]:.2f}|{archive.extrapolated(each)}|" in page
-    assert all(
-        "|".join([f"\n|{row[0]:g}", *(f"{value:.2f}" for value in row[1:]), ""]) in page
-        for row in rows
-    )
+def assert_on_page(first, *values):
+    """Asserts that a table of the page begins a row with these numbers."""
+    cells = "|".join(f"{value:.2f}" for value in values)
+    assert f"\n|{first:g}|{cells}|" in PAGE
+
+
+def test_every_problem_is_on_file():
+    assert {problem.key for problem in command.PROBLEMS} == set(RESULTS)
+
+
+def test_the_page_shows_the_results_by_energy_weight():
+    for result in RESULTS.values():
+        if result.energy_weight:
+            assert_on_page(result.energy_weight, result.mean_speed, result.cost_of_transport)
+
+
+@pytest.mark.parametrize("grid", [GRID, STICKY_GRID])
+def test_the_page_shows_the_speeds_on_the_grid(grid):
+    speeds = [RESULTS[problem.key].mean_speed for problem in plant_problems(grid)]
+    for M, by_friction in zip(grid.M, np.reshape(speeds, (len(grid.M), -1)), strict=True):
+        assert_on_page(M, *by_friction)
+
+
+@pytest.mark.parametrize("control_dt", [0.02, 0.01, 0.005])
+def test_the_page_shows_the_results_by_control_interval(control_dt):
+    result = RESULTS[Problem(control_dt=control_dt).key]
+    gain = result.gains[-1]
+    assert_on_page(1e3 * control_dt, result.mean_speed, max(result.steady), gain)
+    assert f"{gain:.2f}|{archive.extrapolated(result)}|" in PAGE

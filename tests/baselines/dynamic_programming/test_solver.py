@@ -1,7 +1,5 @@
-"""Grid, transitions and solver, compared with the environment, closed forms and value iteration in
-numpy."""
+"""Grid, transitions and solver: the environment, closed forms, and value iteration in numpy."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -22,6 +20,8 @@ from capsule_gym import CapsuleEnv
 from capsule_gym.tasks.task import START_THETA
 
 SHAPE = (13, 18, 7)
+STARTS = np.array([START_THETA])
+ORIGIN = np.array([[START_THETA], [0.0], [0.0]])
 
 
 def make_grid(shape=SHAPE, w=(-2.0, 5.0)):
@@ -35,126 +35,190 @@ def coarse(monkeypatch):
     monkeypatch.setattr(solver, "REFINEMENTS", 0)
 
 
+def run(solution, final=()):
+    """The first episode's states, shape (steps, 4), and distance, m, in 4 s."""
+    trajectory = run_policy(solution, STARTS, final=final, horizon=4.0)
+    return trajectory.states[..., 0], trajectory.metrics["distance"][0]
+
+
 def test_a_transition_is_a_step_of_the_environment_bit_for_bit():
     rng = np.random.default_rng(1)
     starts = rng.uniform([-1.2, -6.0, 0.0, -0.3], [1.2, 6.0, 0.0, 0.6], (40, 4))
     starts[::3, 3] = 0.0
     actions = rng.uniform(-1.0, 1.0, 40).astype(np.float32)
+    M = rng.uniform(0.4, 0.6, 40)
     model = Transitions(Problem(mu=0.2, energy_weight=0.3), 40)
     # A batch can be used again, and every state may have its own plant.
     model.step(rng.uniform(-1.0, 1.0, (3, 40)), np.ones(40))
-    M = rng.uniform(0.4, 0.6, 40)
     model.set_plants(M, np.full(40, 0.2))
+
     ends, rewards, failed = model.step(starts[:, [0, 1, 3]].T, actions.astype(np.float64))
+
     env = CapsuleEnv(randomization="none", energy_weight=0.3, termination_penalty=0.0)
-    for i, (start, action) in enumerate(zip(starts, actions, strict=True)):
-        env.reset(seed=0, options={"M": M[i], "mu": 0.2, "state": start})
-        _, reward, terminated, _, info = env.step(action[None])
-        assert (ends[:, i] == info["state"][[0, 1, 3]]).all() and (rewards[i], failed[i]) == (
-            reward,
-            terminated,
-        )
+    for i in range(40):
+        env.reset(seed=0, options={"M": M[i], "mu": 0.2, "state": starts[i]})
+        _, reward, terminated, _, info = env.step(actions[i : i + 1])
+        assert (ends[:, i] == info["state"][[0, 1, 3]]).all()
+        assert rewards[i] == reward
+        assert failed[i] == terminated
 
 
-def test_lost_contact_the_end_of_the_swing_and_the_edge_of_the_grid_fail():
+def test_stick_states_lie_on_nodes():
+    (position,) = make_grid().positions(np.array([[0.3], [2.0], [0.0]]))
+    assert position[1] == pytest.approx(round(position[1]), abs=1e-5)
+
+
+def failures(margin=0.0):
+    """Nodes of the grid, and whether steps from them with both largest torques fail."""
     grid = make_grid()
     nodes = grid.nodes()
-    # Stick states lie on nodes.
-    position = grid.positions(np.array([[0.3], [2.0], [0.0]]))[0, 1]
-    assert position == pytest.approx(round(position), abs=1e-5)
     torques = np.tile([-1.0, 1.0], (nodes.shape[1], 1))
-    failed = transitions(Problem(), grid, torques)[0][..., 0] == FAILED
-    falling = (nodes[0] > 1.5) & (nodes[1] > 5.0)
-    assert falling.any() and failed[falling].all()
+    positions, _ = transitions(Problem(margin=margin), grid, torques)
+    return nodes, positions[..., 0] == FAILED
+
+
+def test_some_states_fail():
+    _, failed = failures()
+    assert 0.2 < failed.mean() < 0.8
+
+
+def test_the_end_of_the_swing_fails():
+    (theta, theta_dot, _), failed = failures()
+    falling = (theta > 1.5) & (theta_dot > 5.0)
+    assert falling.any()
+    assert failed[falling].all()
+
+
+def test_lost_contact_fails():
+    (theta, theta_dot, _), failed = failures()
     # (M + m) g = m l theta_dot^2 at the upright.
-    thrown = (np.abs(nodes[0]) < 0.1) & (nodes[1] > 13.0)
-    assert thrown.any() and failed[thrown].all() and 0.2 < failed.mean() < 0.8
-    with_margin = transitions(Problem(margin=3.0), grid, torques)[0][..., 0] == FAILED
-    assert (with_margin >= failed).all() and with_margin.sum() > failed.sum()
+    thrown = (np.abs(theta) < 0.1) & (theta_dot > 13.0)
+    assert thrown.any()
+    assert failed[thrown].all()
 
 
-def test_the_solution_is_that_of_value_iteration(coarse):
-    """Compares with relative value iteration in numpy on the same transitions, with scipy's
-    interpolation."""
-    solution = solve(Problem(), make_grid())
-    grid, torques = solution.grid, np.tile(np.linspace(-1.0, 1.0, 5), (np.prod(SHAPE), 1))
+def test_with_a_margin_more_states_fail():
+    _, failed = failures()
+    _, with_margin = failures(margin=3.0)
+    assert (with_margin >= failed).all()
+    assert with_margin.sum() > failed.sum()
+
+
+def test_values_between_nodes_are_linear_with_a_parabola_along_w():
+    grid = make_grid()
+    a, b, c = np.indices(SHAPE).astype(np.float64)
+    values = (2.0 * a - 3.0 * b + 0.5 * c * c).astype(np.float32)
+    _, spacing = grid.axes[2]
+    solution = Solution(Problem(), grid, values, 0.5 / spacing**2, 0.0)
+    rng = np.random.default_rng(0)
+    states = rng.uniform([[-1.0], [-3.0], [-0.1]], [[1.0], [3.0], [0.1]], (3, 50))
+    states = states[:, grid.positions(states)[:, 0] != FAILED]
+    x, y, z = grid.positions(states).T.astype(np.float64)
+    expected = 2.0 * x - 3.0 * y + 0.5 * z * z
+    np.testing.assert_allclose(solution.at(states), expected, rtol=1e-5, atol=1e-4)
+
+
+@pytest.fixture
+def solved(coarse):
+    """The solution, and the operator of value iteration with scipy's interpolation.
+
+    That one omits the parabola along w.
+    """
+    grid = make_grid()
+    torques = np.tile(np.linspace(-1.0, 1.0, 5), (np.prod(SHAPE), 1))
     positions, rewards = transitions(Problem(), grid, torques)
     failed = positions[..., 0] == FAILED
     coordinates = np.moveaxis(positions, 2, 0).reshape(3, -1).clip(0.0)
 
     def operator(values):
         after = map_coordinates(values, coordinates, order=1).reshape(rewards.shape)
-        return (rewards + np.where(failed, solver.FAILURE_VALUE, after)).max(axis=1).reshape(SHAPE)
+        after = np.where(failed, solver.FAILURE_VALUE, after)
+        return (rewards + after).max(axis=1).reshape(SHAPE)
 
+    return solve(Problem(), grid), operator
+
+
+def test_the_operator_shifts_the_values_of_the_solution_by_the_gain_alone(solved):
+    solution, operator = solved
     values = solution.values.astype(np.float64)
+    change = operator(values) - values
     alive = values > 0.5 * solver.FAILURE_VALUE
-    # scipy's interpolation omits the parabola along w. `at` interpolates this parabola and linear
-    # functions exactly.
-    a, b, c = np.meshgrid(*(np.arange(n) for n in SHAPE), indexing="ij")
-    states = np.random.default_rng(0).uniform(
-        [[-1.0], [-3.0], [-0.1]], [[1.0], [3.0], [0.1]], (3, 50)
-    )
-    states = states[:, grid.positions(states)[:, 0] != FAILED]
-    x, y, z = grid.positions(states).T.astype(np.float64)
-    bent = (2.0 * a - 3.0 * b + 0.5 * c * c).astype(np.float32)
-    found = replace(solution, values=bent, curvature=0.5 / grid.axes[2, 1] ** 2).at(states)
-    np.testing.assert_allclose(found, 2.0 * x - 3.0 * y + 0.5 * z * z, rtol=1e-5, atol=1e-4)
-    # The operator shifts the solution's values by the gain alone, and other initial values converge
-    # to them.
-    assert np.ptp((operator(values) - values)[alive]) < 0.05 * Problem().control_dt + 1e-4
-    origin = grid.positions(np.array([[-np.pi / 3.0], [0.0], [0.0]])).T
-    other = np.zeros(SHAPE)
+    assert np.ptp(change[alive]) < 0.05 * Problem().control_dt + 1e-4
+
+
+def test_value_iteration_converges_to_the_solution(solved):
+    solution, operator = solved
+    origin = solution.grid.positions(ORIGIN).T
+    values = np.zeros(SHAPE)
     for _ in range(600):
-        other = operator(other)
-        other -= map_coordinates(other, origin, order=1)
-    np.testing.assert_allclose(other[alive], values[alive], atol=0.5)
-    start = solution.at(np.array([[-np.pi / 3.0], [0.0], [0.0]]))[0]
-    assert 10.0 < solution.gain < 30.0 and start == pytest.approx(0.0, abs=1e-3)
+        values = operator(values)
+        values -= map_coordinates(values, origin, order=1)
+    alive = solution.values > 0.5 * solver.FAILURE_VALUE
+    np.testing.assert_allclose(values[alive], solution.values[alive], atol=0.5)
+
+
+def test_gain_and_value_at_the_start(solved):
+    solution, _ = solved
+    assert 10.0 < solution.gain < 30.0
+    assert solution.at(ORIGIN)[0] == pytest.approx(0.0, abs=1e-3)
 
 
 def test_without_friction_nothing_is_gained(coarse):
     # The centre of mass stays at rest, and the platform stays within an arm's length of it.
     frictionless = solve(Problem(mu=0.0), make_grid(w=(-1.0, 1.0)))
-    trajectory = run_policy(frictionless, np.array([START_THETA]), horizon=4.0)
-    assert abs(trajectory.states[-1, 2, 0]) < 2.0 * frictionless.grid.q
+    states, _ = run(frictionless)
+    assert abs(states[-1, 2]) < 2.0 * frictionless.grid.q
 
 
 def test_nothing_counts_after_the_end_of_an_episode(coarse):
-    solution, start = solve(Problem(), make_grid()), np.array([START_THETA])
+    solution = solve(Problem(), make_grid())
     final = final_solutions(solution)
     assert not final[0].values.any()
-    steady, ending = (run_policy(solution, start, final=each, horizon=4.0) for each in ((), final))
+    _, steady = run(solution)
+    _, ending = run(solution, final)
     # The last swing forwards ends with the episode.
-    assert ending.metrics["distance"][0] > steady.metrics["distance"][0] + 0.02
+    assert ending > steady + 0.02
 
 
 def test_the_curvature_of_a_parabola_of_values_is_its_coefficient():
-    problem, grid = Problem(), make_grid()
-    parabola = 1.5 * (grid.axes[2, 0] + grid.axes[2, 1] * np.arange(SHAPE[2]) - 1.0) ** 2
-    solution = Solution(
-        problem, grid, np.broadcast_to(parabola, SHAPE).astype(np.float32), 0.0, 0.0
-    )
-    states = np.zeros((round(2.0 * solver.SETTLED / problem.control_dt), 4, 3))
-    assert solver.curvature_of(solution, SimpleNamespace(states=states)) == pytest.approx(
-        1.5, abs=1e-3
-    )
+    grid = make_grid()
+    first, spacing = grid.axes[2]
+    w = first + spacing * np.arange(SHAPE[2])
+    values = np.broadcast_to(1.5 * (w - 1.0) ** 2, SHAPE).astype(np.float32)
+    solution = Solution(Problem(), grid, values, 0.0, 0.0)
+    steps = round(2.0 * solver.SETTLED / Problem().control_dt)
+    at_rest = SimpleNamespace(states=np.zeros((steps, 4, 3)))
+    assert solver.curvature_of(solution, at_rest) == pytest.approx(1.5, abs=1e-3)
 
 
 def test_torques_are_refined_around_the_best(monkeypatch):
     widths = []
+
+    def recorded(problem, grid, torques):
+        widths.append(np.ptp(torques, axis=1).max())
+        return transitions(problem, grid, torques)
+
     monkeypatch.setattr(solver, "TORQUES", 5)
-    monkeypatch.setattr(
-        solver, "transitions", lambda *a: widths.append(np.ptp(a[2], 1).max()) or transitions(*a)
-    )
+    monkeypatch.setattr(solver, "transitions", recorded)
     solve(Problem(), make_grid())
     assert widths == [2.0, 1.0, 0.25]
 
 
 def test_a_grid_extends_beyond_the_trajectories():
     # At theta = 0 y is x_dot / q, and w is that minus theta_dot: from 1 to 9, and from 2 to 3.
-    states = np.array([[[0.0, -1.0, 0.0, 0.1]], [[0.0, 6.0, 0.0, 0.9]]]).transpose(0, 2, 1)
-    assert solver.ranges(SimpleNamespace(states=states), 0.1) == ((-1.4, 11.4), (1.0, 4.0))
+    first = [0.0, -1.0, 0.0, 0.1]
+    second = [0.0, 6.0, 0.0, 0.9]
+    states = np.array([first, second])[..., None]
+    y, w = solver.ranges(SimpleNamespace(states=states), 0.1)
+    assert y == (-1.4, 11.4)
+    assert w == (1.0, 4.0)
+
+
+@pytest.mark.parametrize(
+    ("y", "along_s", "along_w"), [(100.0, 36, 11), (1.0, 17, 24), (0.1, 10, 40)]
+)
+def test_nodes_are_divided_by_the_ranges_of_y_and_w(y, along_s, along_w):
     # The 400 nodes along s and w are divided by 0.7 times the ratio of these ranges, between 1 / 4
     # and 3.2.
-    for y, shape in ((100.0, (10, 36, 11)), (1.0, (10, 17, 24)), (0.1, (10, 10, 40))):
-        assert solver.divide_nodes((10, 20, 20), (0.0, y), (0.0, 1.0)) == shape
+    shape = solver.divide_nodes((10, 20, 20), (0.0, y), (0.0, 1.0))
+    assert shape == (10, along_s, along_w)

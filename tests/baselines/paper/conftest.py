@@ -12,8 +12,7 @@ def laws():
     torque limit."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(adaptive, "GRID", 3)
-        return [
-            adaptive.study_law(True),
-            adaptive.study_law(False),
-            adaptive.study_law(False, TORQUE_LIMIT),
-        ]
+        regularised = adaptive.study_law(True)
+        corrected = adaptive.study_law(False)
+        limited = adaptive.study_law(False, TORQUE_LIMIT)
+    return [regularised, corrected, limited]

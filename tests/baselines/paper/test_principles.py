@@ -1,5 +1,4 @@
-"""Principles 1 to 4, both Lemmas and the proof about the torques: by hand, by brute force, and what
-implies what."""
+"""Principles 1 to 4, both Lemmas and the proof about the torques: by hand and by brute force."""
 
 import math
 
@@ -10,6 +9,7 @@ from baselines.paper import principles, published
 from baselines.paper.principles import (
     NEWTON,
     PAPER,
+    SLIPS,
     Cycle,
     lemma_1,
     lemma_2,
@@ -23,114 +23,135 @@ from tests import ROOT
 ML = 0.138 * 0.3
 WEIGHT = 0.638 * 9.81
 START = -math.pi / 3
-SWINGS = {name: math.radians(numbers["swing"].value) for name, numbers in published.RUNS.items()}
+SWING = math.radians(published.PROPOSED["swing"].value)
+PAGE = (ROOT / "docs/paper.md").read_text(encoding="utf-8")
+README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def state(theta, theta_dot, theta_ddot=0.0):
     """A single state of the pendulum."""
-    return Cycle(
-        np.zeros(1),
-        np.zeros(1, np.int64),
-        *(np.array([value]) for value in (theta, theta_dot, theta_ddot)),
-    )
+    theta, theta_dot, theta_ddot = np.array([[theta], [theta_dot], [theta_ddot]])
+    return Cycle(np.zeros(1), np.zeros(1, np.int64), theta, theta_dot, theta_ddot)
 
 
 @pytest.mark.parametrize("form", ["newton", "paper"])
 def test_principles_3_and_4_by_hand(form):
     p = Capsule(normal_force=form, backward_ratio=3.0, static_ratio=2.0).plant()
     rng = np.random.default_rng(0)
-    for theta, theta_dot, theta_ddot in rng.uniform(-1.0, 1.0, (50, 3)) * [1.5, 10.0, 50.0]:
-        cycle = state(theta, theta_dot, theta_ddot)
-        contact, standstill = principle_3(cycle, p), principle_4(cycle, p)
-        # The printed forms (7) and (8) count the torque of spring and damper as a force.
-        a = ML * theta_ddot + (form == "paper") * (0.36 * theta + 0.0923 * theta_dot)
+    states = rng.uniform(-1.0, 1.0, (50, 3)) * [1.5, 10.0, 50.0]
+    for theta, theta_dot, theta_ddot in states:
+        a = ML * theta_ddot
+        if form == "paper":
+            # (7) and (8) count the torque of spring and damper as a force.
+            a += 0.36 * theta + 0.0923 * theta_dot
         b = ML * theta_dot**2
         lift = b * math.cos(theta) + a * math.sin(theta)
-        assert (contact.load[0], contact.limit) == pytest.approx((lift, WEIGHT), rel=1e-9)
         force = a * math.cos(theta) - b * math.sin(theta)
+        mu = 0.01 * 2.0 * (3.0 if force < 0.0 else 1.0)
+        cycle = state(theta, theta_dot, theta_ddot)
+
+        contact = principle_3(cycle, p)
+        assert contact.load[0] == pytest.approx(lift, rel=1e-9)
+        assert contact.limit == pytest.approx(WEIGHT, rel=1e-9)
+
+        standstill = principle_4(cycle, p)
         assert standstill.load[0] == pytest.approx(abs(force), rel=1e-9)
-        limit = 0.01 * 2.0 * (3.0 if force < 0.0 else 1.0) * (WEIGHT - lift)
-        assert standstill.limit[0] == pytest.approx(limit, rel=1e-9)
+        assert standstill.limit[0] == pytest.approx(mu * (WEIGHT - lift), rel=1e-9)
 
 
-def test_lemma_1_is_neither_sufficient_nor_necessary_and_lemma_2_by_hand():
-    # (10) is not sufficient for contact: upright at 15 rad/s with a = 0.
+def test_lemma_1_is_not_sufficient():
+    # Upright at 15 rad/s with a = 0, the platform lifts.
     flying = state(0.0, 15.0, -0.0923 * 15.0 / ML)
     assert lemma_1(flying, PAPER).load[0] == pytest.approx(0.0, abs=1e-9)
     assert lemma_1(flying, PAPER).limit == pytest.approx(WEIGHT**2 / (2 * ML))
     assert principle_3(flying, PAPER).ratio[0] == pytest.approx(ML * 225.0 / WEIGHT)
-    # (10) is not necessary for contact: upright, the acceleration does not enter (7).
+
+
+def test_lemma_1_is_not_necessary():
+    # Upright, the acceleration does not enter (7).
     standing = state(0.0, 10.0, 400.0)
-    assert lemma_1(standing, NEWTON).ratio[0] > 1.0 > principle_3(standing, NEWTON).ratio[0]
+    assert lemma_1(standing, NEWTON).ratio[0] > 1.0
+    assert principle_3(standing, NEWTON).ratio[0] < 1.0
+
+
+def test_lemma_2_by_hand():
     printed = lemma_2(state(-0.5, 0.2, 0.7), PAPER)
     assert printed.load[0] == pytest.approx(0.7 + 0.04 - 0.18 + 0.01846)
     assert printed.limit == pytest.approx(WEIGHT / ML * 0.01 / math.sqrt(1.0001))
+
+
+def test_corrected_lemma_2_by_hand():
     corrected = lemma_2(state(-0.5, 0.2, 0.7), PAPER, sufficient=True)
-    assert corrected.load[0] == pytest.approx(abs(0.7 + (-0.18 + 0.01846) / ML) + 0.04)
+    acceleration = 0.7 + (-0.18 + 0.01846) / ML
+    assert corrected.load[0] == pytest.approx(abs(acceleration) + 0.04)
 
 
-def test_lemmas_as_printed_imply_nothing_and_corrected_imply_their_principles():
+def test_only_lemmas_as_printed_are_violated():
     rows = principles.check_lemmas(20_000)
     assert len(rows) == 6
     for row in rows:
+        printed = "as printed" in row["lemma"]
         assert row["states"] > 500
-        assert (row["violations"] > 0) == (row["worst"] > 1.0) == ("as printed" in row["lemma"]), (
-            row
-        )
-    # The corrected bounds are close: a state in 20,000 comes within a few percent of the limit.
-    assert all(row["worst"] > 0.9 for row in rows)
+        assert (row["violations"] > 0) == printed, row
+        assert (row["worst"] > 1.0) == printed, row
+        # A state in 20,000 comes within a few percent of the corrected bounds.
+        assert row["worst"] > 0.9
 
 
-def test_demands_on_the_profiles_are_those_of_the_page():
-    rows, page = (
-        principles.evaluate_demands(),
-        (ROOT / "docs" / "paper.md").read_text(encoding="utf-8"),
-    )
-    for demand in (
-        "Principle 4, Newton",
-        "Principle 4, (8)",
-        "Lemma 2, (15)",
-        "Lemma 2, corrected",
-    ):
-        found = [row["restoring"] for row in rows if row["demand"].startswith(demand)]
-        assert "|".join(f"{max(0.0, factor):.2f}" for phases in found for factor in phases) in page
-    # Both profiles meet Principle 3 in both forms.
+@pytest.mark.parametrize(
+    "demand",
+    ["Principle 4, Newton", "Principle 4, (8)", "Lemma 2, (15)", "Lemma 2, corrected"],
+)
+def test_demands_on_the_profiles_are_those_of_the_page(demand):
+    rows = principles.evaluate_demands()
+    found = [row["restoring"] for row in rows if row["demand"].startswith(demand)]
+    printed = [f"{max(0.0, factor):.2f}" for factor in np.ravel(found)]
+    assert "|".join(printed) in PAGE
+
+
+def test_both_profiles_meet_principle_3_in_both_forms():
+    rows = principles.evaluate_demands()
     contact = [row["whole_cycle"] for row in rows if row["demand"].startswith("Principle 3")]
-    assert len(contact) == 4 and 0.4 < min(contact) and max(contact) < 1.0
+    assert len(contact) == 4
+    assert min(contact) > 0.4
+    assert max(contact) < 1.0
 
 
-def test_the_published_torques_are_below_the_bounds_which_pages_print_rounded_outwards():
-    page, readme = (
-        (ROOT / name).read_text(encoding="utf-8") for name in ("docs/paper.md", "README.md")
-    )
+def test_bounds_of_the_torques():
     proposed, epc = principles.check_torques()
-    assert (proposed["bound"], proposed["sticking"], epc["bound"]) == pytest.approx(
-        (0.622, 0.695, 0.8477), abs=5e-4
-    )
-    for row in (proposed, epc):
+    assert proposed["bound"] == pytest.approx(0.622, abs=5e-4)
+    assert proposed["sticking"] == pytest.approx(0.695, abs=5e-4)
+    assert epc["bound"] == pytest.approx(0.8477, abs=5e-4)
+
+
+def test_the_published_torques_are_below_the_bounds():
+    for row in principles.check_torques():
         assert row["published"] < row["bound"] <= row["sticking"]
-        bound, sticking = (printed_below(row[name], 3) for name in ("bound", "sticking"))
-        assert f"|**{bound} N m**|{sticking} N m|" in page and bound in readme
+
+
+def test_the_pages_print_the_bounds_rounded_down():
+    for row in principles.check_torques():
+        bound = printed_below(row["bound"], 3)
+        sticking = printed_below(row["sticking"], 3)
+        assert f"|**{bound} N m**|{sticking} N m|" in PAGE
+        assert bound in README
 
 
 @pytest.mark.parametrize("option", ["newton", "paper"])
-@pytest.mark.parametrize("slip", [0.0, 1.0, -1.0])
+@pytest.mark.parametrize("slip", SLIPS)
 def test_torque_of_the_proof_does_not_accelerate_the_pendulum(option, slip):
     p = Capsule(normal_force=option).plant()
-    for theta in np.linspace(-1.0, 1.2, 7):
-        torque = principles.torque_without_acceleration(np.array([theta]), 7.8, slip, p)[0]
-        assert dynamics.accelerations(theta, 7.8, 0.0, slip, torque, p)[0] == pytest.approx(
-            0.0, abs=1e-9
-        )
+    theta = np.linspace(-1.0, 1.2, 7)
+    torque = principles.torque_without_acceleration(theta, 7.8, slip, p)
+    theta_ddot = dynamics.accelerations(theta, 7.8, 0.0, slip, torque, p)[0]
+    assert theta_ddot == pytest.approx(0.0, abs=1e-9)
 
 
-def test_bound_of_the_proof_lies_below_every_sample_and_close():
-    theta = np.random.default_rng(0).uniform(START, SWINGS["proposed"], 20_000)
-    bound = principles.torque_at_peak(7.8, START, SWINGS["proposed"])
-    plants = [Capsule(normal_force=option).plant() for option in ("newton", "paper")]
-    found = [
-        principles.torque_without_acceleration(theta, 7.8, slip, p)
-        for slip in (0.0, 1.0, -1.0)
-        for p in plants
-    ]
-    assert bound <= np.min(found) < bound + 1e-4
+def test_bound_of_the_proof_lies_closely_below_every_sample():
+    theta = np.random.default_rng(0).uniform(START, SWING, 20_000)
+    found = []
+    for p in (NEWTON, PAPER):
+        for slip in SLIPS:
+            found.append(principles.torque_without_acceleration(theta, 7.8, slip, p).min())
+    bound = principles.torque_at_peak(7.8, START, SWING)
+    assert bound <= min(found) < bound + 1e-4

@@ -139,7 +139,7 @@ BATCHES = pytest.mark.parametrize(("n", "threads"), [(1, 1), (70, 1), (130, 2)])
 
 
 def start(law, n, threads, x):
-    """A batch that begins at rest, with the environment in its middle at x (m); its number."""
+    """A batch at rest at 0, but for the environment in its middle at x (m); the latter's number."""
     lost = n // 2
     states = np.tile([-1.0, 0.0, 0.0, 0.0], (n, 1))
     states[lost, 2] = x
@@ -170,22 +170,35 @@ def test_an_exception_and_a_torque_that_is_not_finite_reach_the_caller(
         assert "nan" not in str(caught.value)
 
 
-@FAULTY
-@BATCHES
-def test_a_law_that_fails_in_one_environment_leaves_the_others_as_they_are(
-    law, error, n, threads, either_way
-):
+def fail_twice(law, error, n, threads):
+    """A batch in which the law of one environment has failed, a sound one, and the others."""
     env, lost = start(law, n, threads, 5.5)
     sound, _ = start(law, n, threads, 0.0)
-    others = np.arange(n) != lost
     env.step(zeros(n))
     sound.step(zeros(n))
     for _ in range(2):
         with pytest.raises(error):
             env.step(zeros(n))
         sound.step(zeros(n))
+    return env, sound, np.arange(n) != lost
+
+
+@FAULTY
+@BATCHES
+def test_a_law_that_fails_in_one_environment_leaves_the_others_as_they_are(
+    law, error, n, threads, either_way
+):
+    env, sound, others = fail_twice(law, error, n, threads)
     found, expected = env.simulation.rows(0, 4), sound.simulation.rows(0, 4)
     assert found[:, others].tobytes() == expected[:, others].tobytes()
+
+
+@FAULTY
+@BATCHES
+def test_a_failed_environment_goes_on_after_a_reset_that_leaves_the_others_as_they_are(
+    law, error, n, threads, either_way
+):
+    env, sound, others = fail_twice(law, error, n, threads)
     memory = env.simulation.row(NUM_ROWS)[others]
     observations, _ = env.reset(options={"reset_mask": ~others})
     assert np.array_equal(env.simulation.row(NUM_ROWS)[others], memory)

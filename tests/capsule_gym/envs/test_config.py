@@ -20,3 +20,8 @@ def test_the_documentation_describes_every_option(name):
     rows = [line.strip() for line in CapsuleEnv.__doc__.splitlines()]
     (row,) = [row for row in rows if row.startswith(f"| `{name}` | ")]
     assert row.endswith(f" | {DOCS[name]} |")
+
+
+def test_a_torque_limit_of_zero_is_refused():
+    with pytest.raises(ValueError, match=r"^torque_limit must be a finite number > 0 \(N m\)"):
+        EnvConfig(torque_limit=0.0)

@@ -11,6 +11,7 @@ from stable_baselines3.common.env_checker import check_env as check_sb3
 
 from capsule_gym import CapsuleEnv, CapsuleVectorEnv, Disturbances
 from capsule_gym.sb3 import CapsuleSB3VecEnv
+from tests.capsule_gym.envs.actions import random_actions
 
 GOAL = {"task": "goal", "goal_env": True, "energy_weight": 0.5}
 LAW = {"controller": "baselines:goal_pulses", "residual_limit": 0.2}
@@ -32,17 +33,13 @@ def reward_of(env, observation, info):
 BOTH = pytest.mark.parametrize("law", [{}, LAW], ids=["direct", "law"])
 
 
-def actions(steps):
-    return np.random.default_rng(0).uniform(-1.0, 1.0, (steps, 1)).astype(np.float32)
-
-
 @BOTH
 def test_it_is_the_same_environment_with_other_observations(law):
     env = CapsuleEnv(**GOAL, **law)
     plain = CapsuleEnv(task="goal", energy_weight=0.5, **law)
     seen, info = env.reset(seed=5)
     expected, _ = plain.reset(seed=5)
-    for n, action in enumerate(actions(60)):
+    for n, (action,) in enumerate(random_actions(0, 60, 1)):
         assert env.observation_space.contains(seen)
         # Without the entries of the task, which know the goal.
         assert_array_equal(seen["observation"], expected[:-3])
@@ -65,7 +62,7 @@ def test_a_batch_has_the_same_observations(law):
     seen, _ = env.reset(seed=5)
     batched, _ = batch.reset(seed=4)
     ends = set()
-    for n, action in enumerate(actions(60)):
+    for n, (action,) in enumerate(random_actions(0, 60, 1)):
         assert batch.observation_space.contains(batched)
         for name, part in seen.items():
             assert_array_equal(batched[name][1], part)

@@ -2,7 +2,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
-from gymnasium.vector import AutoresetMode
 from numpy.testing import assert_array_equal
 from stable_baselines3 import PPO
 from stable_baselines3.common.monitor import Monitor
@@ -11,18 +10,13 @@ from stable_baselines3.common.vec_env import VecNormalize
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.core.layout import Row
 from capsule_gym.sb3 import AsymmetricPolicy, CapsuleSB3VecEnv, FixedScale
+from tests.capsule_gym.envs.actions import random_actions
 
 
-def pair(n, **kwargs):
+def pair(n, privileged=False, **kwargs):
     """The batch for SB3 and the native one."""
-    ours = CapsuleSB3VecEnv(n, seed=4, **kwargs)
-    privileged = kwargs.pop("privileged", False)
-    assert ours.privileged == privileged
-    return ours, CapsuleVectorEnv(n, autoreset_mode=AutoresetMode.SAME_STEP, **kwargs)
-
-
-def random_actions(rng, n):
-    return rng.uniform(-1, 1, (n, 1)).astype(np.float32)
+    ours = CapsuleSB3VecEnv(n, seed=4, privileged=privileged, **kwargs)
+    return ours, CapsuleVectorEnv(n, autoreset_mode="SAME_STEP", **kwargs)
 
 
 @pytest.mark.parametrize(
@@ -32,12 +26,10 @@ def test_sb3_batch_is_the_native_batch_with_terminal_observations(kwargs):
     ours, native = pair(6, max_episode_steps=11, **kwargs)
     first, _ = native.reset(seed=4)
     assert ours.reset().tobytes() == first.tobytes()
-    rng = np.random.default_rng(0)
     seen = set()
     returns = np.zeros(6)
     lengths = np.zeros(6, int)
-    for _ in range(300):
-        actions = random_actions(rng, 6)
+    for actions in random_actions(0, 300, 6):
         observations, rewards, dones, infos = ours.step(actions)
         expected, native_rewards, terminated, truncated, info = native.step(actions)
         assert observations.tobytes() == expected.tobytes()
@@ -153,9 +145,7 @@ def test_a_privileged_critic_observes_the_plant_and_the_true_state(kwargs, entri
 
     every = np.arange(70)
     check(ours.reset(), *native.reset(seed=4), every)
-    rng = np.random.default_rng(0)
-    for _ in range(25):
-        actions = random_actions(rng, 70)
+    for actions in random_actions(0, 25, 70):
         found, _, dones, infos = ours.step(actions)
         observations, _, _, _, info = native.step(actions)
         check(found, observations, info, every)

@@ -24,6 +24,7 @@ from capsule_gym.core.layout import LANES
 from capsule_gym.envs.threads import Threads
 from capsule_gym.tasks.registry import TASKS
 from capsule_gym.tasks.task import ENV_ID, METRICS, Termination
+from tests.capsule_gym.envs.actions import random_actions
 from tests.capsule_gym.fakes import flatten, picky_controller
 
 GOAL = TASKS["goal"].env_id
@@ -54,10 +55,6 @@ class WithMetrics(gym.Wrapper):
 
 # A failed episode's horizon, which a single environment does not know, counts in the last two.
 UNKNOWN = {"final_obs", "final_info", "mean_speed", "goal_time"}
-
-
-def random_actions(rng, n):
-    return rng.uniform(-1.0, 1.0, (n, 1)).astype(np.float32)
 
 
 def assert_same_infos(ours, theirs, rows=slice(None)):
@@ -99,12 +96,10 @@ def test_batch_equals_single_environments_across_resets(mode, kwargs, n, threads
     # Gymnasium's own vectorisation of single environments is the reference for every convention.
     single = partial(gym.make, ENV_ID, disable_env_checker=True, **kwargs)
     reference = SyncVectorEnv([lambda: WithMetrics(single())] * n, autoreset_mode=mode)
-    rng = np.random.default_rng(1)
     first, _ = batch.reset(seed=11)
     assert first.tobytes() == reference.reset(seed=11)[0].tobytes()
     ends = np.zeros(n, int)
-    for _ in range(4 * HORIZON):
-        actions = random_actions(rng, n)
+    for actions in random_actions(1, 4 * HORIZON, n):
         *ours, info = batch.step(actions)
         *theirs, expected = reference.step(actions)
         for one, other in zip(ours, theirs, strict=True):
@@ -353,8 +348,7 @@ def test_one_environment_that_diverges_ends_alone(mode):
     calm.reset(seed=0, options={"state": states})
     states[lost, 2] = 55.0
     env.reset(seed=0, options={"state": states})
-    for step in range(30):
-        actions = random_actions(np.random.default_rng(step), n)
+    for step, actions in enumerate(random_actions(0, 30, n)):
         *expected, _ = calm.step(actions)
         *found, info = env.step(actions)
         for ours, theirs in zip(found, expected, strict=True):

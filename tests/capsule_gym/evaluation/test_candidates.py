@@ -212,3 +212,23 @@ def test_a_function_acts_on_what_the_arguments_of_its_environment_show():
 def test_a_validation_set_has_the_plants_of_its_capsule():
     drawn = validation_set("none", "x", 0, 1, capsule_gym.Capsule(M=0.8))
     assert drawn.plants[0].M == 0.8
+
+
+@pytest.mark.parametrize(
+    ("name", "base"), [("residual-ppo", "adaptive"), ("direct-ppo", None), ("adaptive", None)]
+)
+def test_the_base_of_trained_policies_is_their_law_alone(name, base):
+    assert find_candidate(name).base == base
+
+
+@pytest.mark.parametrize(
+    ("name", "senses", "told"),
+    [
+        ("direct-ppo", "state, stick", "nothing"),
+        ("residual-ppo", "state, stick, law", "nominal plant"),
+        ("goal", "state, stick, estimates of M, mu", "nominal pendulum"),
+        ("adaptive", "state, x", "nominal plant"),
+    ],
+)
+def test_the_inputs_of_policies(name, senses, told):
+    assert find_candidate(name).inputs == (senses, told)

@@ -21,6 +21,7 @@ from capsule_gym.export import main
 from capsule_gym.export.exported import Exported
 from capsule_gym.tasks.registry import find_task
 from tests import ROOT
+from tests.capsule_gym.policies.test_policy import make_policy
 
 C99 = ("-std=c99", "-Wall", "-Wextra", "-Werror")
 M4 = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "--specs=rdimon.specs")
@@ -260,6 +261,16 @@ def test_program(tmp_path, target, arguments):
         run("gcc", *C99, target, source, "-o", program, "-lm")
         output = run(program)
     assert re.search(r": 0 of \d\d+ periods differ", output), output
+
+
+def test_program_of_an_episode_that_ends_early(tmp_path):
+    # The policy pushes in one direction until the pendulum lies down.
+    push = np.zeros((1, 5), np.float32), np.full(1, 3.0, np.float32)
+    make_policy(layers=(push,)).save(tmp_path / "policy.safetensors")
+    assert main([str(tmp_path), "--c", str(tmp_path / "policy.h")]) == 0
+    run("gcc", *C99, tmp_path / "policy_test.c", "-o", tmp_path / "program", "-lm")
+    (periods,) = re.findall(r": 0 of (\d+) periods differ", run(tmp_path / "program"))
+    assert 1 < int(periods) < 100
 
 
 def test_program_of_a_law_that_observes_a_moving_target(tmp_path):

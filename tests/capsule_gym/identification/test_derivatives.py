@@ -72,8 +72,7 @@ def test_every_constant_has_its_derivative(name, capsule):
 
 @pytest.mark.parametrize("name", ["viscous", "slope", "motor_friction", "static_ratio"])
 def test_a_constant_without_effect_has_its_derivative(name):
-    """The core skips terms whose factor is 0; with the factor 0 of `static_ratio` the Stribeck
-    curve is level."""
+    """The core skips terms whose factor is 0, such as the level Stribeck curve of ratio 1."""
     capsule = Capsule(stribeck_speed=0.1)
     state = (-0.3, 0.5, 0.0, 0.2)
     torques = TORQUES[:6]

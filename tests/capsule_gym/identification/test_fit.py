@@ -58,15 +58,22 @@ def test_the_environment_of_a_fit_draws_from_its_intervals(fit):
 
 
 def test_intervals_grow_with_their_level(fit):
-    half, most, whole = (np.array([*fit.intervals(level).values()]) for level in (0.5, 0.9, 1.0))
+    half = np.array([*fit.intervals(0.5).values()])
+    most = np.array([*fit.intervals(0.9).values()])
     assert (np.ptp(half, axis=1) < np.ptp(most, axis=1)).all()
-    assert np.array_equal(whole.T, [fit.samples.min(axis=0), fit.samples.max(axis=0)])
+
+
+def test_the_interval_of_level_1_contains_all_samples(fit):
+    low, high = np.transpose([*fit.intervals(1.0).values()])
+    assert np.array_equal(low, fit.samples.min(axis=0))
+    assert np.array_equal(high, fit.samples.max(axis=0))
 
 
 def relative_variances(fit):
     """The variances of the estimates over those of their ranges."""
     ranges = fit._problem.high - fit._problem.low
-    return dict(zip(fit.estimates, 12.0 * fit.samples.var(axis=0, ddof=1) / ranges**2, strict=True))
+    relative = 12.0 * fit.samples.var(axis=0, ddof=1) / ranges**2
+    return dict(zip(fit.estimates, relative, strict=True))
 
 
 def test_axes_of_the_estimates_begin_with_the_best_determined(fit):
@@ -167,7 +174,8 @@ def test_a_report_shows_readings_and_residuals(panels, log):
         assert np.array_equal(error, measured - predicted, equal_nan=True)
         assert np.nanstd(error) < 0.5 * measured.std()
         assert left.get_ylabel().startswith(f"{name} (")
-        assert t[0] == left.get_xlim()[0] < left.get_xlim()[1] <= t[-1]
+        begin, end = left.get_xlim()
+        assert t[0] == begin < end <= t[-1]
         assert left.get_subplotspec().is_first_col()
         assert right.get_subplotspec().is_last_col()
         assert right.get_ylabel()

@@ -10,12 +10,18 @@ import pytest
 from capsule_gym import CapsuleEnv, CapsuleVectorEnv, dynamics
 from capsule_gym.envs.config import EnvConfig
 from capsule_gym.envs.simulation import Simulation
-from capsule_gym.parameters import RANDOMIZATIONS, Capsule, Randomization
+from capsule_gym.parameters import (
+    DISTURBANCES,
+    RANDOMIZATIONS,
+    REAL,
+    Capsule,
+    Disturbances,
+    Randomization,
+)
+from tests import ROOT
 
 POSITIVE = ("M", "m", "l", "g", "backward_ratio")
 NON_NEGATIVE = ("k", "c", "mu", "viscous", "motor_friction")
-
-
 LOWEST = dict.fromkeys(POSITIVE, 1e-12) | dict.fromkeys(NON_NEGATIVE, 0.0) | {"static_ratio": 1.0}
 BELOW = {0.0: -5e-324, 1e-12: 9e-13, 1.0: 0.999}
 EACH_CONSTANT = pytest.mark.parametrize("field", LOWEST)
@@ -266,6 +272,16 @@ def test_the_documentation_states_defaults():
 @pytest.mark.parametrize(("name", "ranges"), RANDOMIZATIONS.items())
 def test_the_documentation_states_ranges(name, ranges):
     assert f'"{name}": {ranges}' in CapsuleEnv.__doc__
+
+
+@pytest.mark.parametrize("name", DISTURBANCES)
+def test_the_documentation_states_the_disturbances_of_real(name):
+    value = getattr(REAL, name)
+    if name == "latency":
+        # The table states the middle of the range.
+        value = np.mean(value)
+    table = (ROOT / "docs" / "sensitivity_tables.md").read_text(encoding="utf-8")
+    assert value == getattr(Disturbances(), name) or f"`{name}={value}`" in table
 
 
 @pytest.mark.parametrize("name", FIELDS)

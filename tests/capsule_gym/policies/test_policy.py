@@ -42,6 +42,18 @@ def make_policy_on(law):
     return make_policy(**arrays, env_kwargs={"controller": law})
 
 
+@pytest.fixture
+def path(tmp_path):
+    """The path of a policy file in a folder."""
+    make_policy().save(tmp_path / POLICY)
+    return tmp_path / POLICY
+
+
+@pytest.fixture
+def policy():
+    return make_policy()
+
+
 OBSERVATIONS = np.random.default_rng(6).normal(size=(20, 5)).astype(np.float32)
 
 
@@ -60,28 +72,22 @@ def test_a_file_gives_back_what_was_saved(tmp_path):
     assert loaded(OBSERVATIONS).tobytes() == policy(OBSERVATIONS).tobytes()
 
 
-def test_a_policy_gives_the_same_file_after_loading_and_pickling(tmp_path):
-    make_policy().save(tmp_path / POLICY)
-    content = (tmp_path / POLICY).read_bytes()
-
-    again = pickle.loads(pickle.dumps(load_policy(tmp_path)))
+def test_a_policy_gives_the_same_file_after_loading_and_pickling(path, tmp_path):
+    again = pickle.loads(pickle.dumps(load_policy(path)))
     again.save(tmp_path / "again")
+    assert (tmp_path / "again").read_bytes() == path.read_bytes()
 
-    assert (tmp_path / "again").read_bytes() == content
 
-
-def test_the_tensors_of_a_file_are_aligned(tmp_path):
-    make_policy().save(tmp_path / POLICY)
-    size_of_header = (tmp_path / POLICY).read_bytes()[:8]
+def test_the_tensors_of_a_file_are_aligned(path):
+    size_of_header = path.read_bytes()[:8]
     assert int.from_bytes(size_of_header, "little") % 8 == 0
 
 
-def test_the_text_of_a_policy_leaves_out_arrays():
-    assert "array(" not in repr(make_policy())
+def test_the_text_of_a_policy_leaves_out_arrays(policy):
+    assert "array(" not in repr(policy)
 
 
-def test_an_observation_alone_gets_the_action_that_it_has_in_a_batch():
-    policy = make_policy()
+def test_an_observation_alone_gets_the_action_that_it_has_in_a_batch(policy):
     actions = policy(OBSERVATIONS)
     assert (actions.shape, actions.dtype) == ((20, 1), np.float32)
     for observation, action in zip(OBSERVATIONS, actions, strict=True):
@@ -93,22 +99,19 @@ def test_an_observation_alone_gets_the_action_that_it_has_in_a_batch():
 @pytest.mark.parametrize(
     "convert", [partial(np.asarray, dtype=np.float64), np.asfortranarray, np.ndarray.tolist]
 )
-def test_number_type_and_layout_of_observations_do_not_matter(convert):
-    policy = make_policy()
+def test_number_type_and_layout_of_observations_do_not_matter(convert, policy):
     assert policy(convert(OBSERVATIONS)).tobytes() == policy(OBSERVATIONS).tobytes()
 
 
-def test_the_order_of_observations_does_not_matter():
-    policy = make_policy()
+def test_the_order_of_observations_does_not_matter(policy):
     assert policy(OBSERVATIONS[::-1])[::-1].tobytes() == policy(OBSERVATIONS).tobytes()
 
 
-def test_no_observations_get_no_actions():
-    assert make_policy()(OBSERVATIONS[:0]).shape == (0, 1)
+def test_no_observations_get_no_actions(policy):
+    assert policy(OBSERVATIONS[:0]).shape == (0, 1)
 
 
-def test_a_started_policy_needs_a_row_for_each_episode():
-    policy = make_policy()
+def test_a_started_policy_needs_a_row_for_each_episode(policy):
     act = policy.start(range(20))
     assert act(OBSERVATIONS).tobytes() == policy(OBSERVATIONS).tobytes()
     message = r"observations must have one row for each of 20 episodes, got 3 rows"
@@ -128,9 +131,9 @@ def test_a_started_policy_needs_a_row_for_each_episode():
         [10**400] * 5,
     ],
 )
-def test_what_is_no_observation_is_refused(observation):
+def test_what_is_no_observation_is_refused(observation, policy):
     with pytest.raises(ValueError, match="observation must be"):
-        make_policy()(observation)
+        policy(observation)
 
 
 @pytest.mark.parametrize("run", policy_names(seeds=True))
@@ -165,10 +168,10 @@ def test_every_pretrained_policy_drives_its_environment(name):
         assert env.unwrapped.episode_metrics(1650)["mean_speed"] > 3.0
 
 
-def test_a_name_on_disk_does_not_hide_a_pretrained_policy(tmp_path, monkeypatch):
+def test_a_name_on_disk_does_not_hide_a_pretrained_policy(policy, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "direct-ppo").mkdir()
-    make_policy().save(tmp_path / "direct-ppo" / POLICY)
+    policy.save(tmp_path / "direct-ppo" / POLICY)
     assert load_policy("direct-ppo").training_seed == 0
     assert load_policy(Path("direct-ppo")).training_seed == 3
 
@@ -247,8 +250,7 @@ def with_header(header):
         ),
     ],
 )
-def test_what_is_no_policy_file_is_refused_by_name_without_taking_memory(content, tmp_path):
-    path = tmp_path / POLICY
+def test_what_is_no_policy_file_is_refused_by_name_without_taking_memory(content, path):
     path.write_bytes(content)
     tracemalloc.start()
     try:
@@ -260,18 +262,14 @@ def test_what_is_no_policy_file_is_refused_by_name_without_taking_memory(content
 
 
 @pytest.mark.parametrize("share", [0.0, 0.05, 0.5, 0.99])
-def test_a_truncated_file_is_refused(share, tmp_path):
-    path = tmp_path / POLICY
-    make_policy().save(path)
+def test_a_truncated_file_is_refused(share, path):
     content = path.read_bytes()
     path.write_bytes(content[: int(share * len(content))])
     with pytest.raises(ValueError, match="is not a policy file: "):
         load_policy(path)
 
 
-def test_a_file_that_is_too_large_is_refused(tmp_path):
-    path = tmp_path / POLICY
-    make_policy().save(path)
+def test_a_file_that_is_too_large_is_refused(path):
     with path.open("ab") as file:
         file.truncate(10**12)  # sparse: it takes no room
     with pytest.raises(ValueError, match=r"must have at most 33554432 bytes, got 1000000000000"):
@@ -279,8 +277,7 @@ def test_a_file_that_is_too_large_is_refused(tmp_path):
 
 
 def refused_message(path, tensors, metadata):
-    """The error for a valid file with these changes of tensors and metadata; None removes one."""
-    make_policy().save(path)
+    """The error for the file with these changes of tensors and metadata; None removes one."""
     content = path.read_bytes()
     end = 8 + int.from_bytes(content[:8], "little")
     words = json.loads(content[8:end])["__metadata__"] | metadata
@@ -321,8 +318,8 @@ ones = partial(np.ones, dtype=np.float32)
         ),
     ],
 )
-def test_a_file_with_other_tensors_is_refused_by_name(tensors, message, tmp_path):
-    found = refused_message(tmp_path / POLICY, tensors, {})
+def test_a_file_with_other_tensors_is_refused_by_name(tensors, message, path):
+    found = refused_message(path, tensors, {})
     assert message in found
     assert len(found) < 4000
 
@@ -353,8 +350,8 @@ def test_a_file_with_other_tensors_is_refused_by_name(tensors, message, tmp_path
     ],
     ids=lambda value: str(value)[:40],
 )
-def test_a_file_with_other_metadata_is_refused_by_name(name, word, message, tmp_path):
-    found = refused_message(tmp_path / POLICY, {}, {name: word})
+def test_a_file_with_other_metadata_is_refused_by_name(name, word, message, path):
+    found = refused_message(path, {}, {name: word})
     assert message in found
     assert len(found) < 4000
 

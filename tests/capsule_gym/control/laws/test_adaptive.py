@@ -227,6 +227,15 @@ def test_plant_without_friction_or_spring_has_bounds_too():
         assert after[estimate] != memory[estimate]
 
 
+@pytest.mark.parametrize(("form", "beta"), [("regularised", 1.0), ("unregularised", 0.01)])
+def test_the_defaults_are_the_documented_ones(form, beta):
+    regularised = form == "regularised"
+    given = adaptive(regularised=regularised, beta=beta, n=1, eta_0=1.0)
+    default = adaptive(regularised=regularised)
+    assert given.law == default.law
+    assert given.memory == default.memory
+
+
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize(("dt", "given"), [(1e-3, {}), (2e-4, {"beta": 3.0, "n": 2, "eta_0": 0.3})])
 def test_choices_reach_the_law(form, dt, given):
