@@ -191,13 +191,15 @@ def results_table(jobs: Sequence[Job]) -> str:
         path = job.run / EVALUATIONS
         if not path.is_file():
             continue
-        lines = list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
+        evaluations = list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
         criteria = CRITERIA[job.config.task]
-        best = max(lines, key=lambda line: float(line[f"score_{criteria.suffix}"]))
-        values = {name: float(best[name]) for name in criteria.weights if name in best}
-        values[criteria.metric.name] = float(best[criteria.column])
-        steps = [f"{int(line['steps']):,}" for line in (lines[-1], best)]
-        rows.append([job.name, *steps, criteria.describe(values)])
+        best = max(evaluations, key=lambda row: float(row[f"score_{criteria.suffix}"]))
+        # The column of the task's metric has its unit in its name; further terms of the score have
+        # none, and are missing in older files.
+        metrics = {name: float(best[name]) for name in criteria.weights if name in best}
+        metrics[criteria.metric.name] = float(best[criteria.column])
+        steps = [f"{int(row['steps']):,}" for row in (evaluations[-1], best)]
+        rows.append([job.name, *steps, criteria.describe(metrics)])
     return text_table(rows, left=1)
 
 

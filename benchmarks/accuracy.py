@@ -209,10 +209,10 @@ def phase_at_rest(y: np.ndarray, u: float, p: Plant) -> float:
 
 
 def direction_of_load(y: np.ndarray, u: float, p: Plant) -> float:
-    """The sign of the load on a platform at rest, in relation to its limits."""
+    """1 if the load on a platform at rest is nearer to the limit of moving forwards, else -1."""
     theta, omega, _, _ = y
-    forwards, backwards = margins(theta, omega, u, p)
-    return math.copysign(1.0, backwards - forwards)
+    margin_forwards, margin_backwards = margins(theta, omega, u, p)
+    return math.copysign(1.0, margin_backwards - margin_forwards)
 
 
 def expected_trajectories(

@@ -108,10 +108,11 @@ def train_model(library: str, seed: int, clock: Clock) -> None:
     def act(observations: np.ndarray) -> np.ndarray:
         return model.predict(env.normalize_obs(observations), deterministic=True)[0]
 
-    policy: Callable[[], Any] = partial(export, "agent", model, CONFIG, "none")
+    policy: Callable[[], Any] = partial(export, "agent", model, CONFIG, revision="none")
     if library == "sbx":
         # Networks of JAX cannot be exported.
         policy = wrapped(act)
+    # A callback that returns False ends the training.
     model.learn(steps, callback=lambda *_: clock.check(model.num_timesteps, policy))
 
 

@@ -51,15 +51,15 @@ def drivers() -> frozenset[str]:
 def on_files(files: Any, config: Any) -> Any:
     """Adds CONTRIBUTING.md and the notebooks, and moves the page about the live page.
 
-    Its default place is the live page's own file.
+    mkdocs would write that page over the live page itself.
 
     Raises:
-        PluginError: if another file would be written into that folder.
+        PluginError: if another file would be written into the folder of the live page.
     """
     files.get_file_from_path(ABOUT_LIVE).dest_uri = ABOUT_LIVE_AT
-    lost = [file.src_uri for file in files if file.dest_uri.startswith(LIVE)]
-    if lost:
-        raise PluginError(f"`make web` writes into the same folder {LIVE} as {', '.join(lost)}")
+    clashing = [file.src_uri for file in files if file.dest_uri.startswith(LIVE)]
+    if clashing:
+        raise PluginError(f"`make web` writes into the same folder {LIVE} as {', '.join(clashing)}")
     contributing = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
     content = contributing.replace("](docs/", "](")
     files.append(File.generated(config, "contributing.md", content=content))
@@ -90,10 +90,12 @@ def notebook_files(path: Path, repository: str) -> dict[str, str | bytes]:
             parts.append(source)
         else:
             parts.append(f"```python\n{source}\n```")
+            # Adds to `pictures`.
             parts += _outputs(cell["outputs"], path.stem, pictures)
     owner = repository.partition("github.com/")[2].strip("/")
     if owner:
         address = f"{COLAB}{owner}/blob/main/notebooks/{path.name}"
+        # Below the title.
         parts.insert(1, f"[![Open in Colab](../media/colab.svg)]({address})")
     page = "\n\n".join(parts) + "\n"
     return {f"{path.stem}.md": page, **pictures}
@@ -123,6 +125,7 @@ def metrics_table() -> str:
     """The metrics of an episode, which the core defines, as a Markdown table."""
     lines = ["|metric|description|", "|---|---|"]
     for task in TASKS.values():
+        # The metrics that all tasks share stand once, before those of the first task.
         metrics = {**METRICS, **task.metrics} if task.name == "speed" else task.metrics
         for name, text in metrics.items():
             # A bar would end a cell.

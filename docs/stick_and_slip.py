@@ -26,12 +26,15 @@ def frames() -> Iterator[np.ndarray]:
     for name, title in TITLES.items():
         episode = Episode(find_policy(name), nominal, nominal.plants[0])
         capsule = episode.env.simulation.capsule
-        renderer = Renderer(capsule, "rgb_array", 1.0 / FRAME_SECONDS, 1.5, title)
+        renderer = Renderer(
+            capsule, "rgb_array", fps=1.0 / FRAME_SECONDS, torque_limit=1.5, title=title
+        )
         lanes.append((episode, renderer))
     for n in range(round(PERIOD / FRAME_SECONDS)):
         drawn: list[Any] = []
         for episode, renderer in lanes:
-            episode.advance(PERIOD + n * FRAME_SECONDS)
+            present = PERIOD + n * FRAME_SECONDS
+            episode.advance(time=present)
             drawn.append(renderer.draw(**shown_state(episode.env.simulation, 0)))
         yield np.concatenate(drawn)
 

@@ -21,16 +21,18 @@ TASKS: dict[str, dict[str, Any]] = {
 class LearningCurve(BaseCallback):
     """Evaluates the deterministic policy on 16 plants, and prints speed and share of failures."""
 
-    def __init__(self, task: str, every: int) -> None:
+    def __init__(self, task: str, steps_between: int) -> None:
         super().__init__()
         self.task = task
-        self.every = every
+        self.steps_between = steps_between
         # These seeds are far from those of training.
-        self.plants = validation_set("paper", "validation", first_seed=1_000_000, count=16)
+        self.plants = validation_set(
+            randomization="paper", name="validation", first_seed=1_000_000, count=16
+        )
 
     def _on_step(self) -> bool:
         steps = self.num_timesteps
-        if steps % self.every == 0:
+        if steps % self.steps_between == 0:
             episodes = evaluate(self.model, self.plants, env_kwargs=TASKS[self.task])
             speed = np.mean([episode["mean_speed"] for episode in episodes])
             failed = np.mean([episode["failed"] for episode in episodes])

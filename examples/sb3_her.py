@@ -29,7 +29,7 @@ NOISE_TIME = 0.25
 # Factors of theta, theta_dot, x_dot, stick and the last action.
 FACTORS = [2.0, 0.25, 6.0, 1.0, 1.0]
 # Whether a mirror changes their signs.
-ODD = [1, 1, 1, 0, 1]
+ODD = [True, True, True, False, True]
 
 
 class GoalsAhead(VecEnvWrapper):
@@ -37,30 +37,32 @@ class GoalsAhead(VecEnvWrapper):
 
     def mirror(self, observations: Any, signs: np.ndarray) -> dict[str, np.ndarray]:
         """The observations seen in a mirror where the sign is -1."""
-        mirrored = {name: part * signs for name, part in observations.items()}
-        mirrored["observation"] = observations["observation"] * signs**ODD
+        goals = ("achieved_goal", "desired_goal")
+        mirrored = {name: observations[name] * signs for name in goals}
+        mirrored["observation"] = observations["observation"] * np.where(ODD, signs, 1.0)
         return mirrored
 
-    def begin(self, observations: Any) -> dict[str, np.ndarray]:
-        """Mirrors observations, with the signs of their goals from now on."""
+    def mirror_by_goals(self, observations: Any) -> dict[str, np.ndarray]:
+        """Mirrors observations by the signs of their goals, which may be those of new episodes."""
         self.signs = np.sign(observations["desired_goal"][:, :1])
         return self.mirror(observations, self.signs)
 
     def reset(self) -> VecEnvObs:
         """Begins new episodes."""
-        return self.begin(self.venv.reset())
+        return self.mirror_by_goals(self.venv.reset())
 
     def step_async(self, actions: np.ndarray) -> None:
         """Takes the actions of the next step."""
         self.venv.step_async(actions * self.signs)
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Steps."""
+        """Steps; returns mirrored observations, rewards, dones and infos."""
         observations, rewards, dones, infos = self.venv.step_wait()
+        # The last observation of an episode has the sign of its own goal, not of the next one.
         for i in np.flatnonzero(dones):
             last = infos[i]["terminal_observation"]
             infos[i]["terminal_observation"] = self.mirror(last, self.signs[i])
-        return self.begin(observations), rewards, dones, infos
+        return self.mirror_by_goals(observations), rewards, dones, infos
 
 
 class Features(BaseFeaturesExtractor):

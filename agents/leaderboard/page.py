@@ -258,10 +258,10 @@ def _metric_cells(
     metric: TableMetric, values: Mapping[str, Any], worst_seed: float | None
 ) -> dict[str, str]:
     """The cells of a metric by column."""
-    # A share has no unit.
-    unit = metric.label.partition(" (")[2] or "share)"
+    # The label of a share has no unit in brackets.
+    unit = metric.label.partition(" (")[2].removesuffix(")") or "share"
     means = metric.with_interval([values["mean"], values["mean_low"], values["mean_high"]])
-    cells = {metric.label: means, f"worst seed ({unit}": metric.format(worst_seed)}
+    cells = {metric.label: means, f"worst seed ({unit})": metric.format(worst_seed)}
     if not metric.share:
         interval = [values["iqm"], values["low"], values["high"]]
         cells["interquartile mean"] = metric.with_interval(interval)

@@ -51,14 +51,14 @@ class EpisodeMetrics(gym.Wrapper[Any, Any, Any, Any]):
         """Steps the environment."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         if terminated or truncated:
-            steps = self.get_wrapper_attr("spec").max_episode_steps
+            most_steps = self.get_wrapper_attr("spec").max_episode_steps
             env: Any = self.env.unwrapped
-            metrics = env.episode_metrics(steps)
-            if terminated and not metrics["failed"]:
-                # By a wrapper. As for the environment's own terminations, the speed is that over a
-                # whole episode.
-                seconds = steps * env.simulation.options.control_dt
-                metrics |= {"failed": 1.0, "mean_speed": 100.0 * metrics["distance"] / seconds}
+            metrics = env.episode_metrics(most_steps)
+            terminated_by_wrapper = terminated and not metrics["failed"]
+            if terminated_by_wrapper:
+                # As for the environment's own terminations, the speed is that over a whole episode.
+                horizon = most_steps * env.simulation.options.control_dt
+                metrics |= {"failed": 1.0, "mean_speed": 100.0 * metrics["distance"] / horizon}
             info = {**info, "metrics": metrics}
         return observation, reward, terminated, truncated, info
 

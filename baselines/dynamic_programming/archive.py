@@ -83,24 +83,23 @@ class Archive:
     arrays: dict[str, np.ndarray] = field(default_factory=dict)
 
     def solve(self, problems: Sequence[Problem]) -> Iterator[None]:
-        """Solves one problem per iteration and adds its result.
-
-        The trajectory is that of the largest reward.
-        """
+        """Solves one problem per iteration and adds its result."""
         for n, problem in enumerate(problems):
             print(f"{n + 1}/{len(problems)} {problem} ..", flush=True)
             began = perf_counter()
+            # A solution and its trajectory for each grid, the coarsest first.
             solved = solver.solve_on_grids(problem, _shapes(problem))
             self._add_result(problem, solved)
             # The policies look ahead with the values of the speed problems.
             if problem.energy_weight == 0.0 and problem.control_dt == CONTROL_DT:
-                coarse, _ = solved[0]
-                self._add_values(problem, coarse)
+                coarse_solution, _ = solved[0]
+                self._add_values(problem, coarse_solution)
             speed = self.results[problem.key].mean_speed
             print(f"{speed:.2f} cm/s, {perf_counter() - began:.0f} s", flush=True)
             yield
 
     def _add_result(self, problem: Problem, solved: list[tuple[Solution, Trajectory]]) -> None:
+        """Adds the results of all grids, with the trajectory of the largest reward."""
         solutions = [solution for solution, _ in solved]
         runs = [trajectory for _, trajectory in solved]
         best = max(runs, key=lambda run: _reward(problem, run))

@@ -82,9 +82,16 @@ def cell_curvature(curvature: float, grid: Grid) -> float:
 
 
 def transitions(problem: Problem, grid: Grid, torques: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and rewards in cm after a step with torques over limit, float32.
+    """The next states and the rewards of a step from every node.
 
-    The shapes are (nodes, torques, 3) and (nodes, torques).
+    Args:
+        problem: the problem.
+        grid: its grid.
+        torques: shares of the torque limit, shape (nodes, torques).
+
+    Returns:
+        Grid coordinates of the next states, `FAILED` where the step fails, shape (nodes, torques,
+        3), and rewards, cm, shape (nodes, torques); float32.
     """
     states = grid.nodes()
     nodes, count = torques.shape

@@ -252,11 +252,13 @@ def _demands(
 
 def _decode(z: np.ndarray, problem: ProfileProblem) -> tuple[tuple[float, ...], float, float]:
     """Times, V1 and P2 of a point of the search space."""
-    durations = np.maximum(1.0, np.rint(10.0 ** z[:7] / GRID))
-    times = np.round(np.cumsum(durations) * GRID, 3)
+    intervals = np.maximum(1.0, np.rint(10.0 ** z[:7] / GRID))
+    times = np.round(np.cumsum(intervals) * GRID, 3)
     velocity = float(z[7])
+    _, largest_velocity, _ = BOUNDS.tolist()
+    # Principle 2 bounds the motion.
     if problem.dropped != 2:
-        velocity = min(velocity, float(BOUNDS[1]))
+        velocity = min(velocity, largest_velocity)
     share = float(10.0 ** z[8])
     return tuple(times.tolist()), velocity, velocity * share
 

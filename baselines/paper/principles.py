@@ -153,9 +153,10 @@ def friction_bound(p: Plant) -> float:
 
 
 def _pivot_torque(cycle: Cycle, p: Plant) -> np.ndarray:
-    """k theta + c theta' where the print counts it as a force, otherwise zero."""
-    torque = p.k * cycle.theta + p.c * cycle.theta_dot
-    return p.pivot_torque_on_contact * torque
+    """k theta + c theta' where the published equations count it as a force, otherwise zero."""
+    if not p.pivot_torque_on_contact:
+        return np.zeros_like(cycle.theta)
+    return p.k * cycle.theta + p.c * cycle.theta_dot
 
 
 def evaluate_demands() -> list[dict[str, Any]]:

@@ -188,15 +188,7 @@ def _judge_adaptive_law(results: Results) -> Claims:
         f"corrected, unregularised, with a limited motor eta reaches {eta:.0e}, its numerical bound"
     )
 
-    errors = results["long_runs"][..., 1:]  # without the nominal plant
-    converged = bool((errors[-1] <= CONVERGED * errors[0]).all())
-    angle_errors = errors[:, ERRORS.index("angle_error")]
-    ranges = ", ".join(f"{own.min():.1e} to {own.max():.1e}" for own in angle_errors)
-    convergence = (
-        f"regularised, off the nominal plant the angle's largest error in the cycles {LONG_CYCLES} "
-        f"is {ranges} rad"
-    )
-
+    convergence, converged = _judge_convergence(results["long_runs"])
     steepest = regularised.worst("rise")
     where = f"M = {steepest['M']:.2f} kg, mu = {steepest['mu']:.3f}"
     rising = (
@@ -222,6 +214,18 @@ def _judge_adaptive_law(results: Results) -> Claims:
     ] = (f"{failing}; {convergence}", converged and never_fails)
     claims["the Lyapunov function (40) never rises (Theorem 1, Eq. (41))"] = (rising, never_rises)
     return claims
+
+
+def _judge_convergence(long_runs: np.ndarray) -> tuple[str, bool]:
+    """The errors of the angle, and whether all errors converge."""
+    errors = long_runs[..., 1:]  # without the nominal plant
+    angle_errors = errors[:, ERRORS.index("angle_error")]
+    ranges = ", ".join(f"{own.min():.1e} to {own.max():.1e}" for own in angle_errors)
+    found = (
+        f"regularised, off the nominal plant the angle's largest error in the cycles {LONG_CYCLES} "
+        f"is {ranges} rad"
+    )
+    return found, bool((errors[-1] <= CONVERGED * errors[0]).all())
 
 
 def text(results: Results) -> str:

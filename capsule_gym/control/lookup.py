@@ -7,7 +7,6 @@ from typing import Any
 
 from capsule_gym.checks import short_repr
 from capsule_gym.control.controller import Controller
-from capsule_gym.control.laws import find_law
 
 _OWN = re.compile(r"baselines:[A-Za-z][A-Za-z0-9_]*")
 
@@ -40,6 +39,9 @@ def find_controller(
     if isinstance(controller, str):
         try:
             if is_own(controller):
+                # At the first use: most environments have no law.
+                from capsule_gym.control.laws import find_law
+
                 found = find_law(controller.removeprefix("baselines:"))
             else:
                 found = pkgutil.resolve_name(controller)

@@ -10,8 +10,9 @@ import numpy as np
 from gymnasium import spaces
 from typing_extensions import Unpack
 
-from capsule_gym.checks import check_count, require, short_repr
+from capsule_gym.checks import check_count, short_repr
 from capsule_gym.core.layout import Row
+from capsule_gym.envs import resets
 from capsule_gym.envs.config import RENDER_MODES, EnvConfig, EnvOptions
 from capsule_gym.envs.contract import SPEED
 from capsule_gym.envs.simulation import GOAL_BOUND, Simulation, check_seed
@@ -20,7 +21,6 @@ from capsule_gym.rendering import Renderer
 from capsule_gym.tasks import goal, task
 
 Value = TypeVar("Value")
-RESET_OPTIONS = ("M", "mu", "state", "changes", "capsule", "disturbances")
 # Constants: looking them up in `Row` and numpy takes a tenth of a step.
 _STATE = slice(Row.theta, Row.M)
 _REWARD = Row.reward
@@ -272,7 +272,7 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
             self.simulation.seed(0, self.np_random_seed)
             self._seeded = True
         task_options = self.simulation.task.option_sizes
-        options = check_options(options, (*RESET_OPTIONS, *task_options))
+        options = resets.check_options(options, task_options)
         # One environment is a batch of one.
         given: dict[str, Any] = {
             name: [value] for name, value in options.items() if value is not None
@@ -482,16 +482,6 @@ def as_actions(actions: Any) -> np.ndarray | None:
         return np.asarray(actions, np.float32, order="C")
     except (TypeError, ValueError, OverflowError):
         return None
-
-
-def check_options(options: dict[str, Any] | None, accepted: tuple[str, ...]) -> dict[str, Any]:
-    """Raises an error for unknown reset options."""
-    if options is None:
-        return {}
-    required = f"a dict with keys out of {accepted}"
-    require(isinstance(options, dict), "options", required, options, TypeError)
-    require(set(options) <= set(accepted), "options", required, list(options))
-    return options
 
 
 def shown_state(simulation: Simulation, i: int) -> dict[str, Any]:

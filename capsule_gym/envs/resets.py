@@ -1,6 +1,6 @@
 """The start of an episode: given values replace the draws of `core/step/resets.hpp`."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,8 +12,20 @@ from capsule_gym.parameters import CONSTANTS, DISTURBANCES, Disturbances
 from capsule_gym.parameters.limits import LARGEST, check_divisor
 from capsule_gym.tasks.task import LARGEST_STATE, THETA_LIMIT, Task
 
+RESET_OPTIONS = ("M", "mu", "state", "changes", "capsule", "disturbances")
 CONSTANT_LIMITS = dict.fromkeys(CONSTANTS, (-LARGEST, LARGEST))
 DISTURBANCE_LIMITS = {name: Disturbances.limits(name) for name in DISTURBANCES}
+
+
+def check_options(options: dict[str, Any] | None, further: Iterable[str]) -> dict[str, Any]:
+    """Raises an error for options of `reset` outside `RESET_OPTIONS` and further ones."""
+    if options is None:
+        return {}
+    accepted = (*RESET_OPTIONS, *further)
+    required = f"a dict with keys out of {accepted}"
+    require(isinstance(options, dict), "options", required, options, TypeError)
+    require(set(options) <= set(accepted), "options", required, list(options))
+    return options
 
 
 def make_key(seed: int) -> tuple[int, int]:

@@ -15,7 +15,7 @@ from typing_extensions import Unpack
 
 from capsule_gym.checks import check_integer, require, short_repr
 from capsule_gym.core.layout import Row
-from capsule_gym.envs import env
+from capsule_gym.envs import env, resets
 from capsule_gym.envs.config import EnvConfig, EnvOptions
 from capsule_gym.envs.contract import SPEED
 from capsule_gym.envs.simulation import check_seed
@@ -150,13 +150,16 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         Returns:
             Observations, float32 of shape (num_envs, entries), and the infos.
         """
-        names = (*env.RESET_OPTIONS, *self.simulation.task.option_sizes)
-        options = env.check_options(options, (*names, "reset_mask"))
+        names = (*self.simulation.task.option_sizes, "reset_mask")
+        options = resets.check_options(options, names)
         mask = self._reset_mask(options.get("reset_mask"))
         rows = np.flatnonzero(mask)
         self._seed(seed, rows)
-        given = {name: options[name] for name in names if options.get(name) is not None}
-        values = {name: self._per_row(name, value, rows) for name, value in given.items()}
+        values = {
+            name: self._per_row(name, value, rows)
+            for name, value in options.items()
+            if value is not None and name != "reset_mask"
+        }
         self.simulation.reset(rows, **values)
         self._ended[rows] = False
         # The mask of the first reset need not name every environment; one that has not begun has no

@@ -192,16 +192,20 @@ def evaluate(
 
 
 def _check_env_kwargs(env_kwargs: Any, policy: Any, chosen: EvaluationSet) -> None:
-    """Checks the caller's arguments of the environment."""
+    """Checks arguments of the environment that the caller gives."""
     if isinstance(policy, (str, Path, Candidate)):
-        own = "a policy's name or path or a candidate, which has its own"
-        raise TypeError(f"env_kwargs must not be given with {own}")
-    given = env_kwargs or {}
-    require(isinstance(given, Mapping), "env_kwargs", "None or a dict", given, TypeError)
-    determined = {*chosen.env_kwargs, "num_envs", "max_episode_steps", "autoreset_mode"} - {"task"}
-    for name in determined.intersection(given):
-        of_set = f"which the set {chosen.name!r} determines"
-        raise ValueError(f"env_kwargs must not contain {name!r}, {of_set}")
+        raise TypeError(
+            "env_kwargs must not be given with a policy's name or path or a candidate, which has "
+            "its own"
+        )
+    require(isinstance(env_kwargs, Mapping), "env_kwargs", "None or a dict", env_kwargs, TypeError)
+    determined = {*chosen.env_kwargs, "num_envs", "max_episode_steps", "autoreset_mode"}
+    # The task of a policy is compared with that of the set.
+    determined.remove("task")
+    for name in determined.intersection(env_kwargs):
+        raise ValueError(
+            f"env_kwargs must not contain {name!r}, which the set {chosen.name!r} determines"
+        )
 
 
 def _run(

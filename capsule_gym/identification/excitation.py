@@ -38,7 +38,10 @@ class Excitation:
             check_number(f"Excitation.{name}", value, "a finite number > 0", 0.0, open_low=True)
 
     def start(self, seeds: Any = (0,)) -> Callable[[Any], np.ndarray]:
-        """The policy of an episode, from observations to actions."""
+        """The policy of an episode, from observations to actions: a multisine and a PD control.
+
+        `seeds`, which every policy takes, changes nothing: all episodes have the same multisine.
+        """
         generator = np.random.default_rng(self.seed)
         logarithms = generator.uniform(math.log(0.3), math.log(8.0), 16)
         frequencies = np.exp(logarithms)

@@ -399,21 +399,25 @@ def interpolate(
     """Interpolates between the integrator's steps at `places` and their next ones.
 
     Args:
-        motion: states and their derivatives by step, shape (steps, 4, columns).
-        places: the steps, shape (readings,).
-        weights: those of `ShootingProblem.interpolation`.
+        motion: states (theta, theta_dot, x, x_dot) by step, shape (steps, 4, columns). The first
+            column is the state; the others are its derivatives by the parameters.
+        places: the steps, shape (readings,). All readings lie at the same share of a step.
+        weights: those of `ShootingProblem.interpolation` for that share, shape (orders of the
+            derivative 0 to 2, end of the step, value or rate).
 
     Returns:
         States, shape (readings, 4, columns), and the rates of their first column.
     """
     count = len(places)
-    both = motion[places[:, None] + [0, 1]]
+    both_ends = motion[places[:, None] + [0, 1]]
     # Axes: reading, end, angle or position, value or rate, column.
-    ends = both.reshape(count, 2, 2, 2, -1)
-    # Axes: order of the derivative, reading, angle or position, column.
-    orders = np.tensordot(weights, ends, ((1, 2), (1, 3)))
-    # Axes: reading, angle or position, order of the derivative, column.
-    orders = np.moveaxis(orders, 0, 2)
-    states = orders[:, :, :2].reshape(count, 4, -1)
-    rates = orders[:, :, 1:, 0].reshape(count, 4)
+    both_ends = both_ends.reshape(count, 2, 2, 2, -1)
+    # Axes: order of the derivative by time, reading, angle or position, column.
+    by_order = np.tensordot(weights, both_ends, ((1, 2), (1, 3)))
+    # Axes: reading, angle or position, order of the derivative by time, column.
+    derivatives = np.moveaxis(by_order, 0, 2)
+    values_and_rates = derivatives[:, :, :2]
+    states = values_and_rates.reshape(count, 4, -1)
+    rates_and_accelerations = derivatives[:, :, 1:, 0]
+    rates = rates_and_accelerations.reshape(count, 4)
     return states, rates

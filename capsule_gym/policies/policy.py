@@ -38,7 +38,6 @@ from capsule_gym.checks import (
     short_repr,
     shortened,
 )
-from capsule_gym.control.laws import LAWS
 from capsule_gym.control.lookup import is_own
 from capsule_gym.core import native
 from capsule_gym.envs.config import EnvConfig
@@ -287,7 +286,7 @@ class Policy:
         require(isinstance(kwargs, dict), "env_kwargs", accepted, kwargs, TypeError)
         require(set(kwargs) <= set(ENV_ARGUMENTS), "env_kwargs", accepted, list(kwargs))
         options = EnvConfig(**kwargs)
-        # JSON contains dicts and lists instead of objects and tuples.
+        # EnvConfig has made objects and tuples of the dicts and lists that JSON contains.
         parsed = {
             key: getattr(options, key) if type(value) in (dict, list) else value
             for key, value in kwargs.items()
@@ -485,6 +484,8 @@ def _plain(value: Any) -> Any:
 
 def _law_named(name: str) -> str:
     """The end of the message for the name of a control law, or an empty string."""
+    from capsule_gym.control.laws import LAWS
+
     law = name.replace("-", "_")
     if law not in LAWS:
         return ""

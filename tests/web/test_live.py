@@ -38,6 +38,10 @@ def test_committed_episodes_are_pythons(name):
     assert episodes.compute(committed) == committed
 
 
+FEW_PLANTS = 2
+FEW_STEPS = 30
+
+
 @pytest.fixture
 def few_episodes(tmp_path, monkeypatch):
     """Two drivers without episodes, and short recordings, written to other files."""
@@ -46,8 +50,8 @@ def few_episodes(tmp_path, monkeypatch):
     monkeypatch.setattr(episodes, "FILE", tmp_path / "episodes.json")
     monkeypatch.setattr(episodes, "RECORDINGS", tmp_path / "recordings.npz")
     monkeypatch.setattr(episodes, "RECORDED", ("dp-nominal",))
-    monkeypatch.setattr(episodes, "SEEDS", 2)
-    monkeypatch.setattr(episodes, "EPISODE_STEPS", 30)
+    monkeypatch.setattr(episodes, "SEEDS", FEW_PLANTS)
+    monkeypatch.setattr(episodes, "EPISODE_STEPS", FEW_STEPS)
     episodes.FILE.write_text("[]", "utf-8")
     assert episodes.main(["--write"]) == 0
 
@@ -65,7 +69,7 @@ def test_every_driver_has_an_episode_on_a_set_of_its_task(few_episodes):
 def test_recordings_have_all_plants_of_every_set(few_episodes):
     recorded = np.load(episodes.RECORDINGS)
     assert list(recorded) == [f"dp-nominal {name}" for name in SET_NAMES]
-    assert {actions.shape for actions in recorded.values()} == {(2, 30)}
+    assert {actions.shape for actions in recorded.values()} == {(FEW_PLANTS, FEW_STEPS)}
 
 
 def test_what_differs_is_printed(few_episodes, capsys):

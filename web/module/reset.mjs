@@ -68,12 +68,14 @@ function parseCapsule(capsule) {
   });
 }
 
+/** Returns the row of each disturbance and its value. */
 function parseDisturbances(given, {longest_latency}) {
   const fields = checkFields("disturbances", given, DISTURBANCES);
   return Object.entries(fields).map(([name, value]) => {
-    const [low, usual] = ACCEPTED.options[`disturbances_${name}_low`];
-    const high = name === "latency" ? longest_latency : usual;
-    return [ROW[name], checkNumber(`disturbances.${name}`, value, low, high)];
+    // A value has the limits of the low end of the option's range.
+    const [smallest, largest] = ACCEPTED.options[`disturbances_${name}_low`];
+    const most = name === "latency" ? longest_latency : largest;
+    return [ROW[name], checkNumber(`disturbances.${name}`, value, smallest, most)];
   });
 }
 

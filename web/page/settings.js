@@ -118,9 +118,11 @@ export function showSpeed() {
 
 /** Shows set, plant, jumps and disturbances. */
 export function showPlant() {
+  // A recorded policy drives the plants of the sets alone.
   const recorded = hasRecorded(scene);
   element("set").value = scene.set;
-  element("set").options[0].disabled = recorded;
+  const ownValues = element("set").options[0];
+  ownValues.disabled = recorded;
   element("plant").value = scene.plant;
   element("plant").disabled = !scene.set;
   const plant = plantNow();

@@ -158,21 +158,25 @@ function drawFloor(context, x, half, scale, height) {
   rectangle(context, [-half, -1, 2 * half, 2], colour("tick"));
 }
 
-function drawRuler(context, start, half, scale, height) {
+/**
+ * Draws the ruler, whose zero lies at `zero` in a picture from -half to half, in units of the
+ * picture, of which `scale` pixels are one.
+ */
+function drawRuler(context, zero, half, scale, height) {
   const major = MAJOR * PER_METRE;
-  const fine = 1 / scale;
+  const pixel = 1 / scale;
   const centimetres = 100 * MAJOR;
-  const labelled = major * scale < NARROW_LABEL ? 2 : 1;
-  const first = Math.floor((-half - start) / major);
-  const last = Math.ceil((half - start) / major);
+  const marksPerLabel = major * scale < NARROW_LABEL ? 2 : 1;
+  const first = Math.floor((-half - zero) / major);
+  const last = Math.ceil((half - zero) / major);
   context.font = font(0.8 / scale);
   context.textAlign = "center";
   for (let mark = first; mark <= last; mark++) {
-    const at = start + mark * major;
-    rectangle(context, [at, -height, fine, height], colour("grid"));
+    const at = zero + mark * major;
+    rectangle(context, [at, -height, pixel, height], colour("grid"));
     for (const [part, length] of TICKS.entries())
-      rectangle(context, [at + (part * major) / 10, 0, fine, length], colour("tick"));
-    if (mark % labelled !== 0) continue;
+      rectangle(context, [at + (part * major) / 10, 0, pixel, length], colour("tick"));
+    if (mark % marksPerLabel !== 0) continue;
     context.fillStyle = colour("grey");
     context.fillText(written(mark * centimetres, decimals(centimetres)), at, BELOW - 10);
   }

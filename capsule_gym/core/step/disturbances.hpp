@@ -64,8 +64,8 @@ template <class T> INLINE T read_sensor(const SensorErrors<T>& errors, T shown, 
   return rounded(shown + error, errors.resolution);
 }
 
-// The motor's torque after one period, of which it makes up the share `share` of its distance to
-// the command.
+// The motor's torque after one period, in which it covers the fraction `share` of its distance to
+// the rounded command.
 template <class T> INLINE T follow_command(const Disturbances<T>& d, T motor, T command, T share) {
   return motor + share * (rounded(command, d.torque_resolution) - motor);
 }

@@ -13,7 +13,9 @@ from tests.capsule_gym.identification.test_shooting import make_small_problem
 def replace_residuals(monkeypatch, name, limits, residuals):
     """A problem of a quantity, latency and one state, with residuals that a test defines.
 
-    They are functions of the share of the quantity, of latency, and of the state.
+    They are functions of the share of the quantity within its limits (of a lag the linear one, of
+    all others the logarithmic one), of latency, and of the state, with a Jacobian of three columns.
+    The quantity may be known, and is no unknown then.
     """
 
     def of_unknowns(self, unknowns, *_, **__):
@@ -25,8 +27,10 @@ def replace_residuals(monkeypatch, name, limits, residuals):
             share = (known - low) / (high - low)
         else:
             share = np.log(known / low) / np.log(high / low)
-        r, jacobian = residuals(share, *unknowns[-2:])
-        return r, jacobian[:, -len(unknowns) :]
+        latency, state = unknowns[-2:]
+        r, jacobian = residuals(share, latency, state)
+        of_known = 3 - len(unknowns)
+        return r, jacobian[:, of_known:]
 
     monkeypatch.setattr(ShootingProblem, "residuals", of_unknowns)
     return make_small_problem(ranges={name: limits, "latency": (0, 0.02)})
