@@ -57,6 +57,7 @@ class Exported:
         if LAW_REFERENCE.fullmatch(name_or_path):
             law = True
             self.policy = None
+            self.cell = None
             self.controller = find_controller(name_or_path)
             own_task = getattr(self.controller, "task", None) or "speed"
             self.env_kwargs: dict[str, Any] = {
@@ -74,7 +75,12 @@ class Exported:
             name = self.policy.name
             self.description = self.policy.description
             self.scale = 1.0 / np.sqrt(self.policy.variance + self.policy.epsilon)
-            self.widest = max(weights.shape[1] for weights, _ in self.policy.layers)
+            self.cell = self.policy.cell
+            linear = (*self.policy.layers, *self.policy.head)
+            widths = [weights.shape[1] for weights, _ in linear]
+            if self.cell:
+                widths.append(self.cell.weight_ih.shape[1])
+            self.widest = max(widths)
         self.name = re.sub(r"\W|^(?=\d)", "_", name)
         self.law = self.controller if law else None
         if law and not isinstance(getattr(self.controller, "law", None), CoreLaw):
@@ -87,6 +93,7 @@ class Exported:
         self.settings = simulation.settings
         self.layout = simulation.layout
         self.constants = simulation.fields["settings"]
+        self.observed = simulation.entries
         entries = len(simulation.entries) // self.options.stack_size
         self.entries = [f"observation[{n}]" for n in range(entries)]
         self.reading = [*STATE, "action"]
@@ -199,7 +206,7 @@ class Exported:
         memory = slice(first, first + self.task.rows)
         renewed = slow.simulation.world[0, memory]
         observed = fast.simulation.world[0, memory]
-        act = self.policy or (lambda _: np.zeros(1, np.float32))
+        act = self.policy.start([plant.seed]) if self.policy else lambda _: np.zeros(1, np.float32)
         readings: list[dict[str, float]] = []
         actions: list[float] = []
         for _ in range(INTERVALS if self.policy else INTERVALS // 4):
@@ -243,7 +250,12 @@ class Exported:
         """
         if self.policy is None:
             raise ValueError("--onnx needs a policy, got a control law")
-        return to_onnx(self.policy, self.scale, single=single)
+        metadata = {
+            "control_dt": self.options.control_dt,
+            "torque_limit": self.options.torque_limit,
+            "observation": list(self.observed),
+        }
+        return to_onnx(self.policy, self.scale, metadata, single=single)
 
 
 def _read(simulation: Simulation) -> dict[str, float]:

@@ -156,8 +156,8 @@ def _modules_of(model: Any) -> list[Any]:
     """The modules between the observation and the mean action of an agent, in order."""
     from capsule_gym.envs.sb3 import AsymmetricPolicy
 
-    policy = getattr(model, "policy", None)
-    actor = getattr(policy, "actor", None)
+    policy: Any = getattr(model, "policy", None)
+    actor: Any = getattr(policy, "actor", None)
     if hasattr(policy, "action_net"):
         extractor = policy.pi_features_extractor
         modules = [*policy.mlp_extractor.policy_net, policy.action_net]
@@ -199,9 +199,10 @@ def read_env_kwargs(env: Any) -> dict[str, Any]:
         require(kind in VEC_WRAPPERS, "env", accepted, kind)
         wrapper = inner
     if hasattr(wrapper, "env_is_wrapped"):
-        for kind in (gym.ObservationWrapper, gym.ActionWrapper):
-            changed = any(wrapper.env_is_wrapped(kind))
-            require(not changed, "env", f"without an {kind.__name__}", "one")
+        wrappers: tuple[type, ...] = (gym.ObservationWrapper, gym.ActionWrapper)
+        for each in wrappers:
+            changed = any(wrapper.env_is_wrapped(each))
+            require(not changed, "env", f"without an {each.__name__}", "one")
     try:
         if hasattr(wrapper, "env_is_wrapped"):
             options = wrapper.get_attr("simulation")[0].options
@@ -212,8 +213,8 @@ def read_env_kwargs(env: Any) -> dict[str, Any]:
         raise TypeError(f"env must be {accepted}, got {short_repr(env)}") from None
     usual = EnvConfig()
     given = {}
-    for each in fields(EnvConfig):
-        value = getattr(options, each.name)
-        if each.name not in NO_ARGUMENTS and value != getattr(usual, each.name):
-            given[each.name] = value
+    for option in fields(EnvConfig):
+        value = getattr(options, option.name)
+        if option.name not in NO_ARGUMENTS and value != getattr(usual, option.name):
+            given[option.name] = value
     return given

@@ -1,0 +1,116 @@
+"""Recurrent policies in C and ONNX, on the observations of 10,000 calls."""
+
+import ctypes
+import json
+
+import numpy as np
+import pytest
+
+from capsule_gym import CapsuleVectorEnv, load_policy
+from capsule_gym.export.exported import Exported
+from tests.capsule_gym.export.test_export import C99, run
+from tests.capsule_gym.policies.test_policy import POLICY
+from tests.capsule_gym.policies.test_recurrent import recurrent_policy
+
+EPISODES = 100
+STEPS = 100
+HARNESS = """
+#include "policy.h"
+static NAME_memory memories[EPISODES];
+void begin(void) {
+  NAME_reading reading;
+  memset(&reading, 0, sizeof reading);
+  for (int i = 0; i < EPISODES; i++) NAME_start(&memories[i], &reading);
+}
+void act(const float *o, float *a) {
+  for (int i = 0; i < EPISODES; i++, o += NAME_ENTRIES) a[i] = NAME_act(&memories[i], o);
+}
+"""
+
+
+@pytest.fixture(
+    scope="module",
+    params=[("gru", 64, True, "tanh"), ("lstm", 33, False, "clip"), ("gru", 5, False, "clip")],
+    ids=["gru", "lstm", "small"],
+)
+def path(request, tmp_path_factory):
+    """The file of a policy."""
+    kind, units, skip, squashing = request.param
+    path = tmp_path_factory.mktemp("policy") / POLICY
+    recurrent_policy(kind, units, skip=skip, squashing=squashing).save(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def episodes(path):
+    """The observations and actions of `EPISODES` plants over `STEPS` control intervals."""
+    policy = load_policy(path)
+    env = CapsuleVectorEnv(EPISODES, autoreset_mode="DISABLED", **policy.env_kwargs)
+    observation, _ = env.reset(seed=7_000)
+    act = policy.start(range(EPISODES))
+    observations = []
+    actions = []
+    for _ in range(STEPS):
+        action = act(observation)
+        observations.append(observation.copy())
+        actions.append(action)
+        observation, *_ = env.step(action)
+    return observations, np.array(actions)
+
+
+@pytest.mark.parametrize("flags", [["-march=native"], []], ids=["fused", "not fused"])
+@pytest.mark.parametrize(("single", "tolerance"), [(False, 0.0), (True, 1e-5)])
+def test_c_computes_the_same_actions(path, episodes, single, tolerance, flags, tmp_path):
+    exported = Exported(str(path))
+    (tmp_path / "policy.h").write_text(exported.c(single=single))
+    source = HARNESS.replace("NAME", exported.name).replace("EPISODES", str(EPISODES))
+    (tmp_path / "harness.c").write_text(source)
+    library = tmp_path / "library.so"
+    options = [*C99, "-O2", *flags, "-fPIC", "-shared"]
+    run("gcc", *options, tmp_path / "harness.c", "-o", library, "-lm")
+    compiled = ctypes.CDLL(str(library))
+    observations, actions = episodes
+    # A second episode begins with a cleared memory.
+    for _ in range(2):
+        compiled.begin()
+        for observation, expected in zip(observations, actions, strict=True):
+            found = np.empty((EPISODES, 1), np.float32)
+            pointers = [each.ctypes.data_as(ctypes.c_void_p) for each in (observation, found)]
+            compiled.act(*pointers)
+            assert np.abs(found - expected).max() <= tolerance
+
+
+@pytest.mark.parametrize("single", [False, True])
+def test_the_test_program_of_a_policy_passes(path, single, tmp_path):
+    exported = Exported(str(path))
+    (tmp_path / "policy.h").write_text(exported.c(single=single))
+    (tmp_path / "test.c").write_text(exported.c_test("policy.h", single=single))
+    program = tmp_path / "program"
+    run("gcc", *C99, "-O2", tmp_path / "test.c", "-o", program, "-lm")
+    assert ": 0 of " in run(program)
+
+
+@pytest.mark.parametrize(("single", "tolerance"), [(False, 1e-9), (True, 1e-5)])
+def test_onnx_computes_the_same_actions(path, episodes, single, tolerance):
+    onnxruntime = pytest.importorskip("onnxruntime")
+    model = Exported(str(path)).onnx(single=single)
+    session = onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
+    state = session.get_inputs()[1]
+    number = np.float64 if state.type == "tensor(double)" else np.float32
+    memory = np.zeros((EPISODES, state.shape[1]), number)
+    for observation, expected in zip(*episodes, strict=True):
+        action, memory = session.run(None, {"observation": observation, "state": memory})
+        # Both round to float32.
+        rounding = np.spacing(np.abs(expected))
+        assert (np.abs(action - expected) <= tolerance + rounding).all()
+
+
+def test_a_model_says_what_it_takes(path):
+    onnx = pytest.importorskip("onnx")
+    model = onnx.load_from_string(Exported(str(path)).onnx())
+    found = {each.key: json.loads(each.value) for each in model.metadata_props}
+    assert found == {
+        "control_dt": 0.02,
+        "torque_limit": 1.5,
+        "observation": ["theta", "theta_dot", "x_dot", "stick", "last_action"],
+    }
