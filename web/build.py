@@ -25,7 +25,18 @@ SOURCES = Path(__file__).parent
 PAGE = SOURCES / "page"
 MODULE = SOURCES / "module"
 # The files that capsule.mjs consists of, each after those that it imports from.
-PARTS = ("archive", "checks", "core", "options", "drivers", "reset", "capsule", "episode", "replay")
+PARTS = (
+    "archive",
+    "checks",
+    "network",
+    "core",
+    "options",
+    "drivers",
+    "reset",
+    "capsule",
+    "episode",
+    "replay",
+)
 IMPORT = re.compile(r'^import \{[^}]*\} from "\./\w+\.mjs";\n', re.MULTILINE)
 EXPORT = re.compile(r"^export ", re.MULTILINE)
 FROM = re.compile(r' from "\./\w+\.mjs"')

@@ -44,7 +44,7 @@ def read_modules(modules: Iterable[Any], activation: str | None = None) -> dict[
     layers: list[Layer] = []
     head: list[Layer] = []
     cell = None
-    found = []  # an activation for each linear layer, or None
+    found: list[str | None] = []  # an activation for each linear layer, or None
     for module in modules:
         kind = type(module).__name__
         if kind == "Linear":

@@ -9,6 +9,7 @@ import pytest
 from capsule_gym import CapsuleEnv, Disturbances, load_policy
 from capsule_gym.evaluation.sets import SET_NAMES, load_set
 from tests import ROOT
+from tests.capsule_gym.policies.test_recurrent import recurrent_policy
 from web import build, data, episodes
 
 COMMITTED = episodes.committed_episodes()
@@ -124,6 +125,42 @@ def test_an_added_policy_gives_the_bits_of_the_one_in_the_module(node, mine):
     """
     own, added = node(mine + code)
     assert own == added
+
+
+@pytest.mark.parametrize("kind", ["gru", "lstm"])
+def test_a_recurrent_policy_has_the_bits_of_python(node, kind):
+    policy = recurrent_policy(kind)
+    described = data.describe_policy(kind, policy)
+    described["network"] = described["network"].tolist()
+    # An episode, which is begun again, and one of which a part is repeated.
+    code = f"""
+        live.addDriver({json.dumps(described)});
+        const episode = await live.drive({json.dumps(kind)}, {{ M: 0.6, mu: 0.02 }});
+        const actions = [];
+        const run = (steps) => {{
+          for (let n = 0; n < steps; n++) {{
+            episode.tick();
+            actions.push(episode.action);
+          }}
+        }};
+        run(12);
+        episode.reset({{ M: 0.6, mu: 0.02 }});
+        run(4);
+        const snapshot = episode.snapshot();
+        run(8);
+        episode.restore(snapshot);
+        run(8);
+        show(actions);
+    """
+    env = CapsuleEnv(**policy.env_kwargs)
+    observation, _ = env.reset(options={"M": 0.6, "mu": 0.02})
+    act = policy.start([0])
+    expected = []
+    for _ in range(12):
+        action = act(observation)
+        expected.append(float(action[0]))
+        observation, *_ = env.step(action)
+    assert node(code) == expected + expected[:4] + 2 * expected[4:]
 
 
 def test_drivers_show_an_added_policy_without_its_network(node, mine):

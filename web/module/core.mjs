@@ -1,6 +1,7 @@
 // The core: its names, what it says of an environment, and its memory.
 
 import {ACCEPTED, constants, CONTENT, CONTROLLERS, HEADER, readArray} from "./archive.mjs";
+import {memorySize} from "./network.mjs";
 
 const {at: MODULE_AT, size: MODULE_SIZE} = HEADER.module;
 const MODULE = await WebAssembly.compile(CONTENT.slice(MODULE_AT, MODULE_AT + MODULE_SIZE));
@@ -123,6 +124,7 @@ export async function startCore(task, controller, options, network = new Float64
     memory: Float64Array.from(memory),
     reference: readArray(table),
     network,
+    network_memory: new Float64Array(memorySize(network)),
   };
   const address = {};
   for (const [name, {byteLength}] of Object.entries(arrays))

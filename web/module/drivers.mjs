@@ -1,8 +1,9 @@
 // The drivers: policies and laws, and those that a user adds.
 
-import {ACCEPTED, CONTENT, CONTROLLERS, HEADER, readArray} from "./archive.mjs";
+import {CONTENT, CONTROLLERS, HEADER, readArray} from "./archive.mjs";
 import {checkChoice, checkFields, checkNumber} from "./checks.mjs";
 import {CORE, describe} from "./core.mjs";
+import {networkSize} from "./network.mjs";
 import {checkOptions, controllers, mergeOptions} from "./options.mjs";
 
 export const DRIVERS = HEADER.drivers;
@@ -71,25 +72,4 @@ function checkNetwork(given, entries) {
     throw new RangeError(`network must be ${accepted}, got ${network.length} numbers`);
   }
   return network;
-}
-
-/**
- * Returns the length of a network by its header and widths, in the order of
- * `capsule_gym.policies.network.pack`, or NaN.
- */
-function networkSize(network, entries) {
-  const padded = (width) => Math.ceil(width / ACCEPTED.padding) * ACCEPTED.padding;
-  const header = padded(4);
-  const layers = network[0];
-  const [inputs, ...units] = network.slice(header, header + layers + 1);
-  const accepted = (width) => Number.isInteger(width) && width > 0 && width <= ACCEPTED.units;
-  if (inputs !== entries || units.length !== layers) return NaN;
-  if (!units.every(accepted) || units.at(-1) !== 1) return NaN;
-  let size = header + padded(layers + 1) + 2 * padded(entries);
-  let width = inputs;
-  for (const next of units) {
-    size += padded(next) * (1 + width);
-    width = next;
-  }
-  return size;
 }

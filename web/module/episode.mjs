@@ -47,6 +47,7 @@ export class Episode extends Capsule {
       throw new RangeError(`seed must be left out: ${name} draws nothing`);
     this.#recording = recordings ? recordingOf(recordings[set], plant) : null;
     this.#action = 0;
+    this.#started.view.network_memory.fill(0);
     if (this.draws && (frozen || seed !== undefined)) first.seed = seed ?? own;
     return super.reset(first);
   }
@@ -58,13 +59,21 @@ export class Episode extends Capsule {
   }
 
   /** The whole state, including the driver's. */
-  snapshot() { return {...super.snapshot(), action: this.#action, recording: this.#recording}; }
+  snapshot() {
+    const driver = {
+      action: this.#action,
+      recording: this.#recording,
+      memory: this.#started.view.network_memory.slice()
+    };
+    return {...super.snapshot(), ...driver};
+  }
 
   /** Restores the state, including the driver's. */
   restore(snapshot) {
     super.restore(snapshot);
     this.#action = snapshot.action;
     this.#recording = snapshot.recording;
+    this.#started.view.network_memory.set(snapshot.memory);
   }
 
   /** The start on a plant of a frozen set, with other jumps if given. */
@@ -85,7 +94,7 @@ export class Episode extends Capsule {
 
   #choose() {
     const {address, core} = this.#started;
-    if (this.#driver.network) return core.act(address.network);
+    if (this.#driver.network) return core.act(address.network, address.network_memory);
     if (this.#recording) return HEADER.torques[this.#recording[this.info.steps]];
     return 0;
   }
