@@ -2,15 +2,17 @@
 
 import ctypes
 import json
+import os
+import shutil
 
 import numpy as np
 import pytest
 
 from capsule_gym import CapsuleVectorEnv, load_policy
 from capsule_gym.export.exported import Exported
-from tests.capsule_gym.export.test_export import C99, run
+from tests.capsule_gym.export.test_export import C99, CROSS_COMPILER, QEMU, START, run
 from tests.capsule_gym.policies.test_policy import POLICY
-from tests.capsule_gym.policies.test_recurrent import recurrent_policy
+from tests.capsule_gym.policies.test_recurrent import Network, converted, recurrent_policy
 
 EPISODES = 100
 STEPS = 100
@@ -114,3 +116,56 @@ def test_a_model_says_what_it_takes(path):
         "torque_limit": 1.5,
         "observation": ["theta", "theta_dot", "x_dot", "stick", "last_action"],
     }
+
+
+COUNT_CALLS = """
+#include "policy.h"
+#include <stdio.h>
+#define TIMER ((volatile uint32_t *)0xE000E010)
+float act(NAME_memory *memory, const float *observation) { return NAME_act(memory, observation); }
+#ifdef COUNT
+int main(void) {
+  static NAME_memory memory;
+  static float observation[NAME_ENTRIES];
+  uint32_t instructions = 0;
+  TIMER[1] = 0xFFFFFF;
+  TIMER[0] = 5;
+  for (int i = 0; i < 20; i++) {
+    uint32_t begin;
+    observation[0] = 0.05f * (float)i - 0.5f;
+    begin = TIMER[2];
+    act(&memory, observation);
+    instructions += ((begin - TIMER[2]) & 0xFFFFFF) * 40;
+  }
+  printf("%u instructions\\n", (unsigned)(instructions / 20));
+  return 0;
+}
+#endif
+"""
+
+
+@pytest.mark.skipif(
+    shutil.which("qemu-system-arm") is None and "CI" not in os.environ,
+    reason="needs qemu-system-arm",
+)
+@pytest.mark.parametrize(
+    ("units", "most_bytes", "most_instructions"), [(64, 122_000, 180_000), (96, 256_000, 360_000)]
+)
+def test_size_and_time_on_a_cortex_m4(units, most_bytes, most_instructions, tmp_path):
+    """A layer and a GRU of as many units, and a head of 64 units, in float."""
+    options = {"skip": True, "activation": "tanh", "squashing": "tanh"}
+    policy = converted(Network("gru", units, [units], [64], **options))
+    policy.save(tmp_path / POLICY)
+    exported = Exported(str(tmp_path / POLICY))
+    (tmp_path / "policy.h").write_text(exported.c(single=True))
+    source = tmp_path / "count.c"
+    source.write_text(COUNT_CALLS.replace("NAME", exported.name))
+    run(*CROSS_COMPILER, "-c", source, "-o", tmp_path / "act.o")
+    size = int(run("arm-none-eabi-size", tmp_path / "act.o").split()[6])
+    program = tmp_path / "program"
+    run(*CROSS_COMPILER, "-DCOUNT", *START, source, "-o", program, "-lm")
+    output = run(*QEMU, "-icount", "shift=0", "-kernel", program)
+    instructions = int(output.split()[0])
+    print(f"{units} units: {size} bytes, {instructions} instructions")
+    assert size <= most_bytes
+    assert instructions <= most_instructions
