@@ -9,7 +9,7 @@ import pytest
 from capsule_gym import CapsuleEnv, Disturbances, load_policy
 from capsule_gym.evaluation.sets import SET_NAMES, load_set
 from tests import ROOT
-from tests.capsule_gym.policies.test_recurrent import recurrent_policy
+from tests.capsule_gym.policies.test_recurrent import recurrent_policy, vectors
 from web import build, data, episodes
 
 COMMITTED = episodes.committed_episodes()
@@ -150,17 +150,20 @@ def test_a_recurrent_policy_has_the_bits_of_python(node, kind):
         run(8);
         episode.restore(snapshot);
         run(8);
-        show(actions);
+        show([actions, [...episode.memory]]);
     """
     env = CapsuleEnv(**policy.env_kwargs)
     observation, _ = env.reset(options={"M": 0.6, "mu": 0.02})
-    act = policy.start([0])
+    state = None
     expected = []
     for _ in range(12):
-        action = act(observation)
+        action, state = policy.predict(observation, state)
         expected.append(float(action[0]))
         observation, *_ = env.step(action)
-    assert node(code) == expected + expected[:4] + 2 * expected[4:]
+    (units,) = vectors(state, policy)[0]
+    actions, memory = node(code)
+    assert actions == expected + expected[:4] + 2 * expected[4:]
+    assert memory == units.tolist()
 
 
 def test_drivers_show_an_added_policy_without_its_network(node, mine):
@@ -422,6 +425,13 @@ def test_tasks_have_pythons_observations_and_metrics(node, task, options, distur
     assert len(finite) >= 14
     for name in finite:
         assert found[name] == metrics[name], name
+
+
+def test_the_light_theme_defines_every_colour():
+    style = build.build_style()
+    light = style[: style.index("@media")]
+    defined = re.findall(r"(--[\w-]+):", light)
+    assert set(re.findall(r"var\((--[\w-]+)\)", style)) <= set(defined)
 
 
 def test_types_declare_what_there_is(node):

@@ -6,6 +6,8 @@ from urllib.parse import parse_qsl
 
 import pytest
 
+from tests.capsule_gym.policies.test_recurrent import recurrent_policy
+from web.data import describe_policy
 from web.episodes import committed_episodes
 
 # .ci/run installs the first browser if none is present.
@@ -284,6 +286,54 @@ def test_what_is_wrong_in_a_link_is_shown(open_page):
         page.evaluate(follow, scene)
         page.wait_for_function(shown, arg=words)
         assert page.locator("#trouble").is_visible()
+
+
+ADD_DRIVER = """async (driver) => {
+    const { addDriver } = await import("capsule.mjs");
+    addDriver(driver);
+}"""
+# The number of different columns with blue or orange pixels; text and lines are grey.
+MEMORIES = """() => {
+    const canvas = document.getElementById("memory");
+    const { width, height } = canvas;
+    const copy = new OffscreenCanvas(width, height).getContext("2d");
+    copy.fillStyle = "white";
+    copy.fillRect(0, 0, width, height);
+    copy.drawImage(canvas, 0, 0);
+    const { data } = copy.getImageData(0, 0, width, height);
+    const columns = new Set();
+    for (let x = 0; x < width; x++) {
+        const pixels = Array.from({ length: height }, (_, y) => 4 * (y * width + x));
+        const hues = pixels.map((at) => data[at] - data[at + 2]);
+        if (hues.some((hue) => Math.abs(hue) > 40)) columns.add(hues.join());
+    }
+    return columns.size;
+}"""
+
+
+def follow(page, scene):
+    page.evaluate("scene => { location.hash = scene; }", scene)
+
+
+def test_the_memory_of_a_recurrent_policy_is_drawn_over_time(open_page):
+    without = "#driver=direct-ppo&M=0.5&mu=0.01&t=0.2"
+    page = open_page(without)
+    shows(page, "figure-time", "0.20")
+    memory = page.locator("#memory")
+    assert memory.is_hidden()
+    policy = recurrent_policy("gru")
+    described = describe_policy("mine", policy)
+    described["network"] = policy._network.tolist()
+    page.evaluate(ADD_DRIVER, described)
+    page.select_option("#span", "5")
+    for steps in (10, 30):
+        follow(page, f"#driver=mine&M=0.5&mu=0.01&t={steps * 0.02:g}")
+        memory.wait_for()
+        page.wait_for_function(f"({MEMORIES})() >= {steps - 2}")
+        assert page.evaluate(MEMORIES) <= steps + 2
+    check_no_error(page)
+    follow(page, without)
+    memory.wait_for(state="hidden")
 
 
 def test_check_replays_the_committed_episodes(open_page):

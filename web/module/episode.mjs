@@ -3,6 +3,7 @@ import {Capsule} from "./capsule.mjs";
 import {checkChoice, checkCount, checkFields} from "./checks.mjs";
 import {startCore} from "./core.mjs";
 import {DRIVERS, drivers, networkOf, optionsOf, recordingOf} from "./drivers.mjs";
+import {memoryUnits} from "./network.mjs";
 import {
   checkOptions,
   controllers,
@@ -32,6 +33,12 @@ export class Episode extends Capsule {
 
   /** The driver's last action. */
   get action() { return this.#action; }
+
+  /** A copy of the units of the driver's recurrent cell; empty without one. */
+  get memory() {
+    const {network, network_memory} = this.#started.view;
+    return network_memory.slice(0, memoryUnits(network));
+  }
 
   /** Begins an episode. */
   reset({set, plant, seed, ...options} = {}) {

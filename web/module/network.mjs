@@ -35,6 +35,9 @@ export function networkSize(network, entries) {
   return size;
 }
 
+/** Returns the number of units of a network's cell; 0 without one. */
+export function memoryUnits(network) { return readHeader(network).units ?? 0; }
+
 /** Returns the length of the memory of a network: h, and for an LSTM c, each padded. */
 export function memorySize(network) {
   const {gates, units} = readHeader(network);

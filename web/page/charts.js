@@ -132,13 +132,8 @@ class Plot {
   }
 }
 
-/** One curve per lane over time, with the driver's stick and slip behind them. */
-export class TimeChart extends Plot {
-  constructor(canvas, curve, changed) {
-    super(canvas, changed);
-    this.curve = curve;
-  }
-
+/** A chart over time: `vertical` gives the range of its other axis, `plot` draws what it shows. */
+export class Timeline extends Plot {
   /**
    * @param {Lane[]} lanes the driver's and, if any, the rival's.
    * @param {number} now s.
@@ -146,14 +141,10 @@ export class TimeChart extends Plot {
    */
   draw(lanes, now, span) {
     const low = span ? Math.max(0, now - span) : 0;
-    this.frame({low, high: low + (span || END)}, range(this.curve, lanes));
+    this.frame({low, high: low + (span || END)}, this.vertical(lanes));
     this.labelSeconds(span);
     this.clip();
-    this.shade(lanes[0]);
-    for (const lane of lanes.toReversed()) {
-      this.path(lane);
-      this.strokeCurve(lane !== lanes[0]);
-    }
+    this.plot(lanes);
     this.line(now);
     this.sheet.context.restore();
   }
@@ -164,6 +155,31 @@ export class TimeChart extends Plot {
     for (let t = Math.ceil(low / step) * step; t <= high; t += step) {
       const x = this.x(t);
       if (x > this.left + 8 && x < this.right - 8) this.label(`${t} s`, x);
+    }
+  }
+
+  /** The shown steps of a lane, and how many of them share a pixel column. */
+  shownSteps(lane) {
+    const {first, last} = within(lane, this.across.low, this.across.high);
+    const each = Math.max(1, Math.floor(1 / (lane.dt * this.perValue)));
+    return {first: first - (first % each), last, each};
+  }
+}
+
+/** One curve per lane over time, with the driver's stick and slip behind them. */
+export class TimeChart extends Timeline {
+  constructor(canvas, curve, changed) {
+    super(canvas, changed);
+    this.curve = curve;
+  }
+
+  vertical(lanes) { return range(this.curve, lanes); }
+
+  plot(lanes) {
+    this.shade(lanes[0]);
+    for (const lane of lanes.toReversed()) {
+      this.path(lane);
+      this.strokeCurve(lane !== lanes[0]);
     }
   }
 
@@ -190,10 +206,9 @@ export class TimeChart extends Plot {
     const {context} = this.sheet;
     const {channel, factor} = this.curve;
     const values = lane.trace[channel];
-    const {first, last} = within(lane, this.across.low, this.across.high);
-    const each = Math.max(1, Math.floor(1 / (lane.dt * this.perValue)));
+    const {first, last, each} = this.shownSteps(lane);
     context.beginPath();
-    for (let begin = first - (first % each); begin <= last; begin += each) {
+    for (let begin = first; begin <= last; begin += each) {
       const column = values.subarray(begin, Math.min(begin + each, last + 1));
       const low = Math.min(...column);
       const high = Math.max(...column);

@@ -4,6 +4,7 @@ import {constants} from "capsule.mjs";
 import {CURVES, PhasePortrait, TimeChart} from "charts.js";
 import {addRow, announce, element, on, sayValue, setText, show} from "elements.js";
 import {showBest} from "hand.js";
+import {MemoryStrip} from "memory.js";
 import {written} from "numbers.js";
 import {END, hasRecorded, ONLY_FROZEN} from "scene.js";
 import {handFailed, hasFailed, player, redraw, reduced, scene, seek, writeLink} from "session.js";
@@ -30,6 +31,7 @@ const MEASURES = [
 export const stage = new Stage(element("scene"), redraw);
 const contacts = [new Contact(), new Contact()];
 const charts = makeCharts();
+const strip = makeStrip();
 let drawings = 0;
 let span = reduced.matches ? 0 : 10;
 let announced = "";
@@ -52,11 +54,20 @@ function makePortrait() {
   return new PhasePortrait(canvas, redraw);
 }
 
-/** Adds a chart to the page; a click on it seeks the time there. */
 function makeTimeChart(curve) {
   const canvas = addCanvas(titled(curve.title, curve.unit));
-  const chart = new TimeChart(canvas, curve, redraw);
-  canvas.addEventListener("click", (event) => {
+  return bindSeek(new TimeChart(canvas, curve, redraw));
+}
+
+function makeStrip() {
+  const canvas = addCanvas("Memory (first policy): units, −1 blue to 1 orange");
+  canvas.id = "memory";
+  return bindSeek(new MemoryStrip(canvas, redraw));
+}
+
+/** Has a click on a chart seek the time there; returns the chart. */
+function bindSeek(chart) {
+  chart.sheet.canvas.addEventListener("click", (event) => {
     seek(chart.value(event.offsetX));
     writeLink();
   });
@@ -114,7 +125,10 @@ export function draw() {
 
 function drawCharts() {
   drawings += 1;
-  for (const [index, chart] of charts.entries()) {
+  const remembers = player.lanes[0].units > 0;
+  strip.sheet.canvas.parentElement.hidden = !remembers;
+  const drawn = remembers ? [...charts, strip] : charts;
+  for (const [index, chart] of drawn.entries()) {
     // While playing, charts are drawn in every second frame, half of them in each.
     const due = chart.sheet.seen && (index + drawings) % 2 === 0;
     if (due || !player.playing) chart.draw(player.lanes, player.now, span);

@@ -27,6 +27,8 @@ class Hand {
     this.live = 0;
     this.action = 0;
     this.helped = false;
+    /** As of an episode whose driver has no recurrent cell. */
+    this.memory = new Float64Array(0);
     /** The direction in which the helper says to push: 1 is to the left. */
     this.turn = 1;
   }
@@ -90,6 +92,9 @@ export class Lane {
     this.failure = "";
     this.trace =
       Object.fromEntries(CHANNELS.map((name) => [name, new Float64Array(this.horizon + 1)]));
+    /** Number of units of the driver's memory; their values follow each other step by step. */
+    this.units = driver.memory.length;
+    this.trace.memory = new Float64Array((this.horizon + 1) * this.units);
     /** Lowest and highest value so far, per channel. */
     this.extent = Object.fromEntries(CHANNELS.map((name) => [name, [Infinity, -Infinity]]));
     this.metrics = new Array(this.horizon + 1);
@@ -173,6 +178,7 @@ export class Lane {
       const [low, high] = this.extent[name];
       this.extent[name] = [Math.min(low, value), Math.max(high, value)];
     }
+    this.trace.memory.set(this.driver.memory, this.steps * this.units);
     this.metrics[this.steps] = metrics;
   }
 
