@@ -90,8 +90,8 @@ def build_style() -> str:
     """The style sheet; colours are properties, for example --ink for the renderer's INK."""
     colours = dict(FIGURE_COLOURS)
     for name, value in vars(renderer).items():
-        if name.isupper() and isinstance(value, tuple) and len(value) == 3:
-            colours[name] = "#" + bytes(value).hex()
+        if name.isupper() and isinstance(value, str) and value.startswith("#"):
+            colours[name] = value
     style = ":root {\n"
     for name, colour in colours.items():
         css_name = name.lower().replace("_", "-")

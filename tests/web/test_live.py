@@ -387,6 +387,13 @@ def test_tasks_have_pythons_observations_and_metrics(node, task, options, distur
         assert found[name] == metrics[name], name
 
 
+def test_the_light_theme_defines_every_colour():
+    style = build.build_style()
+    light = style[: style.index("@media")]
+    defined = re.findall(r"(--[\w-]+):", light)
+    assert set(re.findall(r"var\((--[\w-]+)\)", style)) <= set(defined)
+
+
 def test_types_declare_what_there_is(node):
     types = (ROOT / "web/capsule.d.mts").read_text("utf-8")
     declared = re.findall(r"^export (?:class|function|const) (\w+)", types, re.MULTILINE)
