@@ -139,6 +139,9 @@ def evaluate(
     # Imported here, since the import is slow and --help does not need it.
     from joblib import Parallel, delayed
 
+    # A set keeps its hash: computed while a thread pickles the set for another process, it would
+    # change what is pickled.
+    hash_of = {each.name: each.hash for each in sets}
     sets_of: dict[str, list[EvaluationSet]] = {}
     work = []
     for candidate in candidates:
@@ -151,7 +154,7 @@ def evaluate(
     bar = iter(tqdm(results, "evaluating", len(work), file=sys.stderr, disable=None))
     for candidate in candidates:
         runs = [next(bar) for _ in candidate.policies]
-        hashes = {each.name: each.hash for each in sets_of[candidate.name]}
+        hashes = {each.name: hash_of[each.name] for each in sets_of[candidate.name]}
         scores = {name: np.stack([run[name] for run in runs], axis=1) for name in hashes}
         header = static_header(candidate)
         header |= {"metrics": columns(candidate.task), "sets": hashes, "versions": versions()}
