@@ -10,7 +10,7 @@ from capsule_gym import CapsuleVectorEnv, load_policy
 from capsule_gym.export.exported import Exported
 from tests.capsule_gym.export.test_export import C99, run
 from tests.capsule_gym.policies.test_policy import POLICY
-from tests.capsule_gym.policies.test_recurrent import recurrent_policy
+from tests.capsule_gym.policies.test_recurrent import TRAINED, recurrent_policy
 
 EPISODES = 100
 STEPS = 100
@@ -30,11 +30,18 @@ void act(const float *o, float *a) {
 
 @pytest.fixture(
     scope="module",
-    params=[("gru", 64, True, "tanh"), ("lstm", 33, False, "clip"), ("gru", 5, False, "clip")],
-    ids=["gru", "lstm", "small"],
+    params=[
+        ("gru", 64, True, "tanh"),
+        ("lstm", 33, False, "clip"),
+        ("gru", 5, False, "clip"),
+        None,
+    ],
+    ids=["gru", "lstm", "small", "trained"],
 )
 def path(request, tmp_path_factory):
     """The file of a policy."""
+    if request.param is None:
+        return TRAINED
     kind, units, skip, squashing = request.param
     path = tmp_path_factory.mktemp("policy") / POLICY
     recurrent_policy(kind, units, skip=skip, squashing=squashing).save(path)
