@@ -66,6 +66,8 @@ TEXTS = ("algorithm", "activation", "squashing", "revision")
 VALUES = ("clip", "epsilon", "env_kwargs", "training_seed")
 # The algorithm of policies that imitate others, without a reward.
 IMITATION = "dagger"
+# Algorithms whose names in tables are not in capitals.
+TITLES = {IMITATION: "DAgger", "recurrentppo": "Recurrent PPO"}
 CHOICES = {"activation": ("tanh", "relu"), "squashing": ("clip", "tanh")}
 # Of a recurrent cell: its sums for several environments lie on the stack.
 MOST_CELL_UNITS = 512
@@ -348,7 +350,7 @@ class Policy:
             action = f"a residual torque of up to {limit:g} N m on `{options.controller}`"
             if options.total_torque:
                 action += ", as total torque"
-        algorithm = "DAgger" if self.algorithm == IMITATION else self.algorithm.upper()
+        algorithm = TITLES.get(self.algorithm, self.algorithm.upper())
         return f"{algorithm}, {action}, trained with randomization {options.randomization}"
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
@@ -400,9 +402,9 @@ class Policy:
         Returns:
             The function from observations (episodes, entries) to actions (episodes, 1), or from
             (entries,) of a single episode to (1,). Call it once per step. Its optional argument
-            `starts`, bool of shape (episodes,), says which episodes begin with this step: their
-            memory is cleared. It is not needed where all episodes begin together, with the first
-            call. It raises the same ValueError as the policy.
+            `starts`, bool of shape (episodes,), says which episodes begin with these observations:
+            their memory is cleared. It is not needed where all episodes begin together, with the
+            first call. It raises the same ValueError as the policy.
         """
         memory = native.aligned_zeros((len(seeds), self.memory_size))
 
