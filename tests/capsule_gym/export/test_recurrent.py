@@ -5,8 +5,12 @@ import json
 
 import numpy as np
 import pytest
+import torch
+from torch import nn
 
-from capsule_gym import CapsuleVectorEnv, load_policy
+from capsule_gym import CapsuleVectorEnv, Policy, load_policy
+from capsule_gym.envs.config import EnvConfig
+from capsule_gym.envs.contract import entries_of
 from capsule_gym.export.exported import Exported
 from tests.capsule_gym.export.test_export import C99, run
 from tests.capsule_gym.policies.test_policy import POLICY
@@ -95,6 +99,22 @@ def test_the_test_program_of_a_policy_passes(path, single, tmp_path):
     program = tmp_path / "program"
     run("gcc", *C99, "-O2", tmp_path / "test.c", "-o", program, "-lm")
     assert ": 0 of " in run(program)
+
+
+@pytest.mark.parametrize("cell", [nn.GRU, nn.LSTM])
+def test_the_test_program_of_a_policy_on_a_law_passes(cell, tmp_path):
+    # The memories of policy, law and filter are in one struct.
+    env_kwargs = {"controller": "baselines:adaptive", "observe_estimates": True}
+    entries = len(entries_of(EnvConfig(**env_kwargs)))
+    torch.manual_seed(0)
+    network = nn.Sequential(nn.Linear(entries, 7), nn.Tanh(), cell(7, 9), nn.Linear(9, 1))
+    Policy.from_torch(network, env_kwargs=env_kwargs).save(tmp_path / POLICY)
+    exported = Exported(str(tmp_path / POLICY), law=True)
+    (tmp_path / "policy.h").write_text(exported.c())
+    (tmp_path / "test.c").write_text(exported.c_test("policy.h"))
+    program = tmp_path / "program"
+    run("gcc", *C99, "-O2", tmp_path / "test.c", "-o", program, "-lm")
+    assert ": 0 of 2000 periods differ" in run(program)
 
 
 @pytest.mark.parametrize(("single", "tolerance"), [(False, 1e-9), (True, 1e-5)])

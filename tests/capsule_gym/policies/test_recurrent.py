@@ -17,6 +17,8 @@
     Policy.from_sb3(model.learn(200_000)).save("recurrent-ppo/policy.safetensors")
 """
 
+import copy
+import pickle
 from functools import partial
 from pathlib import Path
 
@@ -171,6 +173,14 @@ def test_whole_episodes_in_the_core_are_those_of_a_loop(policy):
     in_core = capsule_gym.evaluate(policy, "paper")
     in_python = capsule_gym.evaluate(InPython(), "paper")
     assert [each["distance"] for each in in_core] == [each["distance"] for each in in_python]
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda made: pickle.loads(pickle.dumps(made))])
+def test_a_copy_acts_as_the_policy(policy, copied):
+    acts = [each.start(range(3)) for each in (policy, copied(policy))]
+    for values in observations(5, 3):
+        one, other = (act(values) for act in acts)
+        assert one.tobytes() == other.tobytes()
 
 
 def test_starts_clears_the_memory_of_the_episodes_that_begin(policy):
