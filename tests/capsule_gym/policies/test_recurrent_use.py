@@ -3,13 +3,15 @@
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
+from sb3_contrib import RecurrentPPO
 
 import capsule_gym
-from capsule_gym import CapsuleEnv, CapsuleVectorEnv, demo, load_policy, record
+from capsule_gym import CapsuleEnv, CapsuleVectorEnv, Policy, demo, load_policy, record
 from capsule_gym.core.layout import Row
 from capsule_gym.evaluation.candidates import find_candidate
 from capsule_gym.evaluation.sets import EvaluationSet, load_set
 from capsule_gym.policies.rollout import rollout
+from capsule_gym.sb3 import CapsuleSB3VecEnv
 from capsule_gym.tasks.task import CONTROL_DT, TORQUE_LIMIT
 from tests.capsule_gym.policies.test_recurrent import TRAINED, recurrent_policy
 
@@ -52,6 +54,19 @@ def test_evaluate_passes_the_state_of_predict():
 
     episodes = capsule_gym.evaluate(WithPredict(), PLANTS, horizon=SECONDS)
     assert distances(episodes) == expected_distances(policy)
+
+
+def test_evaluate_takes_an_agent_of_sb3_contrib():
+    model = RecurrentPPO("MlpLstmPolicy", CapsuleSB3VecEnv(1), seed=1, device="cpu")
+    # Without training the actions are almost 0.
+    model.policy.action_net.weight.data *= 50.0
+    found, expected = (
+        [episode["rms_torque"] for episode in capsule_gym.evaluate(policy, PLANTS, horizon=1.0)]
+        for policy in (model, Policy.from_sb3(model))
+    )
+    assert min(expected) > 1e-3
+    # The agent computes in float32.
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
 
 
 def test_the_policy_has_learnt_to_move():
