@@ -1,4 +1,7 @@
-"""Random changes of policy files: a ValueError names the file, or the policy acts (`make fuzz`)."""
+"""Random policy files and arguments of policies: an error names them, or the policy acts.
+
+`make fuzz` tries many.
+"""
 
 import json
 from functools import cache, partial
@@ -7,12 +10,20 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays as arrays_of
+from hypothesis.extra.numpy import scalar_dtypes
 from safetensors.numpy import load, save
 
 from capsule_gym import load_policy
 from capsule_gym.policies.policy import POLICY, TEXTS, VALUES
 from tests.capsule_gym.policies.test_policy import make_policy
 from tests.capsule_gym.policies.test_recurrent import TRAINED, recurrent_policy
+from tests.capsule_gym.test_arguments import anything, taken
+
+# numpy may warn of imaginary parts, and of numbers beyond float32, before an argument is refused.
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::numpy.exceptions.ComplexWarning", "ignore:overflow encountered in cast"
+)
 
 LARGEST = float(np.finfo(np.float32).max)
 POLICIES = {
@@ -159,3 +170,33 @@ def test_cells_of_other_sizes(name, units, inputs, gates, value, content, path):
     changes = {key: np.full(shape, value, np.float32) for key, shape in shapes.items()}
     check(path, save({**load(whole), **changes}, metadata))
     assert load_policy(path).memory_size >= units
+
+
+SHOWN = np.full((3, 5), 0.1, np.float32)
+
+
+@pytest.fixture(scope="module")
+def made():
+    """A recurrent policy with 12 units."""
+    return recurrent_policy("lstm")
+
+
+@given(observations=anything | arrays_of(scalar_dtypes(), (3, 5)))
+def test_observations(observations, made):
+    act = made.start(range(3))
+    actions = taken(("observations?",), act, observations=observations)
+    assert actions is None or np.isfinite(actions).all()
+    found = taken(("observation",), made.predict, observation=observations)
+    assert found is None or np.isfinite(found[0]).all()
+
+
+@given(starts=anything | arrays_of(bool, 3))
+def test_starts(starts, made):
+    taken(("starts",), made.start(range(3)), observations=SHOWN, starts=starts)
+    taken(("episode_start",), made.predict, observation=SHOWN, episode_start=starts)
+
+
+@given(state=anything | st.tuples(anything) | st.tuples(arrays_of(scalar_dtypes(), (3, 32))))
+def test_states(state, made):
+    found = taken(("state",), made.predict, observation=SHOWN, state=state)
+    assert found is None or np.isfinite(found[0]).all()

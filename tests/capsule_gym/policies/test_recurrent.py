@@ -234,8 +234,11 @@ def test_predict_refuses_random_actions_and_foreign_states():
     values = observations(1, 2)[0]
     with pytest.raises(ValueError, match="deterministic must be True"):
         policy.predict(values, deterministic=False)
-    with pytest.raises(ValueError, match="state must be None or a tuple of an array"):
-        policy.predict(values, (np.zeros((2, 3)),))
+    for foreign in ((np.zeros((2, 3)),), (np.full((2, 16), np.inf),), ("a", "b"), 1.0):
+        with pytest.raises(ValueError, match="state must be None or a tuple of an array"):
+            policy.predict(values, foreign)
+    with pytest.raises(ValueError, match="episode_start must be an array of bool"):
+        policy.predict(values, episode_start=np.ones(3, bool))
 
 
 @each_cell
