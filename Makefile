@@ -95,8 +95,9 @@ reproduce: $(STAMP)  ## Train one run of each row and compare it with the publis
 regression: $(STAMP)  ## Fail if a ratio of speeds is below its floor
 	$(BIN)/python -m benchmarks.throughput
 
-fuzz: $(STAMP)  ## Call the environments with random and invalid arguments; fail on an unexpected error
-	$(BIN)/python -m pytest -n 2 --hypothesis-profile fuzz tests/capsule_gym/test_arguments.py
+FUZZ := tests/capsule_gym/test_arguments.py tests/capsule_gym/policies/test_fuzz.py
+fuzz: $(STAMP)  ## Try random arguments of the environments and random policy files; fail on an unexpected error
+	$(BIN)/python -m pytest -n 2 --hypothesis-profile fuzz $(FUZZ)
 
 bits-check: $(STAMP)  ## Compare whole episodes with the committed hashes, one seed of each trained policy
 	$(BIN)/python -m tests.bits --first-seeds

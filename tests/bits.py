@@ -24,9 +24,11 @@ from capsule_gym import Capsule, CapsuleVectorEnv, Disturbances, policy_names
 from capsule_gym.command_line import command
 from capsule_gym.control.laws import LAWS
 from capsule_gym.files import write_atomically
+from capsule_gym.policies.network import Cell
 from capsule_gym.tasks.task import CONTROL_DT, HORIZON
 
 FILE = Path(__file__).with_name("bits.json")
+RECURRENT = Path(__file__).parent / "capsule_gym" / "policies" / "recurrent-ppo"
 # One more than fills registers of any width.
 NUM_ENVS = 65
 # A random torque is held for so many steps; otherwise nothing would move.
@@ -119,6 +121,27 @@ def laws():
     yield law("gait broad", "gait", randomization="broad")
 
 
+def recurrent():
+    """Yields a trained LSTM, and a GRU with random weights next to a feedback of the state."""
+    trained = capsule_gym.load_policy(RECURRENT)
+    yield Subject(f"policy {trained.name}", trained.env_kwargs, trained.start)
+    draws = np.random.default_rng(3)
+
+    def weights(*shape):
+        return (2.0 * draws.random(shape) - 1.0).astype(np.float32)
+
+    cell = Cell(weights(33, 7), weights(33, 11), weights(33), weights(33))
+    feedback = np.array([[-1.0, 0.02, 0.0, 0.0, 0.0]], np.float32)
+    last = np.concatenate([0.1 * weights(1, 11), feedback], axis=1)
+    made = replace(
+        trained,
+        layers=((weights(7, 5), weights(7)),),
+        cell=cell,
+        head=((last, np.full(1, 0.1, np.float32)),),
+    )
+    yield Subject("policy gru", {"randomization": "wide"}, made.start)
+
+
 def subjects():
     """Yields all subjects."""
     yield from plants()
@@ -130,6 +153,7 @@ def subjects():
     for name in policy_names(seeds=True):
         trained = capsule_gym.load_policy(name)
         yield Subject(f"policy {name}", trained.env_kwargs, trained.start)
+    yield from recurrent()
 
 
 def compute(subject):

@@ -175,7 +175,9 @@ class Candidate:
         options = EnvConfig(**self.trained[0].env_kwargs)
         senses = "state, stick"
         told = "nothing"
-        if options.stack_size > 1:
+        if self.trained[0].cell:
+            senses += " of all steps"
+        elif options.stack_size > 1:
             senses += f" of {options.stack_size} steps"
         if self.base:
             senses += ", law"

@@ -66,9 +66,13 @@ TEXTS = ("algorithm", "activation", "squashing", "revision")
 VALUES = ("clip", "epsilon", "env_kwargs", "training_seed")
 # The algorithm of policies that imitate others, without a reward.
 IMITATION = "dagger"
+# Algorithms whose names in tables are not in capitals.
+TITLES = {IMITATION: "DAgger", "recurrentppo": "Recurrent PPO"}
 CHOICES = {"activation": ("tanh", "relu"), "squashing": ("clip", "tanh")}
 # Of a recurrent cell: its sums for several environments lie on the stack.
 MOST_CELL_UNITS = 512
+# Largest size of a number in a memory: those of an LSTM grow by at most 1 in a step.
+LARGEST_STATE = 1e9
 # Within these limits no float32 weights give a sum beyond float64, and no finite observation gives
 # a NaN.
 MOST_LAYERS = 6
@@ -348,7 +352,7 @@ class Policy:
             action = f"a residual torque of up to {limit:g} N m on `{options.controller}`"
             if options.total_torque:
                 action += ", as total torque"
-        algorithm = "DAgger" if self.algorithm == IMITATION else self.algorithm.upper()
+        algorithm = TITLES.get(self.algorithm, self.algorithm.upper())
         return f"{algorithm}, {action}, trained with randomization {options.randomization}"
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
@@ -371,8 +375,8 @@ class Policy:
             )
         return self._act(observation, None)
 
-    def _act(self, observation: np.ndarray, memory: np.ndarray | None) -> np.ndarray:
-        """The actions for observations; renews the memory, shape (n, memory_size), of a batch."""
+    def _read_observation(self, observation: Any) -> np.ndarray:
+        """A valid observation, shape (entries,), or a batch, shape (n, entries), as float32."""
         try:
             array = np.require(observation, np.float32, ["C", "A"])
         except (TypeError, ValueError, OverflowError) as error:
@@ -382,6 +386,11 @@ class Policy:
         if not has_shape or not np.isfinite(array).all():
             accepted = f"finite and of shape ({self.entries},) or (n, {self.entries})"
             raise ValueError(f"observation must be {accepted}, got {short_repr(observation)}")
+        return array
+
+    def _act(self, observation: np.ndarray, memory: np.ndarray | None) -> np.ndarray:
+        """The actions for observations; renews the memory, shape (n, memory_size), of a batch."""
+        array = self._read_observation(observation)
         rows = array.reshape(-1, self.entries)
         if memory is not None and len(rows) != len(memory):
             accepted = f"one row for each of {len(memory)} episodes"
@@ -400,15 +409,15 @@ class Policy:
         Returns:
             The function from observations (episodes, entries) to actions (episodes, 1), or from
             (entries,) of a single episode to (1,). Call it once per step. Its optional argument
-            `starts`, bool of shape (episodes,), says which episodes begin with this step: their
-            memory is cleared. It is not needed where all episodes begin together, with the first
-            call. It raises the same ValueError as the policy.
+            `starts`, bool of shape (episodes,), says which episodes begin with these observations:
+            their memory is cleared. It is not needed where all episodes begin together, with the
+            first call. It raises the same ValueError as the policy.
         """
         memory = native.aligned_zeros((len(seeds), self.memory_size))
 
         def act(observations: np.ndarray, starts: np.ndarray | None = None) -> np.ndarray:
             if starts is not None:
-                _clear(memory, starts)
+                _clear(memory, "starts", starts)
             return self._act(observations, memory)
 
         return act
@@ -437,15 +446,14 @@ class Policy:
         require(bool(deterministic), "deterministic", "True", deterministic)
         if self.cell is None:
             return self(observation), None
-        episodes = len(np.atleast_2d(observation))
+        array = self._read_observation(observation)
+        episodes = len(np.atleast_2d(array))
         memory = native.aligned_zeros((episodes, self.memory_size))
         if state is not None:
-            fits = len(state) == 1 and np.shape(state[0]) == memory.shape
-            require(fits, "state", f"None or a tuple of an array of shape {memory.shape}", state)
-            memory[:] = state[0]
+            memory[:] = _read_state(state, memory.shape)
         if episode_start is not None:
-            _clear(memory, episode_start)
-        return self._act(observation, memory), (memory,)
+            _clear(memory, "episode_start", episode_start)
+        return self._act(array, memory), (memory,)
 
     def save(self, path: str | Path) -> None:
         """Writes the policy file atomically. The same policy gives the same bytes."""
@@ -590,11 +598,26 @@ def _check_cell(cell: Cell, width: int) -> int:
     return units
 
 
-def _clear(memory: np.ndarray, starts: np.ndarray) -> None:
-    """Clears the memory of the episodes that begin."""
-    begins = np.asarray(starts)
+def _read_state(state: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """The memory in a state of `Policy.predict`."""
+    memory = state[0] if isinstance(state, tuple) and len(state) == 1 else None
+    if not isinstance(memory, np.ndarray) or memory.dtype.kind != "f":
+        memory = np.zeros(0)
+    # NaN is not within the limits.
+    fits = memory.shape == shape and bool((np.abs(memory) <= LARGEST_STATE).all())
+    accepted = f"None or a tuple of an array of shape {shape}, float, within +-{LARGEST_STATE:g}"
+    require(fits, "state", accepted, state)
+    return memory
+
+
+def _clear(memory: np.ndarray, name: str, starts: Any) -> None:
+    """Clears the memory of the episodes that begin, by the argument with this name."""
+    try:
+        begins = np.asarray(starts)
+    except (TypeError, ValueError):
+        begins = np.zeros(0)
     fits = begins.dtype == bool and begins.shape == (len(memory),)
-    require(fits, "starts", f"an array of bool of shape ({len(memory)},)", starts)
+    require(fits, name, f"an array of bool of shape ({len(memory)},)", starts)
     memory[begins] = 0.0
 
 

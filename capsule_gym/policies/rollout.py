@@ -12,7 +12,8 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
     """Runs a policy in every environment of a simulation to the end of its episode.
 
     The simulation starts from `reset`, or from where steps and rollouts have left it.
-    The results are those of a batch that is stepped with the policy, bit for bit.
+    The results are those of a batch that is stepped with the policy, bit for bit. The memory of a
+    recurrent policy is clear at the beginning of every rollout.
 
     Args:
         simulation: the simulation, which is changed.

@@ -7,12 +7,21 @@ import shutil
 
 import numpy as np
 import pytest
+import torch
+from torch import nn
 
-from capsule_gym import CapsuleVectorEnv, load_policy
+from capsule_gym import CapsuleVectorEnv, Policy, load_policy
+from capsule_gym.envs.config import EnvConfig
+from capsule_gym.envs.contract import entries_of
 from capsule_gym.export.exported import Exported
 from tests.capsule_gym.export.test_export import C99, CROSS_COMPILER, QEMU, START, run
 from tests.capsule_gym.policies.test_policy import POLICY
-from tests.capsule_gym.policies.test_recurrent import Network, converted, recurrent_policy
+from tests.capsule_gym.policies.test_recurrent import (
+    TRAINED,
+    Network,
+    converted,
+    recurrent_policy,
+)
 
 EPISODES = 100
 STEPS = 100
@@ -32,11 +41,18 @@ void act(const float *o, float *a) {
 
 @pytest.fixture(
     scope="module",
-    params=[("gru", 64, True, "tanh"), ("lstm", 33, False, "clip"), ("gru", 5, False, "clip")],
-    ids=["gru", "lstm", "small"],
+    params=[
+        ("gru", 64, True, "tanh"),
+        ("lstm", 33, False, "clip"),
+        ("gru", 5, False, "clip"),
+        None,
+    ],
+    ids=["gru", "lstm", "small", "trained"],
 )
 def path(request, tmp_path_factory):
     """The file of a policy."""
+    if request.param is None:
+        return TRAINED
     kind, units, skip, squashing = request.param
     path = tmp_path_factory.mktemp("policy") / POLICY
     recurrent_policy(kind, units, skip=skip, squashing=squashing).save(path)
@@ -90,6 +106,22 @@ def test_the_test_program_of_a_policy_passes(path, single, tmp_path):
     program = tmp_path / "program"
     run("gcc", *C99, "-O2", tmp_path / "test.c", "-o", program, "-lm")
     assert ": 0 of " in run(program)
+
+
+@pytest.mark.parametrize("cell", [nn.GRU, nn.LSTM])
+def test_the_test_program_of_a_policy_on_a_law_passes(cell, tmp_path):
+    # The memories of policy, law and filter are in one struct.
+    env_kwargs = {"controller": "baselines:adaptive", "observe_estimates": True}
+    entries = len(entries_of(EnvConfig(**env_kwargs)))
+    torch.manual_seed(0)
+    network = nn.Sequential(nn.Linear(entries, 7), nn.Tanh(), cell(7, 9), nn.Linear(9, 1))
+    Policy.from_torch(network, env_kwargs=env_kwargs).save(tmp_path / POLICY)
+    exported = Exported(str(tmp_path / POLICY), law=True)
+    (tmp_path / "policy.h").write_text(exported.c())
+    (tmp_path / "test.c").write_text(exported.c_test("policy.h"))
+    program = tmp_path / "program"
+    run("gcc", *C99, "-O2", tmp_path / "test.c", "-o", program, "-lm")
+    assert ": 0 of 2000 periods differ" in run(program)
 
 
 @pytest.mark.parametrize(("single", "tolerance"), [(False, 1e-9), (True, 1e-5)])

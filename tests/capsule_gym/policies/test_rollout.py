@@ -10,6 +10,7 @@ from capsule_gym.policies.rollout import rollout
 from capsule_gym.tasks.task import METRICS
 from tests.capsule_gym.fakes import EPISODE_ROWS
 from tests.capsule_gym.policies.test_policy import make_policy
+from tests.capsule_gym.policies.test_recurrent import TRAINED, recurrent_policy
 
 STEPS = 130
 
@@ -76,6 +77,8 @@ def on_a_law():
         partial(load_policy, "residual-ppo"),
         partial(load_policy, "dp-distilled-wide"),
         on_a_law,
+        partial(load_policy, TRAINED),
+        partial(recurrent_policy, "gru"),
     ]
 )
 def policy(request):
