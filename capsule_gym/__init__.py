@@ -12,7 +12,8 @@ from capsule_gym.envs.env import CapsuleEnv
 from capsule_gym.envs.vector_env import CapsuleVectorEnv
 from capsule_gym.identification import Excitation, Fit, Sensitivity, identify, record, sensitivity
 from capsule_gym.parameters import Capsule, Disturbances, Randomization
-from capsule_gym.policies.policy import Policy, load_policy, policy_names
+from capsule_gym.policies.loading import load_policy, policy_names
+from capsule_gym.policies.policy import Policy
 from capsule_gym.tasks.registry import TASKS
 from capsule_gym.tasks.task import ENV_ID
 

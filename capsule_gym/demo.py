@@ -22,7 +22,8 @@ from capsule_gym.evaluation.sets import (
     PlantSpec,
     load_set,
 )
-from capsule_gym.policies.policy import Policy, load_policy, policy_names, pretrained
+from capsule_gym.policies.loading import load_policy, policy_names, pretrained
+from capsule_gym.policies.policy import Policy
 from capsule_gym.policies.scripted import find_scripted, scripted_names
 from capsule_gym.rendering import FRAME_SECONDS, Renderer, write_gif
 from capsule_gym.tasks.task import HORIZON, Termination

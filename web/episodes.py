@@ -28,7 +28,7 @@ from capsule_gym.command_line import command
 from capsule_gym.core.layout import Row
 from capsule_gym.evaluation.sets import SET_NAMES, PlantSpec, load_set
 from capsule_gym.files import replacing, write_atomically
-from capsule_gym.policies.policy import policy_names
+from capsule_gym.policies.loading import policy_names
 from capsule_gym.tasks.task import EPISODE_STEPS
 
 # Number of plants of each frozen set in the module; their seeds are 0, 1, ..

@@ -18,7 +18,8 @@ from gymnasium.spaces import Dict
 from capsule_gym.checks import nearest, short_repr
 from capsule_gym.control.controller import Controller
 from capsule_gym.envs.config import EnvConfig
-from capsule_gym.policies.policy import FOLDER, Policy, load_policy
+from capsule_gym.policies.loading import FOLDER, load_policy
+from capsule_gym.policies.policy import Policy
 from capsule_gym.policies.scripted import (
     LAW_POLICIES,
     Act,

@@ -24,7 +24,7 @@ from capsule_gym.evaluation.sets import EPISODE_SETTINGS, EvaluationSet, load_se
 from capsule_gym.export.c_code import c_number, c_table, to_c
 from capsule_gym.export.onnx_model import to_onnx
 from capsule_gym.parameters import Disturbances
-from capsule_gym.policies.policy import load_policy
+from capsule_gym.policies.loading import load_policy
 from capsule_gym.tasks.registry import find_task
 
 # The templates, and the folder in which they find the operations in C that they share with the

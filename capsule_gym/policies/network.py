@@ -8,11 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from capsule_gym.checks import require
 from capsule_gym.core import _core, native
 
 Layer = tuple[np.ndarray, np.ndarray]
 # The recurrent cells by the number of their gates.
 CELLS = {3: "gru", 4: "lstm"}
+# Of a recurrent cell: its sums for several environments lie on the stack.
+MOST_CELL_UNITS = 512
 
 
 class Cell(NamedTuple):
@@ -112,3 +115,30 @@ def _pack_layer(weights: np.ndarray, bias: np.ndarray, gates: int = 1) -> list[n
     by_gate = np.pad(bias.reshape(gates, units), ((0, 0), (0, padding)))
     rows = np.pad(weights.T.reshape(-1, gates, units), ((0, 0), (0, 0), (0, padding)))
     return [by_gate, rows]
+
+
+def check_array(
+    name: str, array: np.ndarray, dtype: type, shape: tuple[int, ...], accepted: str
+) -> None:
+    """Raises an error for arrays of another dtype or shape, and for numbers that are not finite."""
+    if array.dtype != dtype or array.shape != shape:
+        wanted = f"{np.dtype(dtype).name} of shape {shape}, {accepted}"
+        got = f"{array.dtype.name} of shape {array.shape}"
+        raise ValueError(f"{name} must be {wanted}, got {got}")
+    require(bool(np.isfinite(array).all()), name, "finite", array)
+
+
+def check_cell(cell: Cell, width: int) -> int:
+    """Checks a cell that reads `width` values, and returns the number of its units."""
+    shape = cell.weight_hh.shape
+    units = shape[1] if len(shape) == 2 else 0
+    accepted = f"of 1 to {MOST_CELL_UNITS} units"
+    require(1 <= units <= MOST_CELL_UNITS, "cell.weight_hh", accepted, shape)
+    sizes = [gates * units for gates in CELLS]
+    size = shape[0] if shape[0] in sizes else sizes[0]
+    accepted = "with 3 gates for a GRU or 4 for an LSTM"
+    check_array("cell.weight_hh", cell.weight_hh, np.float32, (size, units), accepted)
+    check_array("cell.weight_ih", cell.weight_ih, np.float32, (size, width), accepted)
+    check_array("cell.bias_ih", cell.bias_ih, np.float32, (size,), accepted)
+    check_array("cell.bias_hh", cell.bias_hh, np.float32, (size,), accepted)
+    return units

@@ -17,28 +17,21 @@ fields of `Policy` by name, as text or JSON.
 """
 
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
-from functools import lru_cache
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from capsule_gym.checks import (
     check_choice,
     check_integer,
     check_number,
-    nearest,
     require,
     short_repr,
-    shortened,
 )
-from capsule_gym.control.lookup import is_own
 from capsule_gym.core import native
 from capsule_gym.envs.config import EnvConfig
 from capsule_gym.envs.contract import entries_of
@@ -50,13 +43,12 @@ from capsule_gym.policies.conversion import (
     read_agent,
     read_env_kwargs,
     read_modules,
+    sb3_revision,
     without_normalisation,
 )
-from capsule_gym.policies.network import CELLS, Cell, Layer, pack
+from capsule_gym.policies.network import Cell, Layer, check_array, check_cell, pack
 
 POLICY = "policy.safetensors"
-# The policies that come with the package.
-FOLDER = Path(__file__).parents[1] / "data" / "policies"
 FORMAT = "capsule_gym policy"
 FORMAT_VERSION = "2"
 RECURRENT_VERSION = "3"
@@ -69,8 +61,6 @@ IMITATION = "dagger"
 # Algorithms whose names in tables are not in capitals.
 TITLES = {IMITATION: "DAgger", "recurrentppo": "Recurrent PPO"}
 CHOICES = {"activation": ("tanh", "relu"), "squashing": ("clip", "tanh")}
-# Of a recurrent cell: its sums for several environments lie on the stack.
-MOST_CELL_UNITS = 512
 # Largest size of a number in a memory: those of an LSTM grow by at most 1 in a step.
 LARGEST_STATE = 1e9
 # Within these limits no float32 weights give a sum beyond float64, and no finite observation gives
@@ -78,40 +68,7 @@ LARGEST_STATE = 1e9
 MOST_LAYERS = 6
 MOST_UNITS = 1024
 SMALLEST_VARIANCE = 1e-300
-# The first bytes of an archive.
-ZIP = b"PK\3\4"
-# Largest file that is read, bytes: larger than any file within the limits above, many times larger
-# than usual.
-LARGEST_FILE = 32 * 2**20
 ENV_ARGUMENTS = tuple(each.name for each in fields(EnvConfig) if each.name not in NO_ARGUMENTS)
-
-
-def policy_names(*, seeds: bool = False) -> list[str]:
-    """The names of the policies that come with the package.
-
-    Args:
-        seeds: give the names of all their training runs instead, such as "residual-ppo/seed-2".
-    """
-    return [name for name in pretrained() if ("/" in name) is seeds]
-
-
-@lru_cache(maxsize=1)
-def pretrained() -> dict[str, Path]:
-    """The files of the policies that come with the package, by name.
-
-    Every run has a name; the plain name means the first run.
-    """
-
-    def row_and_seed(file: Path) -> tuple[str, int]:
-        row, run = file.parts[-3:-1]
-        return row, int(run.removeprefix("seed-"))
-
-    found: dict[str, Path] = {}
-    for file in sorted(FOLDER.glob(f"*/seed-*/{POLICY}"), key=row_and_seed):
-        row, run = file.parts[-3:-1]
-        found.setdefault(row, file)
-        found[f"{row}/{run}"] = file
-    return found
 
 
 class Act(Protocol):
@@ -266,7 +223,7 @@ class Policy:
             algorithm=algorithm,
             env_kwargs=read_env_kwargs(env),
             training_seed=model.seed or 0,
-            revision=f"stable-baselines3 {version('stable-baselines3')}",
+            revision=sb3_revision(),
             **found,
         )
 
@@ -306,13 +263,13 @@ class Policy:
         accepted = "one for each entry of the observation by env_kwargs"
         for name in ("mean", "variance"):
             array = getattr(self, name)
-            _check_array(f"inputs.{name}", array, np.float64, (self.entries,), accepted)
+            check_array(f"inputs.{name}", array, np.float64, (self.entries,), accepted)
         if self.cell is None:
             require(not self.head, "head", "empty without a cell", len(self.head))
             self._check_layers("layers", self.layers, self.entries, last=True)
         else:
             width = self._check_layers("layers", self.layers, self.entries, last=False)
-            width = _check_cell(self.cell, width)
+            width = check_cell(self.cell, width)
             if self.head and self.head[0][0].shape[1:] == (width + self.entries,):
                 width += self.entries
             self._check_layers("head", self.head, width, last=True)
@@ -332,8 +289,8 @@ class Policy:
         for n, (weights, bias) in enumerate(layers):
             ends = last and n == count - 1
             units = 1 if ends else min(max(1, bias.size), MOST_UNITS)
-            _check_array(f"{name}.{n}.bias", bias, np.float32, (units,), accepted)
-            _check_array(f"{name}.{n}.weight", weights, np.float32, (units, width), accepted)
+            check_array(f"{name}.{n}.bias", bias, np.float32, (units,), accepted)
+            check_array(f"{name}.{n}.weight", weights, np.float32, (units, width), accepted)
             width = units
         return width
 
@@ -490,114 +447,6 @@ def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else asdict(value)
 
 
-def _law_named(name: str) -> str:
-    """The end of the message for the name of a control law, or an empty string."""
-    from capsule_gym.control.laws import LAWS
-
-    law = name.replace("-", "_")
-    if law not in LAWS:
-        return ""
-    return f", which is a control law: gym.make(.., controller='baselines:{law}')"
-
-
-def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool = False) -> Policy:
-    """Loads a trained policy.
-
-    A policy file contains no pickled objects and no code.
-
-    Args:
-        name_or_path: a name of `policy_names()`, which is the training run with the lowest seed;
-            one run, such as "residual-ppo/seed-2"; the path of a policy file; or the folder of a
-            training run, whose best policy is loaded.
-        trust_controller: accept a policy with a control law outside this package. The environment
-            imports the law, which runs its code.
-
-    Raises:
-        TypeError: if `name_or_path` is neither a string nor a path.
-        ValueError: if there is no such policy, the file is corrupt, or it names a law that is not
-            trusted.
-    """
-    named = isinstance(name_or_path, (str, os.PathLike))
-    require(named, "name_or_path", "a policy's name or a path", name_or_path, TypeError)
-    name = str(name_or_path)
-    path = pretrained().get(name) if isinstance(name_or_path, str) else None
-    if path is None:
-        path = _find_file(name_or_path)
-        folder = path.absolute().parent
-        if folder.name == "best":
-            folder = folder.parent
-        # As `policy_names` names a row's run.
-        name = "/".join(folder.parts[-2:]) if folder.name.startswith("seed-") else folder.name
-    size = path.stat().st_size
-    if size > LARGEST_FILE:
-        limit = f"it must have at most {LARGEST_FILE} bytes, got {size}"
-        raise ValueError(f"{path} is not a policy file: {limit}")
-    with open(path, "rb") as file:
-        if file.read(len(ZIP)) == ZIP:
-            raise ValueError(
-                f"{path} is no policy file, but an archive such as Stable-Baselines3's: "
-                "Policy.from_sb3(PPO.load(..), env).save(..), with the agent's class and its "
-                "environment, makes a policy file of it"
-            )
-    try:
-        policy = _read(name, path)
-    except (SafetensorError, ValueError, TypeError, RecursionError, OverflowError) as error:
-        raise ValueError(f"{path} is not a policy file: {shortened(str(error))}") from error
-    controller = policy.env_kwargs.get("controller")
-    if not (trust_controller or is_own(controller)):
-        raise ValueError(
-            f"{path} names the control law {short_repr(controller)}, which does not come with this "
-            "package; an environment made with it runs that code: "
-            "load_policy(.., trust_controller=True) if you trust it"
-        )
-    return policy
-
-
-def _find_file(given: str | os.PathLike[str]) -> Path:
-    """The policy file with this path, or the best one in the run's folder with this path."""
-    path = Path(given)
-    # Unlike the methods of Path, these functions accept names that no file can have.
-    if os.path.isdir(path):
-        files = (path / "best" / POLICY, path / POLICY)
-        path = next(filter(Path.is_file, files), path)
-    if not os.path.isfile(path):
-        name = str(given)
-        hint = _law_named(name) or nearest(name, pretrained())
-        raise ValueError(
-            f"name_or_path must be one of {', '.join(policy_names())}, one run of it as "
-            "NAME/seed-0, or the path of a policy file or of a run's folder, which holds "
-            f"best/{POLICY} or {POLICY}, got {short_repr(name)}{hint}"
-        )
-    return path
-
-
-def _check_array(
-    name: str, array: np.ndarray, dtype: type, shape: tuple[int, ...], accepted: str
-) -> None:
-    """Raises an error for arrays of another dtype or shape, and for numbers that are not finite."""
-    if array.dtype != dtype or array.shape != shape:
-        wanted = f"{np.dtype(dtype).name} of shape {shape}, {accepted}"
-        got = f"{array.dtype.name} of shape {array.shape}"
-        raise ValueError(f"{name} must be {wanted}, got {got}")
-    require(bool(np.isfinite(array).all()), name, "finite", array)
-
-
-def _check_cell(cell: Cell, width: int) -> int:
-    """Checks a cell that reads `width` values, and returns the number of its units."""
-    shape = cell.weight_hh.shape
-    units = shape[1] if len(shape) == 2 else 0
-    accepted = f"of 1 to {MOST_CELL_UNITS} units"
-    require(1 <= units <= MOST_CELL_UNITS, "cell.weight_hh", accepted, shape)
-    sizes = [gates * units for gates in CELLS]
-    size = shape[0] if shape[0] in sizes else sizes[0]
-    accepted = "with 3 gates for a GRU or 4 for an LSTM"
-    _check_array("cell.weight_hh", cell.weight_hh, np.float32, (size, units), accepted)
-    _check_array("cell.weight_ih", cell.weight_ih, np.float32, (size, width), accepted)
-    _check_array("cell.bias_ih", cell.bias_ih, np.float32, (size,), accepted)
-    _check_array("cell.bias_hh", cell.bias_hh, np.float32, (size,), accepted)
-    return units
-
-
 def _read_state(state: Any, shape: tuple[int, ...]) -> np.ndarray:
     """The memory in a state of `Policy.predict`."""
     memory = state[0] if isinstance(state, tuple) and len(state) == 1 else None
@@ -619,50 +468,3 @@ def _clear(memory: np.ndarray, name: str, starts: Any) -> None:
     fits = begins.dtype == bool and begins.shape == (len(memory),)
     require(fits, name, f"an array of bool of shape ({len(memory)},)", starts)
     memory[begins] = 0.0
-
-
-def _layer_names(part: str, names: set[str]) -> list[tuple[str, str]]:
-    """The names of the weights and biases of a part's layers, as many as there are weights."""
-    count = sum(name.startswith(f"{part}.") and name.endswith(".weight") for name in names)
-    count = min(count, MOST_LAYERS + 1)
-    return [(f"{part}.{n}.weight", f"{part}.{n}.bias") for n in range(count)]
-
-
-def _read(name: str, path: Path) -> Policy:
-    """The policy in a file that is not too large."""
-    with safe_open(path, framework="numpy") as file:
-        metadata: dict[str, str] = file.metadata() or {}
-        known = [(FORMAT, FORMAT_VERSION), (FORMAT, RECURRENT_VERSION)]
-        found = (metadata.get("format"), metadata.get("format_version"))
-        require(found in known, "its format and format_version", f"one of {known}", found)
-        # Inputs and outputs that no policy has any more.
-        former = {"output": "action", "told_energy_weight": "false", "identifies": "false"}
-        for key, only in former.items():
-            given = metadata.get(key, only)
-            require(given == only, key, f"{only!r} in its metadata", given)
-        names = set(file.keys())
-        layers = _layer_names("layers", names)
-        head = _layer_names("head", names)
-        cell = [f"cell.{each}" for each in Cell._fields] if found == known[1] else []
-        expected = {"inputs.mean", "inputs.variance"}.union(*layers, *head, cell)
-        if names != expected:
-            wanted = f"it must contain the tensors {sorted(expected)}"
-            raise ValueError(f"{wanted}, got {short_repr(sorted(names))}")
-        arrays = {tensor: file.get_tensor(tensor) for tensor in names}
-    values: dict[str, Any] = {}
-    for key in (*TEXTS, *VALUES):
-        try:
-            values[key] = metadata[key] if key in TEXTS else json.loads(metadata[key])
-        except (KeyError, ValueError):
-            accepted = f"{'text' if key in TEXTS else 'JSON'} in its metadata"
-            got = f"{metadata.get(key)!r:.50}"
-            raise ValueError(f"{key} must be {accepted}, got {got}") from None
-    return Policy(
-        name=name,
-        layers=tuple((arrays[weights], arrays[bias]) for weights, bias in layers),
-        cell=Cell(*(arrays[tensor] for tensor in cell)) if cell else None,
-        head=tuple((arrays[weights], arrays[bias]) for weights, bias in head),
-        mean=arrays["inputs.mean"],
-        variance=arrays["inputs.variance"],
-        **values,
-    )

@@ -20,7 +20,7 @@ from capsule_gym.identification.log import read_log
 from capsule_gym.identification.recording import record
 from capsule_gym.identification.shooting import PLANT
 from capsule_gym.parameters import NOMINAL
-from capsule_gym.policies.policy import load_policy
+from capsule_gym.policies.loading import load_policy
 from capsule_gym.policies.rollout import rollout
 from capsule_gym.rendering import write_gif
 from capsule_gym.tasks.registry import find_task

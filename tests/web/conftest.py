@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 
@@ -67,3 +68,9 @@ def node(site, run_node):
         return run_node("\n".join([imported, PRELUDE, code, shown]), *files)
 
     return run
+
+
+def check_errors(expected, found):
+    """Compares the error of each call with the pattern that is expected."""
+    for (call, pattern), error in zip(expected.items(), found, strict=True):
+        assert re.match(pattern, error), (call, error)
