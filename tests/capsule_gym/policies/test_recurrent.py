@@ -77,15 +77,18 @@ class Network(nn.Module):
 
 
 def random_network(rng):
-    return Network(
-        rng.choice(list(CELLS)),
-        int(rng.integers(1, 30)),
-        rng.integers(1, 20, size=rng.integers(0, 3)).tolist(),
-        rng.integers(1, 20, size=rng.integers(0, 3)).tolist(),
-        skip=bool(rng.integers(2)),
-        activation=str(rng.choice(["tanh", "relu"])),
-        squashing=str(rng.choice(["clip", "tanh"])),
-    )
+    def sizes():
+        count = rng.integers(0, 3)
+        return rng.integers(1, 20, size=count).tolist()
+
+    kind = rng.choice(list(CELLS))
+    units = int(rng.integers(1, 30))
+    options = {
+        "skip": bool(rng.integers(2)),
+        "activation": str(rng.choice(["tanh", "relu"])),
+        "squashing": str(rng.choice(["clip", "tanh"])),
+    }
+    return Network(kind, units, sizes(), sizes(), **options)
 
 
 def converted(network, mean=None, variance=None):
