@@ -300,21 +300,31 @@ def test_loop_of_the_page(tmp_path):
     run(tmp_path / "rig")
 
 
-@pytest.mark.skipif(
+needs_qemu = pytest.mark.skipif(
     shutil.which("qemu-system-arm") is None and "CI" not in os.environ,
     reason="needs qemu-system-arm",
 )
+
+
+def measure_on_cortex_m4(folder, exported, program):
+    """The bytes of a program's `act`, and the instructions of a call, with a header in float."""
+    (folder / "policy.h").write_text(exported.c(single=True))
+    source = folder / "count.c"
+    source.write_text(program.replace("NAME", exported.name))
+    run(*CROSS_COMPILER, "-c", source, "-o", folder / "act.o")
+    size = int(run("arm-none-eabi-size", folder / "act.o").split()[6])
+    counting = folder / "program"
+    run(*CROSS_COMPILER, "-DCOUNT", *START, source, "-o", counting, "-lm")
+    output = run(*QEMU, "-icount", "shift=0", "-kernel", counting)
+    instructions = int(output.split()[0])
+    print(f"{exported.name}: {size} bytes, {instructions} instructions")
+    return size, instructions
+
+
+@needs_qemu
 def test_size_and_time_on_a_cortex_m4(tmp_path):
     """A policy of 64 x 64 units with its law, in float."""
-    (tmp_path / "policy.h").write_text(Exported("residual-real", True).c(single=True))
-    source = tmp_path / "count.c"
-    source.write_text(COUNT.replace("NAME", "residual_real"))
-    run(*CROSS_COMPILER, "-c", source, "-o", tmp_path / "act.o")
-    size = int(run("arm-none-eabi-size", tmp_path / "act.o").split()[6])
-    program = tmp_path / "program"
-    run(*CROSS_COMPILER, "-DCOUNT", *START, source, "-o", program, "-lm")
-    output = run(*QEMU, "-icount", "shift=0", "-kernel", program)
-    instructions = int(output.split()[0])
-    print(f"{size} bytes, {instructions} instructions")
+    exported = Exported("residual-real", True)
+    size, instructions = measure_on_cortex_m4(tmp_path, exported, COUNT)
     assert size <= 25_000
     assert 10_000 < instructions <= 35_000

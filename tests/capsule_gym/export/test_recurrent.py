@@ -2,8 +2,6 @@
 
 import ctypes
 import json
-import os
-import shutil
 
 import numpy as np
 import pytest
@@ -14,7 +12,7 @@ from capsule_gym import CapsuleVectorEnv, Policy, load_policy
 from capsule_gym.envs.config import EnvConfig
 from capsule_gym.envs.contract import entries_of
 from capsule_gym.export.exported import Exported
-from tests.capsule_gym.export.test_export import C99, CROSS_COMPILER, QEMU, START, run
+from tests.capsule_gym.export.test_export import C99, measure_on_cortex_m4, needs_qemu, run
 from tests.capsule_gym.policies.test_policy import POLICY
 from tests.capsule_gym.policies.test_recurrent import (
     TRAINED,
@@ -176,10 +174,7 @@ int main(void) {
 """
 
 
-@pytest.mark.skipif(
-    shutil.which("qemu-system-arm") is None and "CI" not in os.environ,
-    reason="needs qemu-system-arm",
-)
+@needs_qemu
 @pytest.mark.parametrize(
     ("units", "most_bytes", "most_instructions"), [(64, 122_000, 180_000), (96, 256_000, 360_000)]
 )
@@ -189,15 +184,6 @@ def test_size_and_time_on_a_cortex_m4(units, most_bytes, most_instructions, tmp_
     policy = converted(Network("gru", units, [units], [64], **options))
     policy.save(tmp_path / POLICY)
     exported = Exported(str(tmp_path / POLICY))
-    (tmp_path / "policy.h").write_text(exported.c(single=True))
-    source = tmp_path / "count.c"
-    source.write_text(COUNT_CALLS.replace("NAME", exported.name))
-    run(*CROSS_COMPILER, "-c", source, "-o", tmp_path / "act.o")
-    size = int(run("arm-none-eabi-size", tmp_path / "act.o").split()[6])
-    program = tmp_path / "program"
-    run(*CROSS_COMPILER, "-DCOUNT", *START, source, "-o", program, "-lm")
-    output = run(*QEMU, "-icount", "shift=0", "-kernel", program)
-    instructions = int(output.split()[0])
-    print(f"{units} units: {size} bytes, {instructions} instructions")
+    size, instructions = measure_on_cortex_m4(tmp_path, exported, COUNT_CALLS)
     assert size <= most_bytes
     assert instructions <= most_instructions
