@@ -133,6 +133,8 @@ def accepted_values() -> dict[str, Any]:
         "command": _core.LARGEST_COMMAND,
         "units": MOST_UNITS,
         "padding": _core.PADDING,
+        "header": _core.HEADER_SIZE,
+        "gates": (_core.GRU, _core.LSTM),
     }
 
 

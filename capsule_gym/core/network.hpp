@@ -27,6 +27,8 @@ constexpr int PADDING = 8;
 // Environments for which a weight is read once.
 constexpr int TOGETHER = 4;
 constexpr int padded(int width) { return (width + PADDING - 1) / PADDING * PADDING; }
+// Where the widths of a network begin.
+constexpr int HEADER_SIZE = padded(WIDTH<Header>);
 
 struct Layer {
   int inputs;
@@ -174,7 +176,7 @@ NOINLINE void act_together(const double* network, const float* observations, dou
   const int layers = (int)header.layers;
   const int head_layers = (int)header.head_layers;
   const bool recurrent = header.gates != 0.0;
-  const double* widths = network + padded(WIDTH<Header>);
+  const double* widths = network + HEADER_SIZE;
   const int inputs = (int)widths[0];
   const double* mean = widths + padded(layers + head_layers + 1);
   const double* scale = mean + padded(inputs);
@@ -223,7 +225,7 @@ NOINLINE void act_together(const double* network, const float* observations, dou
 // The same for any number of environments.
 inline void act(const double* network, const float* observations, double* memory, long long n,
                 float* actions) {
-  const long long inputs = (long long)network[padded(WIDTH<Header>)];
+  const long long inputs = (long long)network[HEADER_SIZE];
   const long long size = memory_size(*(const Header*)network);
   long long i = 0;
   for (; i + TOGETHER <= n; i += TOGETHER)

@@ -13,7 +13,7 @@ from capsule_gym.core import _core, native
 
 Layer = tuple[np.ndarray, np.ndarray]
 # The recurrent cells by the number of their gates.
-CELLS = {3: "gru", 4: "lstm"}
+CELLS = {_core.GRU: "gru", _core.LSTM: "lstm"}
 # Of a recurrent cell: its sums for several environments lie on the stack.
 MOST_CELL_UNITS = 512
 
@@ -48,12 +48,6 @@ class Cell(NamedTuple):
     def kind(self) -> str:
         """The cell's kind, "gru" or "lstm"."""
         return CELLS[self.gates]
-
-    @property
-    def memory_size(self) -> int:
-        """Length of the memory of an episode: h and for an LSTM c, each padded."""
-        padded = self.units + -self.units % _core.PADDING
-        return padded if self.kind == "gru" else 2 * padded
 
 
 def pack(

@@ -297,7 +297,7 @@ class Policy:
     @property
     def memory_size(self) -> int:
         """Numbers in the memory of an episode; 0 for a policy without a memory."""
-        return self.cell.memory_size if self.cell else 0
+        return native.call("memory_size", self._network)
 
     @property
     def description(self) -> str:

@@ -1,7 +1,7 @@
 // The core: its names, what it says of an environment, and its memory.
 
 import {ACCEPTED, constants, CONTENT, CONTROLLERS, HEADER, readArray} from "./archive.mjs";
-import {memorySize} from "./network.mjs";
+import {readHeader} from "./network.mjs";
 
 const {at: MODULE_AT, size: MODULE_SIZE} = HEADER.module;
 const MODULE = await WebAssembly.compile(CONTENT.slice(MODULE_AT, MODULE_AT + MODULE_SIZE));
@@ -118,13 +118,14 @@ export async function startCore(task, controller, options, network = new Float64
   const {exports: core} = await WebAssembly.instantiate(MODULE, {});
   const description = describe(core, options);
   const {law, constants: numbers, memory, table} = CONTROLLERS[controller];
+  const {gates, units} = readHeader(network);
   const arrays = {
     ...environmentArrays(task, description.layout),
     law_constants: readArray(numbers),
     memory: Float64Array.from(memory),
     reference: readArray(table),
     network,
-    network_memory: new Float64Array(memorySize(network)),
+    network_memory: new Float64Array(core.memory_size(gates, units)),
   };
   const address = {};
   for (const [name, {byteLength}] of Object.entries(arrays))

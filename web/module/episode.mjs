@@ -3,7 +3,7 @@ import {Capsule} from "./capsule.mjs";
 import {checkChoice, checkCount, checkFields} from "./checks.mjs";
 import {startCore} from "./core.mjs";
 import {DRIVERS, drivers, networkOf, optionsOf, recordingOf} from "./drivers.mjs";
-import {memoryUnits} from "./network.mjs";
+import {readHeader} from "./network.mjs";
 import {
   checkOptions,
   controllers,
@@ -37,7 +37,7 @@ export class Episode extends Capsule {
   /** A copy of the units of the driver's recurrent cell; empty without one. */
   get memory() {
     const {network, network_memory} = this.#started.view;
-    return network_memory.slice(0, memoryUnits(network));
+    return network_memory.slice(0, readHeader(network).units);
   }
 
   /** Begins an episode. */

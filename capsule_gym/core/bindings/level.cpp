@@ -36,6 +36,7 @@ constexpr Function FUNCTIONS[] = {
     named<law_torques>("law_torques"),
     named<platform_motion>("platform_motion"),
     named<act>("act"),
+    named<memory_size>("memory_size"),
     evaluated<&AnyPlant::accelerations>("accelerations"),
     evaluated<&AnyPlant::normal_force>("normal_force"),
     evaluated<&AnyPlant::driving_force>("driving_force"),

@@ -93,6 +93,11 @@ EXPORT(metrics) void metrics(double horizon, double* out) {
   web::episode_metrics<1>(batch, batch.rows, 1, horizon, out);
 }
 
+// The length of the memory of a policy with this cell, or of none.
+EXPORT(memory_size) int memory_size(double gates, double units) {
+  return web::memory_size({.gates = gates, .units = units});
+}
+
 // The action of a trained policy for the observation; renews the memory of a recurrent one, which
 // is zeros at the start of an episode.
 EXPORT(act) double act(const double* network, double* memory) {
