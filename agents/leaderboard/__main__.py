@@ -40,6 +40,7 @@ from capsule_gym.evaluation.sets import (
     load_set,
 )
 from capsule_gym.files import write_atomically
+from capsule_gym.policies.loading import refuse_archive
 from capsule_gym.tasks.registry import TASKS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -142,6 +143,8 @@ def main(
     require(not (names and from_results), "--from-results", "given without names", " ".join(names))
     for name in names:
         if name not in known:
+            if os.path.isfile(name):
+                refuse_archive(name)
             accepted = f"among {', '.join(known)}"
             raise ValueError(f"names must be {accepted}, got {name}{nearest(name, known)}")
     chosen = [] if from_results else [each for each in candidates if each.name in (names or known)]

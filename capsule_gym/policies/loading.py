@@ -101,13 +101,7 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
     if size > LARGEST_FILE:
         limit = f"it must have at most {LARGEST_FILE} bytes, got {size}"
         raise ValueError(f"{path} is not a policy file: {limit}")
-    with open(path, "rb") as file:
-        if file.read(len(ZIP)) == ZIP:
-            raise ValueError(
-                f"{path} is no policy file, but an archive such as Stable-Baselines3's: "
-                "Policy.from_sb3(PPO.load(..), env).save(..), with the agent's class and its "
-                "environment, makes a policy file of it"
-            )
+    refuse_archive(path)
     try:
         policy = _read(name, path)
     except (SafetensorError, ValueError, TypeError, RecursionError, OverflowError) as error:
@@ -120,6 +114,17 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
             "load_policy(.., trust_controller=True) if you trust it"
         )
     return policy
+
+
+def refuse_archive(path: str | os.PathLike[str]) -> None:
+    """Raises a ValueError that says how to convert a file which is an archive."""
+    with open(path, "rb") as file:
+        if file.read(len(ZIP)) == ZIP:
+            raise ValueError(
+                f"{path} is no policy file, but an archive such as Stable-Baselines3's: "
+                "Policy.from_sb3(PPO.load(..), env).save(..), with the agent's class and its "
+                "environment, makes a policy file of it"
+            )
 
 
 def _find_file(given: str | os.PathLike[str]) -> Path:
