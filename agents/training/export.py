@@ -48,5 +48,5 @@ def export(name: str, model: BaseAlgorithm, config: Config, revision: str) -> Po
         env_kwargs=config.env_kwargs(),
         training_seed=config.seed,
         revision=revision,
-        **read_agent(model),
+        **read_agent(model, model.get_env()),
     )

@@ -110,12 +110,12 @@ def _array(parameter: Any) -> np.ndarray:
     return np.array(parameter.detach().cpu().numpy(), np.float32)
 
 
-def read_agent(model: Any, env: Any = None) -> dict[str, Any]:
+def read_agent(model: Any, env: Any) -> dict[str, Any]:
     """The fields of `Policy` that describe an agent's network and its inputs.
 
     Args:
         model: an agent of Stable-Baselines3 or sb3-contrib.
-        env: its environment, with the `VecNormalize`, if any; None takes the model's own.
+        env: its environment, with the `VecNormalize`, if any.
 
     Raises:
         TypeError: if the model is no agent of a known algorithm.
@@ -126,7 +126,6 @@ def read_agent(model: Any, env: Any = None) -> dict[str, Any]:
     found = read_modules(_modules_of(model))
     if model.policy.squash_output:
         found["squashing"] = "tanh"
-    env = model.get_env() if env is None else env
     normalisation = unwrap_vec_normalize(env) if isinstance(env, VecEnv) else None
     if normalisation is None or not normalisation.norm_obs:
         first = found["layers"][0][0] if found["layers"] else found["cell"].weight_ih

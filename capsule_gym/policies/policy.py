@@ -214,8 +214,9 @@ class Policy:
             ValueError: if the network is of another kind, or a wrapper changes observations or
                 actions.
         """
+        if env is None:
+            env = getattr(model, "env", None)
         found = read_agent(model, env)
-        env = model.get_env() if env is None else env
         require(env is not None, "env", "the environment of the training", env)
         algorithm = type(model).__name__.lower()
         return cls(
