@@ -237,7 +237,7 @@ export class Capsule {
 export class Episode extends Capsule {
   readonly driver: string;
   readonly action: number;
-  /** The units of the driver's recurrent cell, from -1 to 1; empty without one. */
+  /** The outputs h of the driver's recurrent cell, from -1 to 1; empty without one. */
   readonly memory: Float64Array;
   reset(start?: (Start | Frozen) & Pick<Told, "seed">): { observation: Float32Array; info: Info };
   /** Calls `step` with an action of the driver. */

@@ -331,6 +331,7 @@ def test_the_memory_of_a_recurrent_policy_is_drawn_over_time(open_page):
         memory.wait_for()
         page.wait_for_function(f"({MEMORIES})() >= {steps - 2}")
         assert page.evaluate(MEMORIES) <= steps + 2
+    assert page.inner_text("figure:has(#memory) figcaption").startswith("Memory of mine: ")
     check_no_error(page)
     follow(page, without)
     memory.wait_for(state="hidden")

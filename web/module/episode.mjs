@@ -34,7 +34,7 @@ export class Episode extends Capsule {
   /** The driver's last action. */
   get action() { return this.#action; }
 
-  /** A copy of the units of the driver's recurrent cell; empty without one. */
+  /** A copy of the outputs h of the driver's recurrent cell; empty without one. */
   get memory() {
     const {network, network_memory} = this.#started.view;
     return network_memory.slice(0, readHeader(network).units);

@@ -60,7 +60,7 @@ function makeTimeChart(curve) {
 }
 
 function makeStrip() {
-  const canvas = addCanvas("Memory (first policy): units, −1 blue to 1 orange");
+  const canvas = addCanvas("Memory of the first policy");
   canvas.id = "memory";
   return bindSeek(new MemoryStrip(canvas, redraw));
 }
@@ -125,8 +125,12 @@ export function draw() {
 
 function drawCharts() {
   drawings += 1;
-  const remembers = player.lanes[0].units > 0;
-  strip.sheet.canvas.parentElement.hidden = !remembers;
+  const [{title, units}] = player.lanes;
+  const remembers = units > 0;
+  const {canvas} = strip.sheet;
+  canvas.parentElement.hidden = !remembers;
+  const caption = `Memory of ${title}: output h of each unit, −1 blue to 1 orange`;
+  setText(canvas.previousSibling, caption);
   const drawn = remembers ? [...charts, strip] : charts;
   for (const [index, chart] of drawn.entries()) {
     // While playing, charts are drawn in every second frame, half of them in each.
