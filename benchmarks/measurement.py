@@ -61,12 +61,15 @@ def processor() -> str:
 
 
 def rates(contenders: Mapping[str, Callable[[], float]], turns: int) -> dict[str, float]:
-    """Rates, 1/s, at the 10th percentiles of seconds.
+    """Rates, 1/s, at the 10th percentiles of seconds."""
+    seconds = in_turns(contenders, turns)
+    return {name: 1.0 / float(np.percentile(each, 10.0)) for name, each in seconds.items()}
 
-    They are measured in turns, so that other processes affect all alike.
-    """
-    seconds: dict[str, list[float]] = {name: [] for name in contenders}
+
+def in_turns(contenders: Mapping[str, Callable[[], float]], turns: int) -> dict[str, list[float]]:
+    """The results of contenders, which take turns, so that other processes affect all alike."""
+    found: dict[str, list[float]] = {name: [] for name in contenders}
     for _ in tqdm(range(turns), desc="turns"):
         for name, turn in contenders.items():
-            seconds[name].append(turn())
-    return {name: 1.0 / float(np.percentile(each, 10.0)) for name, each in seconds.items()}
+            found[name].append(turn())
+    return found

@@ -17,7 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from importlib.util import find_spec
 from itertools import cycle
@@ -144,15 +144,14 @@ def mujoco_physics() -> Step:
     return step
 
 
-def compile_plain_c(compiler: str) -> ctypes.CDLL:
-    """Compiles `plain.c` for the core's level of instructions."""
-    source = str(Path(__file__).with_name("plain.c"))
-    options = [*C_OPTIONS, *C_LEVELS.get(native.LEVEL, ())]
+def compile_c(compiler: str, source: Path, options: Sequence[str]) -> ctypes.CDLL:
+    """Compiles a C file for the core's level of instructions."""
+    options = [*options, *C_LEVELS.get(native.LEVEL, ())]
     with tempfile.TemporaryDirectory() as folder:
         compiled = f"{folder}/plain.o"
         library = f"{folder}/plain.so"
         command = compiler.split()
-        subprocess.run([*command, *options, "-c", source, "-o", compiled], check=True)
+        subprocess.run([*command, *options, "-c", str(source), "-o", compiled], check=True)
         # Linked without -ffast-math, with which gcc makes the whole process lose subnormal numbers.
         subprocess.run([*command, "-shared", compiled, "-lm", "-o", library], check=True)
         return ctypes.CDLL(library)
@@ -170,7 +169,7 @@ def plain_c(
     Returns:
         Their `Simulation.step`, and the rows of `Simulation.world` before `Row.clock`.
     """
-    library = compile_plain_c(compiler)
+    library = compile_c(compiler, Path(__file__).with_name("plain.c"), C_OPTIONS)
     blocks = len(simulation.world)
     rows = ctypes.c_int.in_dll(library, "ROWS").value
     world = native.aligned_zeros((blocks, rows, LANES))
