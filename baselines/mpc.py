@@ -52,7 +52,7 @@ def start(seeds: Sequence[int]) -> Act:
             states = np.where(failed, 0.0, states)
             scores = scores + np.where(failed, FAILURE_SCORE, rewards)
         ends = states.reshape(3, count, PLANS)
-        scores = optimum.add_values(scores.reshape(count, PLANS), ends)
+        scores = optimum.values.add(scores.reshape(count, PLANS), ends)
         best = plans[np.arange(count), scores.argmax(axis=1)]
         shifted = np.append(best[:, 1:], best[:, -1:], axis=1)
         previous = shifted[:, None]

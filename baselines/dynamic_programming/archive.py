@@ -140,7 +140,7 @@ class Archive:
         numbers = self.arrays[f"{problem.key} numbers"].tolist()
         low, step, low_y, high_y, low_w, high_w, curvature, gain = numbers
         values = (low + step * steps).astype(np.float32)
-        grid = Grid(steps.shape, (low_y, high_y), (low_w, high_w), problem.M)
+        grid = Grid(steps.shape, (low_y, high_y), (low_w, high_w), problem.q)
         return Solution(problem, grid, values, curvature, gain)
 
     @property
@@ -247,29 +247,45 @@ def set_plants() -> list[tuple[float, float]]:
     return list(dict.fromkeys(plants))
 
 
-def solve_plant(
-    problem: Problem, archive: Archive, shape: tuple[int, int, int] = GRIDS[0]
-) -> Trajectory:
-    """The trajectory of a plant within `GRID`.
+def solve_near(
+    problem: Problem,
+    archive: Archive,
+    shape: tuple[int, int, int] = GRIDS[0],
+    room: float = 0.0,
+) -> Solution:
+    """Solves a plant over the ranges of the plants of `GRID` around it, from the nearest's values.
 
-    It is solved over the ranges of the plants around it, from the values of the nearest.
+    Args:
+        problem: the plant's problem. Outside of `GRID` the plants at its edge are taken.
+        archive: the archive with the solutions of `GRID`.
+        shape: nodes along theta, s and w.
+        room: share by which the ranges are extended, for a plant with constants of its own.
     """
     corners, along_M, along_mu = GRID.cell(problem.M, problem.mu)
     near = [archive.solution(plant_problems(GRID)[corner]) for corner in corners]
     weights = corner_weights(along_M, along_mu)
-    y = _union([solution.grid.y for solution in near])
-    w = _union([solution.grid.w for solution in near])
-    grid = Grid(solver.divide_nodes(shape, y, w), y, w, problem.M)
+    y = _union([solution.grid.y for solution in near], room)
+    w = _union([solution.grid.w for solution in near], room)
+    grid = Grid(solver.divide_nodes(shape, y, w), y, w, problem.q)
     weighted = zip(weights.tolist(), near, strict=True)
     curvature = sum(weight * solution.curvature for weight, solution in weighted)
     nearest = near[int(weights.argmax())]
-    solution = solver.solve(problem, grid, curvature=curvature, start=nearest)
+    return solver.solve(problem, grid, curvature=curvature, start=nearest)
+
+
+def solve_plant(
+    problem: Problem, archive: Archive, shape: tuple[int, int, int] = GRIDS[0]
+) -> Trajectory:
+    """The trajectory of a plant within `GRID`."""
+    solution = solve_near(problem, archive, shape)
     return solver.run_policy(solution, STARTS[:1], final=solver.final_solutions(solution))
 
 
-def _union(ranges: Sequence[tuple[float, float]]) -> tuple[float, float]:
+def _union(ranges: Sequence[tuple[float, float]], room: float) -> tuple[float, float]:
+    """The range that contains all ranges, longer by a share at both ends."""
     lows, highs = zip(*ranges, strict=True)
-    return min(lows), max(highs)
+    low, high = min(lows), max(highs)
+    return low - room * abs(low), high + room * abs(high)
 
 
 def solve_plants(archive: Archive, missing: Sequence[tuple[float, float]]) -> Iterator[None]:

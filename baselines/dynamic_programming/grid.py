@@ -29,9 +29,9 @@ FAILED = -1.0  # position of a failed state and of a state off the grid
 MAX_NODE_RATE = 40.0  # rad/s: of nodes near +-pi/2, where no motion reaches the platform's velocity
 
 
-def q_of(M: Any) -> Any:
-    """m l / (M + m) in m, of masses in kg."""
-    return NOMINAL.m * NOMINAL.l / (M + NOMINAL.m)
+def q_of(M: Any, m: float = NOMINAL.m, l: float = NOMINAL.l) -> Any:
+    """m l / (M + m) in m, of masses in kg and the length of the pendulum, m."""
+    return m * l / (M + m)
 
 
 def stretched(y: np.ndarray) -> np.ndarray:
@@ -100,7 +100,7 @@ def interpolate(
 
 @dataclass(frozen=True)
 class Grid:
-    """A regular grid over (theta, s, w) for one mass of the platform.
+    """A regular grid over (theta, s, w) for the masses and the length of one plant.
 
     A state off the grid counts as failed.
     """
@@ -108,12 +108,7 @@ class Grid:
     shape: tuple[int, int, int]  # nodes, at least 4 along each
     y: tuple[float, float]  # range around 0, rad/s
     w: tuple[float, float]  # range, rad/s
-    M: float  # kg
-
-    @property
-    def q(self) -> float:
-        """m l / (M + m), m."""
-        return float(q_of(self.M))
+    q: float  # m l / (M + m), m
 
     @property
     def axes(self) -> np.ndarray:

@@ -1,13 +1,13 @@
-"""The scripted policies `dp-nominal` and `dp-oracle`: one-step lookahead with stored values.
+"""Policies that look one step ahead with stored values.
 
 A policy tries a few dozen torques in the environment's own step, on the plant that it assumes, and
 takes the one with the largest reward plus value of the next state. The values are those of the
-coarse grids.
+coarse grids. `dp-nominal` and `dp-oracle` are scripted policies; `PlantOracle` knows all constants
+of its plants and the motor, and serves as an expert.
 """
 
 from collections.abc import Callable, Sequence
-from functools import lru_cache
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,7 +20,9 @@ from baselines.dynamic_programming.problem import (
     corner_weights,
     plant_problems,
 )
-from baselines.dynamic_programming.solver import cell_curvature
+from baselines.dynamic_programming.solver import Solution, cell_curvature
+from capsule_gym.core.layout import Row
+from capsule_gym.envs.simulation import Simulation
 from capsule_gym.evaluation.optimum import GRID, PlantGrid
 from capsule_gym.parameters import NOMINAL
 
@@ -35,32 +37,61 @@ FAILURE_SCORE = -1e6  # cm
 MIN_NORMAL_FORCE = 0.02
 
 
-class _Tables(NamedTuple):
-    """The values of several solutions, one after the other, and an entry of each by solution."""
+class StoredValues:
+    """The values of the states of `count` environments, from one or several solutions for each.
 
-    values: np.ndarray
-    starts: np.ndarray  # indices of the first values
-    shapes: np.ndarray
-    axes: np.ndarray
-    curvatures: np.ndarray  # `cell_curvature`
+    Attributes:
+        q: m l / (M + m) of every environment, m, shape (count,).
+        corners: indices of the solutions of every environment, shape (count, n).
+        weights: their weights, of the same shape.
+    """
 
+    def __init__(self, solutions: Sequence[Solution], count: int, corners: int = 1) -> None:
+        grids = [solution.grid for solution in solutions]
+        curvatures = [cell_curvature(solution.curvature, solution.grid) for solution in solutions]
+        values = [solution.values.ravel() for solution in solutions]
+        sizes = [own.size for own in values]
+        # The values of all solutions, one after the other, and the indices of the first.
+        self._values = np.concatenate(values)
+        self._starts = np.cumsum([0, *sizes[:-1]])
+        self._shapes = np.array([grid.shape for grid in grids])
+        self._axes = np.array([grid.axes for grid in grids])
+        self._curvatures = np.array(curvatures)
+        self.q = np.full(count, q_of(NOMINAL.M))
+        self.corners = np.zeros((count, corners), np.int64)
+        self.weights = np.ones((count, corners))
 
-@lru_cache(maxsize=2)
-def _tables(*problems: Problem) -> _Tables:
-    solutions = [known_results().solution(problem) for problem in problems]
-    grids = [solution.grid for solution in solutions]
-    curvatures = [cell_curvature(solution.curvature, solution.grid) for solution in solutions]
-    values = [solution.values.ravel() for solution in solutions]
-    sizes = [own.size for own in values]
-    shapes = [grid.shape for grid in grids]
-    axes = [grid.axes for grid in grids]
-    return _Tables(
-        values=np.concatenate(values),
-        starts=np.cumsum([0, *sizes[:-1]]),
-        shapes=np.array(shapes),
-        axes=np.array(axes),
-        curvatures=np.array(curvatures),
-    )
+    def add(self, scores: np.ndarray, states: np.ndarray) -> np.ndarray:
+        """Adds the values of states theta, theta_dot and x_dot to scores in cm.
+
+        The shapes are (3, count, n) and (count, n).
+        """
+        own = coordinates(states, self.q[:, None])
+        for corner, weight in zip(self.corners.T, self.weights.T, strict=True):
+            # Shapes (3, environments, 1).
+            first, spacing = self._axes[corner].transpose(2, 1, 0)[..., None]
+            nodes = self._shapes[corner].T[..., None]
+            positions = [
+                clamped((own[n] - first[n]) / spacing[n], nodes[n] - 1.0) for n in range(3)
+            ]
+            curvature = self._curvatures[corner, None]
+            start = self._starts[corner, None]
+            found = interpolate(self._values, positions, nodes, curvature, start)
+            scores = scores + weight[:, None] * found
+        return scores
+
+    def score(self, rewards: np.ndarray, ends: np.ndarray, failed: np.ndarray) -> np.ndarray:
+        """The reward plus value of the next state, cm, of each of `TORQUES`, (count, torques).
+
+        Args:
+            rewards: rewards of the steps, cm, shape (count * torques,).
+            ends: the next states, shape (3, count * torques).
+            failed: whether the steps fail, shape (count * torques,).
+        """
+        # A failed step may end in NaN, which has no cell.
+        reached = np.where(failed, 0.0, ends).reshape(3, -1, NUM_TORQUES)
+        scores = self.add(rewards.reshape(-1, NUM_TORQUES), reached)
+        return np.where(failed.reshape(scores.shape), FAILURE_SCORE, scores)
 
 
 class Lookahead:
@@ -69,15 +100,12 @@ class Lookahead:
     Its torques leave a `margin` of normal force, N.
     """
 
-    def __init__(self, count: int, margin: float, *problems: Problem) -> None:
-        self._tables = _tables(*problems)
+    def __init__(self, count: int, margin: float, *problems: Problem, corners: int = 1) -> None:
+        solutions = [known_results().solution(problem) for problem in problems]
+        self.values = StoredValues(solutions, count, corners)
         assumed = Problem(margin=margin, static_ratio=problems[0].static_ratio)
         self._transitions = Transitions(assumed, count * NUM_TORQUES)
         self._actions = np.tile(TORQUES.astype(np.float64), count)
-        self._q = np.full(count, q_of(NOMINAL.M))
-        # The solutions around every environment's plant.
-        self._corners = np.zeros((count, 1), np.int64)
-        self._weights = np.ones((count, 1))
 
     def scores(self, observations: np.ndarray) -> np.ndarray:
         """The reward plus value of the next state, cm, of each of `TORQUES`.
@@ -87,30 +115,7 @@ class Lookahead:
         states = observations[:, :3].T.astype(np.float64)
         repeated = np.repeat(states, NUM_TORQUES, axis=1)
         ends, rewards, failed = self._transitions.step(repeated, self._actions)
-        # A failed step may end in NaN, which has no cell.
-        ends = np.where(failed, 0.0, ends).reshape(3, -1, NUM_TORQUES)
-        scores = self.add_values(rewards.reshape(-1, NUM_TORQUES), ends)
-        return np.where(failed.reshape(scores.shape), FAILURE_SCORE, scores)
-
-    def add_values(self, scores: np.ndarray, states: np.ndarray) -> np.ndarray:
-        """Adds the values of states theta, theta_dot and x_dot to scores in cm.
-
-        The shapes are (3, count, n) and (count, n).
-        """
-        own = coordinates(states, self._q[:, None])
-        tables = self._tables
-        for corner, weight in zip(self._corners.T, self._weights.T, strict=True):
-            # Shapes (3, environments, 1).
-            first, spacing = tables.axes[corner].transpose(2, 1, 0)[..., None]
-            nodes = tables.shapes[corner].T[..., None]
-            positions = [
-                clamped((own[n] - first[n]) / spacing[n], nodes[n] - 1.0) for n in range(3)
-            ]
-            curvature = tables.curvatures[corner, None]
-            start = tables.starts[corner, None]
-            found = interpolate(tables.values, positions, nodes, curvature, start)
-            scores = scores + weight[:, None] * found
-        return scores
+        return self.values.score(rewards, ends, failed)
 
     @property
     def normal_force(self) -> np.ndarray:
@@ -129,11 +134,9 @@ class Oracle(Lookahead):
     """
 
     def __init__(self, count: int, grid: PlantGrid = GRID) -> None:
-        super().__init__(count, MIN_NORMAL_FORCE, *plant_problems(grid))
+        super().__init__(count, MIN_NORMAL_FORCE, *plant_problems(grid), corners=4)
         self._grid = grid
         self._observed = np.zeros((count, 2), np.float32)
-        self._corners = np.zeros((count, 4), np.int64)
-        self._weights = np.zeros((count, 4))
 
     def scores(self, observations: np.ndarray) -> np.ndarray:
         """`Lookahead.scores` on the observed plants."""
@@ -144,12 +147,71 @@ class Oracle(Lookahead):
             self._observed[:] = plants
             M, mu = plants.T.astype(np.float64)
             self._transitions.set_plants(np.repeat(M, NUM_TORQUES), np.repeat(mu, NUM_TORQUES))
-            self._q = q_of(M)
+            self.values.q = q_of(M)
             for i in changed:
                 corners, along_M, along_mu = self._grid.cell(float(M[i]), float(mu[i]))
-                self._corners[i] = corners
-                self._weights[i] = corner_weights(along_M, along_mu)
+                self.values.corners[i] = corners
+                self.values.weights[i] = corner_weights(along_M, along_mu)
         return super().scores(observations)
+
+
+class PlantOracle:
+    """The lookahead on the plant and the motor of every environment, with that plant's own values.
+
+    It reads the whole state of a simulation, also the torque that the motor still exerts. Values
+    and lookahead belong to the same plant: an exact lookahead with values of the nominal m, l, k
+    and c is slower than none.
+    """
+
+    def __init__(self, simulation: Simulation, solutions: Sequence[Solution]) -> None:
+        """Makes the policy of a simulation whose plants have these solutions, by M and mu."""
+        self._simulation = simulation
+        self._solutions = list(solutions)
+        count = simulation.num_envs
+        self._values = StoredValues(solutions, count)
+        self._plants = np.zeros((2, count))
+        # The reward of the speed problem: the progress alone.
+        options = replace(
+            simulation.options, stack_size=1, energy_weight=0.0, termination_penalty=0.0
+        )
+        self._ahead = Simulation(count * NUM_TORQUES, options)
+        self._actions = np.tile(TORQUES.astype(np.float64), count)
+        numbers: dict[tuple[float, float], int] = {}
+        for n, solution in enumerate(self._solutions):
+            numbers[solution.problem.M, solution.problem.mu] = n
+        self._numbers = numbers
+
+    def scores(self) -> np.ndarray:
+        """`Lookahead.scores` from the present states of the simulation."""
+        self._find_plants()
+        # What follows is the memory of the sensors.
+        state = self._simulation.rows(0, Row.read_before_x + 1)
+        for row, values in enumerate(state):
+            self._ahead.write(row, np.repeat(values, NUM_TORQUES))
+        # The lookahead from a state at which an episode has ended has no use.
+        self._ahead.write(Row.termination, np.zeros(self._ahead.num_envs))
+        self._ahead.step(self._actions)
+        theta, theta_dot, _, x_dot = self._ahead.rows(Row.theta, Row.x_dot + 1)
+        failed = self._ahead.row(Row.termination) != 0.0
+        failed |= self._ahead.row(Row.normal_force) <= MIN_NORMAL_FORCE
+        ends = np.stack([theta, theta_dot, x_dot])
+        return self._values.score(self._ahead.row(Row.reward), ends, failed)
+
+    def _find_plants(self) -> None:
+        """Assigns a solution to every environment whose M or mu has changed."""
+        plants = np.stack([self._simulation.row(Row.M), self._simulation.row(Row.mu)])
+        changed = np.flatnonzero((plants != self._plants).any(axis=0))
+        self._plants = plants
+        for i in changed.tolist():
+            M, mu = plants[:, i].tolist()
+            number = self._numbers[M, mu]
+            self._values.corners[i] = number
+            self._values.q[i] = self._solutions[number].problem.q
+
+    @property
+    def normal_force(self) -> np.ndarray:
+        """The smallest normal force in each step of the last scores, N, shape (count, torques)."""
+        return self._ahead.row(Row.normal_force).reshape(-1, NUM_TORQUES)
 
 
 def start_nominal(seeds: Sequence[int]) -> Act:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from baselines.dynamic_programming.grid import q_of
 from capsule_gym.core.layout import Row
 from capsule_gym.envs.config import DIRECT_PHYSICS_DT, EnvConfig
 from capsule_gym.envs.simulation import Simulation
@@ -55,6 +56,16 @@ class Problem:
     control_dt: float = CONTROL_DT  # control interval, over which the torque is constant, s
     margin: float = 0.0  # normal force that must be left, N; a smaller one counts as a failure
     static_ratio: float = NOMINAL.static_ratio
+    m: float = NOMINAL.m  # kg
+    l: float = NOMINAL.l  # m
+    k: float = NOMINAL.k  # N m/rad
+    c: float = NOMINAL.c  # N m s/rad
+    motor_friction: float = NOMINAL.motor_friction  # N m
+
+    @property
+    def q(self) -> float:
+        """m l / (M + m), m."""
+        return float(q_of(self.M, self.m, self.l))
 
     @property
     def key(self) -> str:
@@ -76,7 +87,14 @@ class Problem:
             energy_weight=self.energy_weight,
             termination_penalty=0.0,
             randomization="none",
-            capsule=Capsule(static_ratio=self.static_ratio),
+            capsule=Capsule(
+                static_ratio=self.static_ratio,
+                m=self.m,
+                l=self.l,
+                k=self.k,
+                c=self.c,
+                motor_friction=self.motor_friction,
+            ),
         )
 
 

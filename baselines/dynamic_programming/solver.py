@@ -314,7 +314,7 @@ def solve_on_grids(
     friction = min(problem.mu, 0.3)
     # Contains any solution; the solutions that follow are over the ranges of its trajectories.
     w = (-3.0 - 25.0 * friction, 8.0 + 35.0 * friction)
-    grid = Grid(shapes[0], INITIAL_Y, w, problem.M)
+    grid = Grid(shapes[0], INITIAL_Y, w, problem.q)
     solution = solve(problem, grid)
     trajectory = run_policy(solution, STARTS)
     curvature = curvature_of(solution, trajectory)

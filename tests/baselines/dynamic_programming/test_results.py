@@ -144,7 +144,7 @@ def test_static_friction_that_is_planned_with_makes_the_optimum_faster():
 def solution():
     """A solution with random values."""
     values = np.random.default_rng(0).uniform(-50.0, 80.0, (5, 6, 7)).astype(np.float32)
-    return Solution(SPEED, Grid((5, 6, 7), (-3.0, 9.0), (-1.0, 4.0), 0.5), values, 0.4, 20.0)
+    return Solution(SPEED, Grid((5, 6, 7), (-3.0, 9.0), (-1.0, 4.0), SPEED.q), values, 0.4, 20.0)
 
 
 @pytest.fixture

@@ -25,7 +25,7 @@ ORIGIN = np.array([[START_THETA], [0.0], [0.0]])
 
 
 def make_grid(shape=SHAPE, w=(-2.0, 5.0)):
-    return Grid(shape, (-6.0, 20.0), w, 0.5)
+    return Grid(shape, (-6.0, 20.0), w, Problem().q)
 
 
 @pytest.fixture
