@@ -11,7 +11,7 @@ STAMP := .venv/.installed
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help train test examples notebooks coverage venv lint types docs web leaderboard leaderboard-check reproduce regression fuzz bits bits-check sanitize core-coverage install-check oldest check clean
+.PHONY: help train test distil examples notebooks coverage venv lint types docs web leaderboard leaderboard-check reproduce regression fuzz bits bits-check sanitize core-coverage install-check oldest check clean
 
 help:  ## List the targets
 	@grep -hE '^[a-z-]+:.*  ## ' $(MAKEFILE_LIST) | sed -E 's/:.*  ## /\t/' | awk -F '\t' '{printf "%-18s %s\n", $$1, $$2}'
@@ -24,6 +24,13 @@ train: $(STAMP)  ## Install everything and train the default agent (TRAIN_ARGS="
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 test: $(STAMP)  ## Install everything and run the tests (PYTEST_ARGS="tests/web -x" for some)
 	$(PYTEST) $(PYTEST_ARGS)
+
+distil: STUDENT ?= dp-distilled
+distil: SEED ?= 100
+distil: SET ?= real-wide
+distil: $(STAMP)  ## Install everything, distil the optimum into a policy and compare it with the published ones
+	$(BIN)/python -m agents.distillation $(STUDENT) --seeds $(SEED)
+	$(BIN)/python -m agents.evaluate runs/distillation/$(STUDENT)/seed-$(SEED) --set $(SET) --against $(STUDENT)
 
 # Those whose library is missing are skipped: each has an extra of its own, and they do not all go together.
 examples: export EXAMPLES = 1

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 from agents.distillation.config import STUDENTS
+from agents.training.config import RunError
 from agents.training.signals import INTERRUPTED
 from capsule_gym.command_line import Count, Positional, arg, command, refuse
 
@@ -19,10 +20,12 @@ def main(
 ) -> int:
     """Distils the optimum into a network.
 
-    Finished runs are skipped. Ctrl-C stops; the best policy so far is in the run's folder.
+    The training plants are solved first, once for all seeds; the file of a plant stays in the
+    folder. Ctrl-C stops; the same command continues after the last fit, and skips finished runs.
+    The best policy so far is in the run's folder.
 
     Examples:
-      python -m agents.distillation dp-distilled-wide --seeds {0..4}
+      python -m agents.distillation dp-distilled --seeds {0..4}
 
     Args:
         name: student.
@@ -32,21 +35,17 @@ def main(
     if name not in STUDENTS:
         refuse(PROG, f"NAME must be one of {', '.join(STUDENTS)}, got {name!r}")
     # Imported after the command line is checked: --help does not need torch.
-    from agents.distillation.dagger import FINISHED, distil
+    from agents.distillation.dagger import FINISHED, Run
 
-    folders = {seed: runs / name / f"seed-{seed}" for seed in seeds}
-    waiting = {seed: run for seed, run in folders.items() if not (run / FINISHED).is_file()}
-    started = [str(folder) for folder in waiting.values() if folder.exists()]
-    if started:
-        reason = "is an unfinished run: remove it, or choose another folder with --runs"
-        refuse(PROG, f"{', '.join(started)} {reason}")
     try:
-        for seed, folder in waiting.items():
-            distil(name, STUDENTS[name], seed, folder)
-    except OSError as error:
+        for seed in seeds:
+            folder = runs / name / f"seed-{seed}"
+            if not (folder / FINISHED).is_file():
+                Run(name, STUDENTS[name], seed, folder).train()
+    except (OSError, RunError) as error:
         refuse(PROG, str(error))
     except KeyboardInterrupt:
-        print("\nStopped; the best policy so far, if any, is kept.")
+        print("\nStopped; the same command continues. The best policy so far, if any, is kept.")
         return INTERRUPTED
     print(f"Distilled; python -m agents.evaluate {runs / name} --against dp-oracle compares it.")
     return 0

@@ -1,98 +1,146 @@
 """The students of the optimum: their observations, training episodes, and size of training."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 from agents.criteria import CRITERIA
-from capsule_gym.evaluation.optimum import GRID, STICKY_GRID, PlantGrid
-from capsule_gym.parameters import NOMINAL
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Student:
-    """The training episodes of a student, and the size of its training.
-
-    A student observes online estimates of M and mu.
+    """The training episodes of a student, its network, and the size of its training.
 
     Attributes:
-        randomization: the distribution of M and mu.
-        grid: the plants for which the expert is solved, with their static ratio.
+        randomization: distribution of the plants, for the environment of the policy.
+        disturbances: disturbances of the environment, "none" or "real".
+        observation: arguments of the environment that determine the observation.
+        groups: groups of training plants, which share a pendulum.
+        plants: plants in a group, by the distribution of their M and mu.
+        severity: size of the disturbances relative to "real", and of the deviations of the
+            pendulum; None takes 1 in half of the groups, 0 in a quarter, and draws it in others.
+        sticky_share: share of the groups with a static friction of 1.3 times the kinetic.
         change_rate: mean number of changes of M and mu per second of an episode, 1/s; the new
-            values are of `wide`.
+            values are of the group's plants of `wide`.
         margin: normal force (N) below which a torque costs more, up to `max_regret` at 0 N. A
             student that does not know M needs a larger margin than the expert.
         deviations: number of standard deviations of the platform's estimated weight that are added
-            to `margin`.
+            to `margin`, for students that observe estimates.
         max_regret: upper bound on the regret of a torque in the data, cm; the end of an episode
             would cost more.
+        units: units of the GRU; 0 for a network without a memory.
+        hidden: units of the hidden layers.
         num_envs: episodes in a round.
         steps: control steps in an episode.
         rounds: rounds of DAgger.
         updates: gradient steps after a round.
         final_updates: gradient steps of the final fit.
         final_parts: parts of the final fit; an evaluation follows each.
-        batch_size: states in a gradient step.
+        batch_size: sequences in a gradient step.
+        sequence: steps in a sequence.
+        burn_in: first steps of a sequence that do not count, unless they begin an episode: the
+            memory is empty there.
         learning_rate: step size of Adam; it falls to 0 at the end.
-        evaluation_episodes: episodes in an evaluation.
+        validation: names of the sets after which the validation plants are drawn.
+        evaluation_episodes: episodes in an evaluation on each of them.
         failure_cost: weight of the share of failed episodes in the selection of the best policy,
             cm/s.
     """
 
     randomization: str
-    grid: PlantGrid
-    change_rate: float
+    disturbances: str = "none"
+    observation: Mapping[str, Any] = field(default_factory=dict)
+    groups: int
+    plants: Mapping[str, int]
+    severity: float | None
+    sticky_share: float = 0.0
+    change_rate: float = 0.0
     margin: float
-    deviations: float
-    max_regret: float
+    deviations: float = 0.0
+    max_regret: float = 60.0
+    units: int = 0
+    hidden: int = 64
     num_envs: int
-    steps: int
-    final_updates: int
-    evaluation_episodes: int
-    failure_cost: float
+    steps: int = 800
     rounds: int = 10
-    updates: int = 1000
-    final_parts: int = 6
-    batch_size: int = 512
-    learning_rate: float = 4e-3
+    updates: int
+    final_updates: int
+    final_parts: int = 4
+    batch_size: int
+    sequence: int = 1
+    burn_in: int = 0
+    learning_rate: float
+    validation: tuple[str, ...]
+    evaluation_episodes: int = 128
+    failure_cost: float = -CRITERIA["speed"].weights["failed"]
 
     @property
     def env_kwargs(self) -> dict[str, Any]:
         """The arguments of the student's environment."""
-        kwargs: dict[str, Any] = {
+        return {
             "randomization": self.randomization,
-            "observe_estimates": True,
-            "observe_parameters": False,
+            "disturbances": self.disturbances,
+            **self.observation,
         }
-        if self.grid.capsule != NOMINAL:
-            kwargs["capsule"] = self.grid.capsule
-        return kwargs
 
 
-_WIDE = Student(
-    randomization="broad",
-    grid=GRID,
-    change_rate=0.2,
-    margin=0.5,
-    deviations=2.0,
-    max_regret=60.0,
-    num_envs=96,
-    steps=800,
-    final_updates=60_000,
-    evaluation_episodes=128,
-    failure_cost=-CRITERIA["speed"].weights["failed"],
-)
-_STICKY = Student(
-    randomization="sticky",
-    grid=STICKY_GRID,
-    change_rate=0.0,
-    margin=1.0,
-    deviations=1.0,
-    max_regret=100.0,
-    num_envs=320,
-    steps=250,
-    final_updates=12_000,
-    evaluation_episodes=512,
-    failure_cost=1000.0,
-)
 # Keys are names of rows on the leaderboard.
-STUDENTS = {"dp-distilled-wide": _WIDE, "sticky": _STICKY}
+STUDENTS = {
+    # Perfect sensors, and the estimates of the filter instead of a memory.
+    "dp-distilled-wide": Student(
+        randomization="broad",
+        observation={"observe_estimates": True},
+        groups=8,
+        plants={"wide": 8, "broad": 8},
+        severity=0.0,
+        change_rate=0.2,
+        margin=0.5,
+        deviations=2.0,
+        num_envs=96,
+        updates=1000,
+        final_updates=60_000,
+        final_parts=6,
+        batch_size=512,
+        learning_rate=4e-3,
+        validation=("wide",),
+    ),
+    # All plants and all disturbances at once.
+    "dp-distilled": Student(
+        randomization="broad",
+        disturbances="real",
+        groups=24,
+        plants={"wide": 3, "broad": 2, "sticky": 3},
+        severity=None,
+        sticky_share=0.5,
+        change_rate=0.1,
+        margin=0.5,
+        units=96,
+        num_envs=192,
+        updates=250,
+        final_updates=3200,
+        batch_size=64,
+        sequence=100,
+        burn_in=16,
+        learning_rate=2e-3,
+        validation=("paper", "wide", "real", "real-wide", "sticky"),
+        evaluation_episodes=64,
+    ),
+    "dp-distilled-real": Student(
+        randomization="real",
+        disturbances="real",
+        groups=128,
+        plants={"real": 1},
+        severity=1.0,
+        margin=0.5,
+        units=64,
+        num_envs=96,
+        updates=400,
+        final_updates=3200,
+        batch_size=64,
+        sequence=100,
+        burn_in=16,
+        learning_rate=2e-3,
+        validation=("real",),
+        evaluation_episodes=512,
+    ),
+}

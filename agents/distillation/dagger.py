@@ -1,38 +1,42 @@
 """Trains a student by DAgger: in rounds of data, the student acts more and more often.
 
-A fit follows each round, and a final fit the last one. The loss of a torque is its interpolated
-regret, not its distance from the expert's torque. The folder of a run holds
+A fit follows each round, and a final fit the last one. The folder of a run holds
 
     config.json          the fields of `Student`, and the git revision
     policy.safetensors   the best policy so far, by evaluations on validation plants
     finished.json        after the run: mean_speed (cm/s) and share of failed episodes of the best
                          policy, processor time of the run (core_seconds) and git revision
+
+and until then what it needs to continue: checkpoint.pt, without pickled code, and round-00.npz, ..
+with the data of each round.
 """
 
 import dataclasses
 import itertools
+import json
 import math
 import sys
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
-from torch import nn
 from tqdm import tqdm
 
 from agents.distillation.config import Student
 from agents.distillation.dataset import Dataset, collect
+from agents.distillation.network import Network
+from agents.distillation.plants import draw_groups, solve_groups
 from agents.training.checkpoint import git_revision
-from agents.training.config import CONFIG
-from baselines.dynamic_programming.policy import NUM_TORQUES
+from agents.training.config import CONFIG, RunError
 from capsule_gym import Policy
 from capsule_gym.evaluation.episodes import evaluate, scores, validation_set
-from capsule_gym.evaluation.sets import EvaluationSet
-from capsule_gym.files import to_json, write_atomically
-from capsule_gym.policies.conversion import read_modules
-from capsule_gym.policies.policy import IMITATION, POLICY
-from capsule_gym.tasks.task import CONTROL_DT
+from capsule_gym.evaluation.sets import EvaluationSet, load_set
+from capsule_gym.files import replacing, to_json, write_atomically
+from capsule_gym.policies.policy import POLICY
 
 # First seed of the validation plants for selecting the best policy; far from other seeds.
 SELECTION_SEED = 6_000_000
@@ -40,169 +44,181 @@ SELECTION_SEED = 6_000_000
 EXPERT_SHARES = (1.0, 0.5, 0.3, 0.2, 0.1)
 # Step size at the end of a round's fit, relative to its start.
 FINAL_RATE = 0.3
-HIDDEN = 64
 FINISHED = "finished.json"
-# Lower bound on the variance of an input that hardly varies.
-MIN_VARIANCE = 1e-3
-CLIP = 10.0
-EPSILON = 1e-8
-MAX_GRADIENT_NORM = 1.0
+CHECKPOINT = "checkpoint.pt"
 
 
-def interpolated_regret(regrets: torch.Tensor, torques: torch.Tensor) -> torch.Tensor:
-    """Interpolates regrets linearly.
+@dataclass(frozen=True)
+class Fit:
+    """A fit, and the data collected before.
 
-    Args:
-        regrets: the regrets at `TORQUES`, shape (n, NUM_TORQUES).
-        torques: where to interpolate, in [-1, 1], shape (n,).
-    """
-    positions = 0.5 * (NUM_TORQUES - 1) * (torques + 1.0)
-    below = positions.detach().long().clamp(0, NUM_TORQUES - 2)
-    low = regrets.gather(1, below[:, None])[:, 0]
-    high = regrets.gather(1, below[:, None] + 1)[:, 0]
-    return low + (positions - below) * (high - low)
-
-
-class Network:
-    """The student's network: two hidden layers, and tanh after each layer.
-
-    A dataset's statistics normalise the inputs.
+    Attributes:
+        expert_share: the expert's share of the time in the data; None if no data is collected.
+        updates: number of gradient steps.
+        rates: step sizes of Adam at the first and the last gradient step.
     """
 
-    def __init__(self, dataset: Dataset, seed: int) -> None:
-        inputs = dataset.inputs.astype(np.float64)
-        self._mean = inputs.mean(axis=0)
-        self._variance = np.maximum(inputs.var(axis=0), MIN_VARIANCE)
-        torch.manual_seed(seed)
-        first = nn.Linear(inputs.shape[1], HIDDEN)
-        second = nn.Linear(HIDDEN, HIDDEN)
-        last = nn.Linear(HIDDEN, 1)
-        self._module = nn.Sequential(first, nn.Tanh(), second, nn.Tanh(), last, nn.Tanh())
-        self._optimiser = torch.optim.Adam(self._module.parameters(), fused=True)
-
-    def fit(
-        self,
-        datasets: list[Dataset],
-        updates: int,
-        rates: tuple[float, float],
-        batch_size: int,
-        rng: np.random.Generator,
-    ) -> list[float]:
-        """Minimises the mean regret.
-
-        Args:
-            datasets: the data of all rounds.
-            updates: number of gradient steps.
-            rates: step sizes of Adam at the first and the last gradient step; linear in between.
-            batch_size: states in each step.
-            rng: random generator of the batches.
-
-        Returns:
-            The loss of the batch of every step, cm/s.
-        """
-        raw = np.concatenate([dataset.inputs for dataset in datasets])
-        scaled = np.clip((raw - self._mean) / np.sqrt(self._variance + EPSILON), -CLIP, CLIP)
-        inputs = torch.from_numpy(scaled.astype(np.float32))
-        regrets = torch.from_numpy(np.concatenate([dataset.regrets for dataset in datasets]))
-        first_rate, last_rate = rates
-        losses = []
-        for update in range(updates):
-            rate = first_rate + (last_rate - first_rate) * update / updates
-            self._optimiser.param_groups[0]["lr"] = rate
-            batch = torch.from_numpy(rng.integers(len(inputs), size=batch_size))
-            torques = self._module(inputs[batch])[:, 0]
-            loss = interpolated_regret(regrets[batch], torques).mean() / CONTROL_DT
-            self._optimiser.zero_grad()
-            loss.backward()
-            nn.utils.clip_grad_norm_(self._module.parameters(), MAX_GRADIENT_NORM)
-            self._optimiser.step()
-            losses.append(loss.item())
-        return losses
-
-    def policy(self, name: str, student: Student, seed: int, revision: str) -> Policy:
-        """The policy with the current weights."""
-        return Policy(
-            name=name,
-            algorithm=IMITATION,
-            **read_modules(self._module),
-            mean=self._mean,
-            variance=self._variance,
-            clip=CLIP,
-            epsilon=EPSILON,
-            env_kwargs=student.env_kwargs,
-            training_seed=seed,
-            revision=revision,
-        )
+    expert_share: float | None
+    updates: int
+    rates: tuple[float, float]
 
 
-def schedule(student: Student) -> list[tuple[float | None, int, tuple[float, float]]]:
-    """The rounds of DAgger and the parts of the final fit.
-
-    Each entry is the expert's share of the time (None if no data is collected), the number of
-    gradient steps, and the step sizes of Adam at the first and the last gradient step.
-    """
+def schedule(student: Student) -> list[Fit]:
+    """The rounds of DAgger and the parts of the final fit."""
     rate = student.learning_rate
-    fits: list[tuple[float | None, int, tuple[float, float]]] = []
+    fits = []
     shares = itertools.chain(EXPERT_SHARES, itertools.repeat(0.0))
     for share in itertools.islice(shares, student.rounds):
-        fits.append((share, student.updates, (rate, FINAL_RATE * rate)))
+        fits.append(Fit(share, student.updates, (rate, FINAL_RATE * rate)))
     parts = student.final_parts
     ends = [rate * (1.0 - n / parts) for n in range(parts + 1)]
     for rates in itertools.pairwise(ends):
-        fits.append((None, student.final_updates // parts, rates))
+        fits.append(Fit(None, student.final_updates // parts, rates))
     return fits
 
 
-def distil(name: str, student: Student, seed: int, folder: Path) -> None:
-    """Trains a student in a new folder. Equal seeds give equal policies.
+class Run:
+    """A run in its folder, which continues where it was interrupted.
 
-    If the run is interrupted, the folder holds the best policy so far, if any.
-
-    Raises:
-        FileExistsError: if the folder exists.
+    Equal seeds give equal policies, also after an interruption.
     """
-    folder.mkdir(parents=True)
-    torch.set_num_threads(1)
-    began = time.process_time()
-    revision = git_revision(Path(__file__).parent)
-    config = {"hyperparameters": dataclasses.asdict(student), "revision": revision}
-    write_atomically(folder / CONFIG, to_json(config))
-    rng = np.random.default_rng(seed)
-    plants = _validation_plants(student, seed)
-    datasets: list[Dataset] = []
-    network: Network | None = None
-    policy: Policy | None = None
-    best = (-math.inf, 0.0, 0.0)
-    fits = schedule(student)
-    bar = tqdm(fits, f"{name}/{folder.name}", unit="fit", file=sys.stderr, disable=None)
-    for expert_share, updates, rates in bar:
-        if expert_share is not None:
-            act = policy.start(range(student.num_envs)) if policy else None
-            datasets.append(collect(student, rng, expert_share, act))
-        network = network or Network(datasets[0], seed)
-        network.fit(datasets, updates, rates, student.batch_size, rng)
-        policy = network.policy(name, student, seed, revision)
-        episodes = evaluate(policy, plants)
-        speed = float(scores(episodes, "mean_speed").mean())
-        failed = float(scores(episodes, "failed").mean())
-        bar.set_postfix_str(f"{speed:.2f} cm/s, {100.0 * failed:.0f} % failed")
-        found = (speed - student.failure_cost * failed, speed, failed)
-        if found > best:
-            best = found
-            policy.save(folder / POLICY)
-    _, speed, failed = best
-    result = {
-        "mean_speed": speed,
-        "failed": failed,
-        "core_seconds": round(time.process_time() - began, 1),
-        "revision": revision,
-    }
-    write_atomically(folder / FINISHED, to_json(result))
+
+    def __init__(self, name: str, student: Student, seed: int, folder: Path) -> None:
+        """Begins a run, or reads its checkpoint.
+
+        Raises:
+            RunError: if the folder holds a run of another student or revision.
+        """
+        self.name = name
+        self.student = student
+        self.seed = seed
+        self.folder = folder
+        self.revision = git_revision(Path(__file__).parent)
+        self.rng = np.random.default_rng(seed)
+        self.datasets: list[Dataset] = []
+        self.network: Network | None = None
+        self.policy: Policy | None = None
+        self.finished_fits = 0
+        self.core_seconds = 0.0
+        self.best = (-math.inf, 0.0, 0.0)
+        config = {"hyperparameters": dataclasses.asdict(student), "revision": self.revision}
+        text = to_json(config)
+        folder.mkdir(parents=True, exist_ok=True)
+        path = folder / CONFIG
+        if not path.exists():
+            write_atomically(path, text)
+        elif path.read_text(encoding="utf-8") != text:
+            raise RunError(f"{folder} contains a run with other settings or code: move it")
+        if (folder / CHECKPOINT).is_file():
+            self._load()
+
+    def train(self) -> None:
+        """Trains to the end, and saves the best policy so far and a checkpoint after each fit."""
+        torch.set_num_threads(1)
+        groups = draw_groups(self.student)
+        solutions = solve_groups(groups, self.folder.parent / "plants")
+        plants = _validation_plants(self.student, self.seed)
+        fits = schedule(self.student)
+        bar = tqdm(
+            fits,
+            f"{self.name}/{self.folder.name}",
+            initial=self.finished_fits,
+            unit="fit",
+            file=sys.stderr,
+            disable=None,
+        )
+        began = time.process_time()
+        for fit in fits[self.finished_fits :]:
+            if fit.expert_share is not None:
+                act = self.policy.start(range(self.student.num_envs)) if self.policy else None
+                args = (self.student, groups, solutions, self.rng, fit.expert_share, act)
+                self._add(collect(*args))
+            if self.network is None:
+                self.network = Network(self.student, self.datasets[0], self.seed)
+            self.network.fit(self.datasets, fit.updates, fit.rates, self.rng)
+            self.policy = self.network.policy(self.name, self.seed, self.revision)
+            episodes = [episode for each in plants for episode in evaluate(self.policy, each)]
+            speed = float(scores(episodes, "mean_speed").mean())
+            failed = float(scores(episodes, "failed").mean())
+            bar.set_postfix_str(f"{speed:.2f} cm/s, {100.0 * failed:.1f} % failed")
+            bar.update()
+            found = (speed - self.student.failure_cost * failed, speed, failed)
+            if found > self.best:
+                self.best = found
+                self.policy.save(self.folder / POLICY)
+            self.finished_fits += 1
+            now = time.process_time()
+            self.core_seconds += now - began
+            began = now
+            self._save()
+        bar.close()
+        _, speed, failed = self.best
+        result = {
+            "mean_speed": speed,
+            "failed": failed,
+            "core_seconds": round(self.core_seconds, 1),
+            "revision": self.revision,
+        }
+        write_atomically(self.folder / FINISHED, to_json(result))
+        for path in (self.folder / CHECKPOINT, *self.folder.glob("round-*.npz")):
+            path.unlink()
+
+    def _round_path(self, n: int) -> Path:
+        return self.folder / f"round-{n:02}.npz"
+
+    def _add(self, dataset: Dataset) -> None:
+        """Adds the data of a round, and writes its file."""
+        with replacing(self._round_path(len(self.datasets))) as temporary:
+            np.savez(temporary, **dataset._asdict())
+        self.datasets.append(dataset)
+
+    def _save(self) -> None:
+        """Writes the checkpoint."""
+        assert self.network is not None
+        state = {
+            "finished_fits": self.finished_fits,
+            "rounds": len(self.datasets),
+            "core_seconds": self.core_seconds,
+            "best": self.best,
+            # As text, since its integers exceed 64 bits.
+            "rng": json.dumps(self.rng.bit_generator.state),
+            "module": self.network.module.state_dict(),
+            "optimiser": self.network.optimiser.state_dict(),
+        }
+        with replacing(self.folder / CHECKPOINT) as temporary:
+            torch.save(state, temporary)
+
+    def _load(self) -> None:
+        """Reads the checkpoint and the data of the rounds before it."""
+        state: dict[str, Any] = torch.load(self.folder / CHECKPOINT, weights_only=True)
+        for n in range(state["rounds"]):
+            with np.load(self._round_path(n), allow_pickle=False) as arrays:
+                self.datasets.append(Dataset(**arrays))
+        self.network = Network(self.student, self.datasets[0], self.seed)
+        self.network.module.load_state_dict(state["module"])
+        self.network.optimiser.load_state_dict(state["optimiser"])
+        self.policy = self.network.policy(self.name, self.seed, self.revision)
+        self.rng.bit_generator.state = json.loads(state["rng"])
+        self.finished_fits = state["finished_fits"]
+        self.core_seconds = state["core_seconds"]
+        self.best = state["best"]
 
 
-def _validation_plants(student: Student, seed: int) -> EvaluationSet:
-    """The plants that select a run's best policy, never a frozen set."""
+def _validation_plants(student: Student, seed: int) -> Sequence[EvaluationSet]:
+    """The plants that select a run's best policy: drawn as those of sets, but never theirs."""
     count = student.evaluation_episodes
     first = SELECTION_SEED + seed * count
-    capsule = student.grid.capsule
-    return validation_set(student.randomization, "validation plants", first, count, capsule)
+    sets = []
+    for name in student.validation:
+        like = load_set(name)
+        sets.append(
+            validation_set(
+                name,
+                f"validation plants of {name}",
+                first,
+                count,
+                like.capsule,
+                disturbances=like.disturbances,
+            )
+        )
+    return sets

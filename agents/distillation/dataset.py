@@ -1,20 +1,23 @@
 """The data of distillation: the states that expert and student visit, and regrets of torques.
 
-The expert is the optimum of the episode's plant, `baselines.dynamic_programming.policy.Oracle`. It
-observes M and mu. From a student, M and mu are hidden: it observes online estimates, and learns the
-torque with the least mean regret over the plants that a state may belong to.
+The expert is the optimum of the episode's plant at its true state,
+`baselines.dynamic_programming.policy.PlantOracle`. The student observes neither the plant nor, with
+disturbances, the state: it learns the torque with the least mean regret over all that its
+observations may belong to.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from agents.distillation.config import Student
-from baselines.dynamic_programming.policy import TORQUES, Oracle
+from agents.distillation.plants import PENDULUM, Group, draw_changes, draw_disturbances
+from baselines.dynamic_programming.policy import NUM_TORQUES, TORQUES, PlantOracle
+from baselines.dynamic_programming.solver import Solution
 from capsule_gym import CapsuleVectorEnv
-from capsule_gym.envs.contract import draw_plant
-from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
+from capsule_gym.parameters import NOMINAL
 from capsule_gym.policies.scripted import Act
 from capsule_gym.tasks.task import CONTROL_DT
 
@@ -25,20 +28,27 @@ EXPLORATION_PROBABILITY = 0.01
 
 
 class Dataset(NamedTuple):
-    """The states of one round.
+    """The episodes of one round.
 
     Attributes:
-        inputs: the student's observations, shape (states, entries), float32.
-        regrets: regret of each of `TORQUES`, cm, shape (states, NUM_TORQUES), float32; torques that
-            leave less normal force than the margin cost more.
+        inputs: the student's observations, shape (episodes, steps, entries), float32.
+        regrets: regret of each of `TORQUES`, cm, shape (episodes, steps, NUM_TORQUES), float16;
+            torques that leave less normal force than the margin cost more.
+        running: whether the episode has not ended, shape (episodes, steps).
     """
 
     inputs: np.ndarray
     regrets: np.ndarray
+    running: np.ndarray
 
 
 def collect(
-    student: Student, rng: np.random.Generator, expert_share: float, act: Act | None
+    student: Student,
+    groups: Sequence[Group],
+    solutions: Sequence[Solution],
+    rng: np.random.Generator,
+    expert_share: float,
+    act: Act | None,
 ) -> Dataset:
     """Runs a batch of episodes in which the expert acts for `expert_share` of the time.
 
@@ -46,66 +56,73 @@ def collect(
     the plants, the acting policy and the exploration.
     """
     count = student.num_envs
-    env_kwargs = student.env_kwargs | {"observe_parameters": True}
+    env_kwargs = student.env_kwargs
     env = CapsuleVectorEnv(num_envs=count, autoreset_mode=AutoresetMode.DISABLED, **env_kwargs)
     entries = list(env.simulation.entries)
-    M, mu = entries.index("M"), entries.index("mu")
-    expert = Oracle(count, student.grid)
+    expert = PlantOracle(env.simulation, solutions)
     seeds = rng.integers(2**31, size=count).tolist()
-    observations, _ = env.reset(seed=seeds, options=_plant_changes(student, rng))
-    running = np.ones(count, bool)
+    options = _episode_options(student, groups, rng)
+    observations, _ = env.reset(seed=seeds, options=options)
+    inputs = np.zeros((student.steps, count, len(entries)), np.float32)
+    regrets = np.zeros((student.steps, count, NUM_TORQUES), np.float16)
+    running = np.zeros((student.steps, count), bool)
+    runs = np.ones(count, bool)
     expert_acts = rng.random(count) < expert_share
-    inputs = []
-    regrets = []
-    for _ in range(student.steps):
-        # The expert observes M and mu, but no estimates; the student estimates, but neither M nor
-        # mu.
-        observed = np.delete(observations, [M, mu], axis=1)
-        scores = expert.scores(observations[:, : mu + 1])
-        M_deviation = observations[:, [entries.index("M_deviation")]]
-        regret = _regret(student, scores, expert.normal_force, M_deviation)
-        inputs.append(observed[running])
-        regrets.append(regret[running])
+    for step in range(student.steps):
+        margin = np.full((count, 1), student.margin)
+        if student.deviations > 0.0:
+            M_deviation = observations[:, [entries.index("M_deviation")]]
+            margin += student.deviations * NOMINAL.g * M_deviation
+        regret = _regret(expert.scores(), expert.normal_force, margin, student.max_regret)
+        inputs[step] = observations
+        regrets[step] = regret
+        running[step] = runs
         actions = TORQUES[regret.argmin(axis=1)]
         if act is not None:
             switch = rng.random(count) < SWITCH_PROBABILITY
             expert_acts = np.where(switch, rng.random(count) < expert_share, expert_acts)
-            actions = np.where(expert_acts, actions, act(observed)[:, 0])
+            actions = np.where(expert_acts, actions, act(observations)[:, 0])
         explore = rng.random(count) < EXPLORATION_PROBABILITY
         actions = np.where(explore, rng.uniform(-1.0, 1.0, count), actions)
         observations, _, terminated, truncated, _ = env.step(actions[:, None].astype(np.float32))
-        running &= ~(terminated | truncated)
-        if not running.any():
+        runs &= ~(terminated | truncated)
+        if not runs.any():
             break
-    return Dataset(np.concatenate(inputs), np.concatenate(regrets))
+    return Dataset(inputs.swapaxes(0, 1), regrets.swapaxes(0, 1), running.swapaxes(0, 1))
 
 
 def _regret(
-    student: Student, scores: np.ndarray, normal_force: np.ndarray, M_deviation: np.ndarray
+    scores: np.ndarray, normal_force: np.ndarray, margin: np.ndarray, max_regret: float
 ) -> np.ndarray:
     """The regret of every torque, cm, shape (episodes, NUM_TORQUES).
 
     Args:
-        student: the student, whose margin makes torques with little normal force more costly.
         scores: the expert's scores of the torques, cm, shape (episodes, NUM_TORQUES).
         normal_force: least normal force after each torque, N, of the same shape.
-        M_deviation: standard deviation of the estimate of M, kg, shape (episodes, 1).
+        margin: normal force below which a torque costs more, N, shape (episodes, 1).
+        max_regret: what it costs more at 0 N, and the upper bound of a regret, cm.
     """
-    weight_deviations = student.deviations * NOMINAL.g * M_deviation
-    margins = student.margin + weight_deviations.astype(np.float64)
-    scores = scores - student.max_regret * np.clip(1.0 - normal_force / margins, 0.0, 1.0)
+    scores = scores - max_regret * np.clip(1.0 - normal_force / margin, 0.0, 1.0)
     regret = scores.max(axis=1, keepdims=True) - scores
-    return np.minimum(regret, student.max_regret).astype(np.float32)
+    return np.minimum(regret, max_regret)
 
 
-def _plant_changes(student: Student, rng: np.random.Generator) -> dict[str, Any]:
-    """The options of a reset: when M and mu change within an episode, and their new values."""
+def _episode_options(
+    student: Student, groups: Sequence[Group], rng: np.random.Generator
+) -> dict[str, Any]:
+    """The options of a reset: the plants of the episodes, their changes and disturbances."""
     seconds = student.steps * CONTROL_DT
-    changes: list[list[dict[str, float]]] = []
+    chosen: dict[str, list[Any]] = {"M": [], "mu": [], "changes": []}
+    if student.disturbances != "none":
+        chosen |= {"capsule": [], "disturbances": []}
     for _ in range(student.num_envs):
-        count = rng.poisson(student.change_rate * seconds)
-        changes.append([])
-        for t in sorted(rng.uniform(0.0, seconds, count).tolist()):
-            M, mu = draw_plant(RANDOMIZATIONS["wide"], NOMINAL, rng)
-            changes[-1].append({"t": t, "M": M, "mu": mu})
-    return {"changes": changes}
+        group = groups[int(rng.integers(len(groups)))]
+        problem = group.problems[int(rng.integers(len(group.problems)))]
+        chosen["M"].append(problem.M)
+        chosen["mu"].append(problem.mu)
+        chosen["changes"].append(draw_changes(group, student.change_rate, seconds, rng))
+        if student.disturbances != "none":
+            constants = {name: getattr(problem, name) for name in (*PENDULUM, "static_ratio")}
+            chosen["capsule"].append(constants)
+            chosen["disturbances"].append(draw_disturbances(group, rng))
+    return chosen

@@ -11,7 +11,7 @@ import pytest
 import train
 from agents.analysis.curves import read_evaluations
 from agents.distillation.config import STUDENTS
-from agents.distillation.dagger import CLIP, EPSILON, HIDDEN, MIN_VARIANCE
+from agents.distillation.network import CLIP, EPSILON, MIN_VARIANCE
 from agents.training.config import CONFIG, EVALUATIONS, RANGES, read_config
 from agents.training.presets import PRESETS, TRAINED_ROWS
 from capsule_gym.evaluation.candidates import CHECKPOINTS, checkpoint_names, find_candidate
@@ -58,14 +58,15 @@ def assert_policies(name, env_kwargs, algorithm, hidden):
         assert policy.env_kwargs == env_kwargs
         assert policy.algorithm == algorithm
         assert policy.revision == revision
-        assert [bias.size for _, bias in policy.layers] == [hidden, hidden, 1]
+        assert [bias.size for _, bias in (*policy.layers, *policy.head)] == hidden
 
 
 @pytest.mark.parametrize("name", TRAINED_ROWS)
 def test_a_rows_settings_are_those_that_its_policies_were_trained_with(name):
     settings = TRAINED_ROWS[name]
     assert dataclasses.replace(read_config(CHECKPOINTS / name), seed=0) == settings
-    assert_policies(name, settings.env_kwargs(), settings.algo, settings.hidden)
+    hidden = [settings.hidden, settings.hidden, 1]
+    assert_policies(name, settings.env_kwargs(), settings.algo, hidden)
 
 
 @pytest.mark.parametrize("name", TRAINED_ROWS)
@@ -86,7 +87,8 @@ def test_a_students_settings_are_those_that_its_policies_were_trained_with(name)
     student = STUDENTS[name]
     expected = json.loads(to_json(dataclasses.asdict(student)))
     assert record_of(name)["hyperparameters"] == expected
-    assert_policies(name, student.env_kwargs, IMITATION, HIDDEN)
+    first = student.units or student.hidden
+    assert_policies(name, student.env_kwargs, IMITATION, [first, student.hidden, 1])
 
 
 @pytest.mark.parametrize("name", STUDENTS)

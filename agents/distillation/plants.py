@@ -1,0 +1,166 @@
+"""The plants of a student's training episodes, each with the values of its own optimum.
+
+Plants with the same pendulum, friction of the motor and static ratio form a group, within which M
+and mu may change during an episode. A file per plant keeps its values:
+
+    0000.npz             `constants` and the fields of the solution
+
+A file whose constants are those of the plant is not solved again.
+"""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from joblib import Parallel, delayed
+from tqdm import tqdm
+
+from agents.distillation.config import Student
+from baselines.dynamic_programming.archive import known_results, solve_near
+from baselines.dynamic_programming.grid import Grid
+from baselines.dynamic_programming.problem import Problem
+from baselines.dynamic_programming.solver import Solution
+from capsule_gym.envs.contract import draw_plant
+from capsule_gym.files import replacing
+from capsule_gym.parameters import DISTURBANCES, NOMINAL, RANDOMIZATIONS, REAL
+
+# The constants of a plant, in the order of its file.
+CONSTANTS = ("M", "mu", "m", "l", "k", "c", "static_ratio", "motor_friction")
+PENDULUM = ("m", "l", "k", "c")
+# Every group draws its own plants, the same in all runs.
+SEED = 63
+# Share by which the ranges of the solutions are longer than those of nominal plants.
+ROOM = 0.15
+STATIC_RATIO = 1.3
+
+
+@dataclass(frozen=True)
+class Group:
+    """Plants that differ in M and mu only.
+
+    Attributes:
+        severity: size of the disturbances relative to `REAL`; None draws it anew for each
+            disturbance of each episode.
+        problems: the plants' problems.
+        targets: those to which an episode may change.
+    """
+
+    severity: float | None
+    problems: tuple[Problem, ...]
+    targets: tuple[Problem, ...]
+
+
+def draw_groups(student: Student) -> list[Group]:
+    """The groups of a student's training plants.
+
+    Without a severity, sensors, motor and pendulum are those of `real` in half of them, those of
+    `paper` in a quarter, and between them in the others.
+    """
+    severities = (1.0, 0.0, 1.0, None) if student.severity is None else (student.severity,)
+    groups = []
+    for n in range(student.groups):
+        rng = np.random.default_rng([SEED, n])
+        severity = severities[n % len(severities)]
+        size = rng.random() if severity is None else severity
+        pendulum = {}
+        for name in PENDULUM:
+            low, high = getattr(RANDOMIZATIONS["real"], name)
+            drawn = rng.uniform(low, high)
+            pendulum[name] = getattr(NOMINAL, name) + size * (drawn - getattr(NOMINAL, name))
+        sticky = rng.random() < student.sticky_share
+        shared = Problem(
+            static_ratio=STATIC_RATIO if sticky else NOMINAL.static_ratio,
+            motor_friction=size * _ends("motor_friction")[1],
+            **pendulum,
+        )
+        problems = []
+        for randomization, count in student.plants.items():
+            for _ in range(count):
+                M, mu = draw_plant(RANDOMIZATIONS[randomization], NOMINAL, rng)
+                problems.append(replace(shared, M=M, mu=mu))
+        targets = problems[: student.plants.get("wide", 0)]
+        groups.append(Group(severity, tuple(problems), tuple(targets)))
+    return groups
+
+
+def draw_disturbances(group: Group, rng: np.random.Generator) -> dict[str, float]:
+    """The disturbances of an episode; the motor's friction is that of the group's plants."""
+    drawn: dict[str, float] = {}
+    for name in DISTURBANCES:
+        size = rng.random() if group.severity is None else group.severity
+        drawn[name] = size * rng.uniform(*_ends(name))
+    drawn["drift_time"] = rng.uniform(*_ends("drift_time"))
+    drawn["motor_friction"] = group.problems[0].motor_friction
+    return drawn
+
+
+def _ends(name: str) -> tuple[float, float]:
+    """The smallest and the largest value of a disturbance in `REAL`."""
+    value = getattr(REAL, name)
+    low, high = value if isinstance(value, tuple) else (value, value)
+    return low, high
+
+
+def draw_changes(
+    group: Group, rate: float, seconds: float, rng: np.random.Generator
+) -> list[dict[str, Any]]:
+    """The changes of M and mu in an episode, `rate` per second on average."""
+    count = rng.poisson(rate * seconds)
+    changes: list[dict[str, Any]] = []
+    for t in sorted(rng.uniform(0.0, seconds, count).tolist()):
+        problem = group.targets[rng.integers(len(group.targets))]
+        changes.append({"t": t, "M": problem.M, "mu": problem.mu})
+    return changes
+
+
+def solve_groups(groups: Sequence[Group], folder: Path, jobs: int = -1) -> list[Solution]:
+    """The solutions of all plants, from files of a folder where they have been solved before."""
+    problems = [problem for group in groups for problem in group.problems]
+    paths = [folder / f"{n:04}.npz" for n in range(len(problems))]
+    found = [_read(path, problem) for path, problem in zip(paths, problems, strict=True)]
+    missing = [n for n, solution in enumerate(found) if solution is None]
+    if missing:
+        work = Parallel(jobs, return_as="generator_unordered")
+        solving = work(delayed(_solve)(problems[n], paths[n]) for n in missing)
+        text = "solving plants"
+        for _ in tqdm(solving, text, len(missing), unit="plant", file=sys.stderr, disable=None):
+            pass
+        return solve_groups(groups, folder, jobs)
+    return [solution for solution in found if solution is not None]
+
+
+def _constants(problem: Problem) -> np.ndarray:
+    return np.array([getattr(problem, name) for name in CONSTANTS])
+
+
+def _solve(problem: Problem, path: Path) -> None:
+    """Solves a plant and writes its file."""
+    solution = solve_near(problem, known_results(), room=ROOM)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as temporary:
+        np.savez_compressed(
+            temporary,
+            constants=_constants(problem),
+            values=solution.values,
+            y=solution.grid.y,
+            w=solution.grid.w,
+            curvature=solution.curvature,
+            gain=solution.gain,
+        )
+
+
+def _read(path: Path, problem: Problem) -> Solution | None:
+    """The solution of a plant in a file, or None if the file has none of this plant."""
+    if not path.is_file():
+        return None
+    with np.load(path, allow_pickle=False) as arrays:
+        if not np.array_equal(arrays["constants"], _constants(problem)):
+            return None
+        values = arrays["values"]
+        y = tuple(arrays["y"].tolist())
+        w = tuple(arrays["w"].tolist())
+        grid = Grid(values.shape, y, w, problem.q)
+        return Solution(problem, grid, values, float(arrays["curvature"]), float(arrays["gain"]))

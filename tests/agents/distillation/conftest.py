@@ -1,0 +1,64 @@
+"""A student that is distilled in seconds, and its plants, which are solved once."""
+
+import dataclasses
+
+import pytest
+
+from agents.distillation.config import STUDENTS
+from agents.distillation.plants import draw_groups, solve_groups
+
+RECURRENT = dataclasses.replace(
+    STUDENTS["dp-distilled"],
+    groups=4,
+    plants={"wide": 1},
+    units=8,
+    num_envs=4,
+    steps=40,
+    rounds=3,
+    updates=3,
+    final_updates=4,
+    final_parts=2,
+    batch_size=6,
+    sequence=20,
+    burn_in=5,
+    learning_rate=1e-3,
+    validation=("paper",),
+    evaluation_episodes=2,
+)
+FEEDFORWARD = dataclasses.replace(
+    STUDENTS["dp-distilled-wide"],
+    groups=3,
+    plants={"wide": 1},
+    num_envs=4,
+    steps=40,
+    rounds=3,
+    updates=3,
+    final_updates=4,
+    final_parts=2,
+    batch_size=16,
+    learning_rate=1e-3,
+    validation=("paper",),
+    evaluation_episodes=2,
+)
+
+
+@pytest.fixture(scope="session")
+def plants_folder(tmp_path_factory):
+    """The folder with the solved plants of `RECURRENT`."""
+    folder = tmp_path_factory.mktemp("plants")
+    solve_groups(draw_groups(RECURRENT), folder, jobs=1)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def solved(plants_folder):
+    """The groups of `RECURRENT` and the solutions of their plants."""
+    groups = draw_groups(RECURRENT)
+    return groups, solve_groups(groups, plants_folder, jobs=1)
+
+
+@pytest.fixture(scope="session")
+def solved_nominal(tmp_path_factory):
+    """The groups of `FEEDFORWARD` and the solutions of their plants."""
+    groups = draw_groups(FEEDFORWARD)
+    return groups, solve_groups(groups, tmp_path_factory.mktemp("nominal"), jobs=1)

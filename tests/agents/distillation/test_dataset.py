@@ -1,0 +1,93 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from agents.distillation.dataset import collect
+from baselines.dynamic_programming.policy import NUM_TORQUES
+from capsule_gym.parameters import NOMINAL
+from tests.agents.distillation.conftest import FEEDFORWARD, RECURRENT
+
+# Columns of the observation: the last action; with estimates, their standard deviations from 7 on.
+LAST_ACTION = 4
+ESTIMATES = slice(5, 9)
+M_DEVIATION = 7
+
+
+def collected(student, solved, *, expert_share=1.0, act=None, **settings):
+    groups, solutions = solved
+    student = dataclasses.replace(student, **settings)
+    return collect(student, groups, solutions, np.random.default_rng(0), expert_share, act)
+
+
+def test_a_dataset_has_all_steps_of_all_episodes(solved):
+    dataset = collected(RECURRENT, solved)
+    assert dataset.inputs.shape == (4, 40, 5)
+    assert dataset.regrets.shape == (4, 40, NUM_TORQUES)
+    assert dataset.running.all()
+    # Sensors are disturbed in three of the four groups: at rest not every angle reads the start.
+    assert np.ptp(dataset.inputs[:, 0, 0]) > 0.0
+
+
+def test_the_best_torque_has_no_regret(solved):
+    dataset = collected(RECURRENT, solved)
+    assert (dataset.regrets.min(axis=-1) == 0.0).all()
+    assert dataset.regrets.max() > 0.1
+    assert dataset.regrets.max() <= RECURRENT.max_regret
+
+
+def test_steps_after_the_end_of_an_episode_do_not_count(solved):
+    def full(observations):
+        return np.ones((len(observations), 1), np.float32)
+
+    dataset = collected(RECURRENT, solved, expert_share=0.0, act=full, steps=200)
+    ended = ~dataset.running
+    assert ended.any()
+    # An ended episode does not begin again.
+    assert (np.diff(ended.astype(int), axis=1) >= 0).all()
+
+
+def test_a_student_observes_the_estimates(solved_nominal):
+    inputs = collected(FEEDFORWARD, solved_nominal, steps=150, change_rate=0.0).inputs
+    first, last = inputs[:, 0], inputs[:, -1]
+    assert (first[:, ESTIMATES] == first[0, ESTIMATES]).all()
+    assert (last[:, M_DEVIATION] < 0.2 * first[:, M_DEVIATION]).all()
+
+
+def first_regrets(solved_nominal, margin, deviations=0.0):
+    settings = {"steps": 1, "max_regret": 100.0, "margin": margin, "deviations": deviations}
+    return collected(FEEDFORWARD, solved_nominal, **settings).regrets.astype(float)
+
+
+def test_a_torque_that_leaves_less_normal_force_than_the_margin_costs_more(solved_nominal):
+    wide = first_regrets(solved_nominal, 20.0)
+    narrow = first_regrets(solved_nominal, 1.0)
+    assert wide.mean() > narrow.mean() + 10.0
+
+
+def test_an_uncertain_mass_enlarges_the_margin(solved_nominal):
+    # Before any observation, the standard deviation of M is that of the prior, 0.2 kg.
+    expected = first_regrets(solved_nominal, 1.0 + 2.0 * NOMINAL.g * 0.2)
+    uncertain = first_regrets(solved_nominal, 1.0, deviations=2.0)
+    np.testing.assert_allclose(uncertain, expected, rtol=2e-3, atol=1e-2)
+    assert (uncertain != first_regrets(solved_nominal, 1.0)).any()
+
+
+def test_the_acting_policy_decides_the_states(solved):
+    shapes = set()
+
+    def zero(observations):
+        shapes.add(observations.shape)
+        return np.zeros((len(observations), 1), np.float32)
+
+    alone = collected(RECURRENT, solved, expert_share=0.0, act=zero)
+    assert shapes == {(4, 5)}
+    assert np.abs(alone.inputs[..., LAST_ACTION]).mean() < 0.1
+    assert np.abs(collected(RECURRENT, solved).inputs[..., LAST_ACTION]).mean() > 0.1
+
+
+@pytest.mark.parametrize("change_rate", [0.0, 3.0])
+def test_only_plants_that_change_differ_from_those_of_the_reset(solved, change_rate):
+    dataset = collected(RECURRENT, solved, change_rate=change_rate)
+    again = collected(RECURRENT, solved, change_rate=change_rate)
+    assert (dataset.inputs == again.inputs).all()
