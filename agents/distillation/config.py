@@ -40,7 +40,8 @@ class Student:
         sequence: steps in a sequence.
         burn_in: first steps of a sequence that do not count, unless they begin an episode: the
             memory is empty there.
-        learning_rate: step size of Adam; it falls to 0 at the end.
+        learning_rate: step size of Adam at the start of a round's fit; the final fit begins with
+            half of it, which falls to 0.
         validation: names of the sets after which the validation plants are drawn.
         evaluation_episodes: episodes in an evaluation on each of them.
         failure_cost: weight of the share of failed episodes in the selection of the best policy,
@@ -98,8 +99,7 @@ STUDENTS = {
         deviations=2.0,
         num_envs=96,
         updates=1000,
-        final_updates=60_000,
-        final_parts=6,
+        final_updates=40_000,
         batch_size=512,
         learning_rate=4e-3,
         validation=("wide",),
@@ -109,7 +109,7 @@ STUDENTS = {
         randomization="broad",
         disturbances="real",
         groups=24,
-        plants={"wide": 3, "broad": 2, "sticky": 3},
+        plants={"wide": 3, "broad": 2, "sticky": 1, "paper": 2},
         severity=None,
         sticky_share=0.5,
         change_rate=0.1,

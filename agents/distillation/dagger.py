@@ -42,8 +42,10 @@ from capsule_gym.policies.policy import POLICY
 SELECTION_SEED = 6_000_000
 # Share of the time in which the expert acts, in the first rounds; 0 afterwards.
 EXPERT_SHARES = (1.0, 0.5, 0.3, 0.2, 0.1)
-# Step size at the end of a round's fit, relative to its start.
-FINAL_RATE = 0.3
+# Step sizes at the end of a round's fit and at the start of the final one, relative to those at the
+# start of a round's.
+ROUND_END = 0.3
+FINAL_START = 0.5
 FINISHED = "finished.json"
 CHECKPOINT = "checkpoint.pt"
 
@@ -69,9 +71,9 @@ def schedule(student: Student) -> list[Fit]:
     fits = []
     shares = itertools.chain(EXPERT_SHARES, itertools.repeat(0.0))
     for share in itertools.islice(shares, student.rounds):
-        fits.append(Fit(share, student.updates, (rate, FINAL_RATE * rate)))
+        fits.append(Fit(share, student.updates, (rate, ROUND_END * rate)))
     parts = student.final_parts
-    ends = [rate * (1.0 - n / parts) for n in range(parts + 1)]
+    ends = [FINAL_START * rate * (1.0 - n / parts) for n in range(parts + 1)]
     for rates in itertools.pairwise(ends):
         fits.append(Fit(None, student.final_updates // parts, rates))
     return fits

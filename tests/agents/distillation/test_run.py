@@ -59,7 +59,7 @@ def test_the_step_size_falls_to_zero():
     rates = [fit.rates for fit in dagger.schedule(STUDENT)]
     final = rates[STUDENT.rounds :]
     assert rates[0][0] == STUDENT.learning_rate
-    assert final[0][0] == STUDENT.learning_rate
+    assert final[0][0] == dagger.FINAL_START * STUDENT.learning_rate
     assert all(first > last for first, last in rates)
     next_firsts = [first for first, _ in final[1:]]
     assert [last for _, last in final] == pytest.approx([*next_firsts, 0.0])
