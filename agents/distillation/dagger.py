@@ -129,8 +129,8 @@ class Run:
             file=sys.stderr,
             disable=None,
         )
-        began = time.process_time()
         for fit in fits[self.finished_fits :]:
+            began = time.process_time()
             if fit.expert_share is not None:
                 act = self.policy.start(range(self.student.num_envs)) if self.policy else None
                 args = (self.student, groups, solutions, self.rng, fit.expert_share, act)
@@ -139,21 +139,32 @@ class Run:
                 self.network = Network(self.student, self.datasets[0], self.seed)
             self.network.fit(self.datasets, fit.updates, fit.rates, self.rng)
             self.policy = self.network.policy(self.name, self.seed, self.revision)
-            episodes = [episode for each in plants for episode in evaluate(self.policy, each)]
-            speed = float(scores(episodes, "mean_speed").mean())
-            failed = float(scores(episodes, "failed").mean())
+            speed, failed = self._evaluate(self.policy, plants)
             bar.set_postfix_str(f"{speed:.2f} cm/s, {100.0 * failed:.1f} % failed")
             bar.update()
-            found = (speed - self.student.failure_cost * failed, speed, failed)
-            if found > self.best:
-                self.best = found
-                self.policy.save(self.folder / POLICY)
             self.finished_fits += 1
-            now = time.process_time()
-            self.core_seconds += now - began
-            began = now
+            self.core_seconds += time.process_time() - began
             self._save()
         bar.close()
+        self._finish()
+
+    def _evaluate(self, policy: Policy, plants: Sequence[EvaluationSet]) -> tuple[float, float]:
+        """Evaluates a policy, and saves it if it is the best so far.
+
+        Returns:
+            The mean speed, cm/s, and the share of failed episodes.
+        """
+        episodes = [episode for each in plants for episode in evaluate(policy, each)]
+        speed = float(scores(episodes, "mean_speed").mean())
+        failed = float(scores(episodes, "failed").mean())
+        found = (speed - self.student.failure_cost * failed, speed, failed)
+        if found > self.best:
+            self.best = found
+            policy.save(self.folder / POLICY)
+        return speed, failed
+
+    def _finish(self) -> None:
+        """Writes the result, and removes what was needed to continue."""
         _, speed, failed = self.best
         result = {
             "mean_speed": speed,
