@@ -1,8 +1,8 @@
 import dataclasses
 
 import numpy as np
-import pytest
 
+from agents.distillation import dataset
 from agents.distillation.dataset import collect
 from baselines.dynamic_programming.policy import NUM_TORQUES
 from capsule_gym.parameters import NOMINAL
@@ -21,27 +21,27 @@ def collected(student, solved, *, expert_share=1.0, act=None, **settings):
 
 
 def test_a_dataset_has_all_steps_of_all_episodes(solved):
-    dataset = collected(RECURRENT, solved)
-    assert dataset.inputs.shape == (4, 40, 5)
-    assert dataset.regrets.shape == (4, 40, NUM_TORQUES)
-    assert dataset.running.all()
+    data = collected(RECURRENT, solved)
+    assert data.inputs.shape == (4, 40, 5)
+    assert data.regrets.shape == (4, 40, NUM_TORQUES)
+    assert data.running.all()
     # Sensors are disturbed in three of the four groups: at rest not every angle reads the start.
-    assert np.ptp(dataset.inputs[:, 0, 0]) > 0.0
+    assert np.ptp(data.inputs[:, 0, 0]) > 0.0
 
 
 def test_the_best_torque_has_no_regret(solved):
-    dataset = collected(RECURRENT, solved)
-    assert (dataset.regrets.min(axis=-1) == 0.0).all()
-    assert dataset.regrets.max() > 0.1
-    assert dataset.regrets.max() <= RECURRENT.max_regret
+    data = collected(RECURRENT, solved)
+    assert (data.regrets.min(axis=-1) == 0.0).all()
+    assert data.regrets.max() > 0.1
+    assert data.regrets.max() <= RECURRENT.max_regret
 
 
 def test_steps_after_the_end_of_an_episode_do_not_count(solved):
     def full(observations):
         return np.ones((len(observations), 1), np.float32)
 
-    dataset = collected(RECURRENT, solved, expert_share=0.0, act=full, steps=200)
-    ended = ~dataset.running
+    data = collected(RECURRENT, solved, expert_share=0.0, act=full, steps=200)
+    ended = ~data.running
     assert ended.any()
     # An ended episode does not begin again.
     assert (np.diff(ended.astype(int), axis=1) >= 0).all()
@@ -86,8 +86,16 @@ def test_the_acting_policy_decides_the_states(solved):
     assert np.abs(collected(RECURRENT, solved).inputs[..., LAST_ACTION]).mean() > 0.1
 
 
-@pytest.mark.parametrize("change_rate", [0.0, 3.0])
-def test_only_plants_that_change_differ_from_those_of_the_reset(solved, change_rate):
-    dataset = collected(RECURRENT, solved, change_rate=change_rate)
-    again = collected(RECURRENT, solved, change_rate=change_rate)
-    assert (dataset.inputs == again.inputs).all()
+def test_random_actions_cover_their_range(solved, monkeypatch):
+    monkeypatch.setattr(dataset, "EXPLORATION_PROBABILITY", 1.0)
+    actions = collected(RECURRENT, solved).inputs[:, 1:, LAST_ACTION]
+    lowest, middle, highest = np.quantile(actions, [0.02, 0.5, 0.98])
+    assert -1.0 < lowest < -0.85
+    assert abs(middle) < 0.3
+    assert 0.85 < highest < 1.0
+
+
+def test_the_same_generator_gives_the_same_data(solved):
+    settings = {"change_rate": 3.0}
+    first = collected(RECURRENT, solved, **settings)
+    assert (first.inputs == collected(RECURRENT, solved, **settings).inputs).all()
