@@ -156,38 +156,7 @@ RESIDUAL_REAL = PPOConfig(
     log_std_init=-1.2,
     privileged=True,
 )
-# The lightest platforms lift in the first swing, which cannot know M: training exceeds the range of
-# M. Of failures as rare as these, 512 validation episodes would show too few.
-RESIDUAL_REAL_WIDE = replace(
-    RESIDUAL_REAL,
-    residual_limit=1.5,
-    randomization="real-wide",
-    mass_range=(0.33, 0.75),
-    termination_penalty=200.0,
-    total_steps=6_000_000,
-    evaluation_episodes=2048,
-)
 DIRECT_PPO_WIDE = replace(DIRECT_PPO, randomization="wide", observe_estimates=True)
-# With the default start, or a discount factor of 0.9975, the swings stay narrow: 12 to 15 cm/s.
-# With an entropy bonus of 0.003, one of three seeds made 9 cm/s after 2.5 million steps; with 0.01
-# and a penalty of at most 30, several percent of the episodes of two seeds failed. The lightest
-# platforms lift: training exceeds the range of M.
-DIRECT_REAL = replace(
-    DIRECT_PPO,
-    disturbances="real",
-    randomization="real",
-    mass_range=(0.42, 0.55),
-    stack_size=8,
-    initial_range=WIDE_STARTS,
-    termination_penalty=100.0,
-    clip_reward=100.0,
-    total_steps=10_000_000,
-    evaluate_every=500_000,
-    evaluation_episodes=1024,
-    hidden=128,
-    gae_lambda=0.97,
-    ent_coef=0.01,
-)
 # With more steps the cost of transport rises again.
 EFFICIENT = replace(
     DIRECT_PPO,
@@ -203,8 +172,6 @@ TRAINED_ROWS: dict[str, Config] = {
     "direct-ppo-wide": DIRECT_PPO_WIDE,
     "direct-sac": DIRECT_SAC,
     "residual-real": RESIDUAL_REAL,
-    "residual-real-wide": RESIDUAL_REAL_WIDE,
-    "direct-real": DIRECT_REAL,
     "efficient": EFFICIENT,
     "goal": GOAL,
     "velocity": VELOCITY,

@@ -58,7 +58,7 @@ def rig_trainings(monkeypatch):
     def train(seed, total_steps, **env_kwargs):
         trainings.append((seed, total_steps, env_kwargs))
         if "found" in env_kwargs:
-            return load_policy("residual-real-wide")
+            return load_policy("residual-real")
         return Sine(0.0) if env_kwargs else Sine(1.5)
 
     def identify(log):

@@ -110,6 +110,6 @@ def mean_speed(solution, seconds=12.0):
     return env.episode_metrics()["mean_speed"].item()
 
 
-def test_the_values_of_the_own_plant_are_faster_than_those_of_the_nominal_one(own_solution):
+def test_values_and_lookahead_must_belong_to_the_same_plant(own_solution):
     nominal = known_results().solution(Problem())
-    assert mean_speed(own_solution) > mean_speed(nominal) + 2.0
+    assert mean_speed(own_solution) > 5.0 * mean_speed(nominal)

@@ -136,7 +136,6 @@ def call(function, given, dtype):
         "direct-sac",
         "goal",
         "residual-real",
-        "direct-real",
         "velocity",
         "dp-distilled-wide",
     ],

@@ -168,8 +168,9 @@ def test_every_pretrained_policy_drives_its_environment(name):
     env = gym.make(capsule_gym.ENV_ID, **policy.env_kwargs)
     # The plant comes from the ranges of the policy's training.
     observation, _ = env.reset(seed=0)
+    act = policy.start([0])
     for _ in range(round(3.0 / env.unwrapped.simulation.options.control_dt)):
-        observation, _, terminated, _, _ = env.step(policy(observation))
+        observation, _, terminated, _, _ = env.step(act(observation))
         assert not terminated
     if policy.env_kwargs.get("task", "speed") == "speed":
         # The laws alone reach 1.4 cm/s.
