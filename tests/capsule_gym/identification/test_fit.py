@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from capsule_gym import Capsule, CapsuleEnv, Randomization, identify
+from capsule_gym.identification.fit import RANGES
 from tests.capsule_gym.identification.rig import BIAS, CONSTANTS, MOTOR, TRUTH, WHITE, make_log
 from tests.figures import texts
 
@@ -15,6 +16,12 @@ from tests.figures import texts
 @pytest.fixture(scope="module")
 def fit(log):
     return identify(log)
+
+
+@pytest.mark.parametrize("name", [name for name in RANGES if name.endswith("_bias")])
+def test_a_bias_of_either_sign_is_as_likely(name):
+    low, high = RANGES[name]
+    assert low == -high
 
 
 def test_intervals_contain_the_truth(fit):

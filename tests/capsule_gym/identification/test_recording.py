@@ -41,6 +41,11 @@ def test_an_excitation_is_limited(theta, action):
     assert Excitation().start()(np.float32([theta, 0.0]))[0] == action
 
 
+def test_numbers_of_an_excitation_are_named():
+    with pytest.raises(TypeError, match="positional"):
+        Excitation(3, 0.2)
+
+
 @pytest.fixture
 def recorded(tmp_path):
     """The actions of a policy, the log, and its file."""
