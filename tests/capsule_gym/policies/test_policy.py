@@ -148,6 +148,14 @@ def test_a_pretrained_run_says_how_it_was_trained(run):
     assert policy.revision not in ("", "unknown")
 
 
+def test_a_policy_without_a_memory_predicts_as_it_acts():
+    policy = make_policy()
+    observations = np.random.default_rng(1).normal(size=(3, policy.entries)).astype(np.float32)
+    actions, state = policy.predict(observations)
+    assert state is None
+    assert actions.tobytes() == policy(observations).tobytes()
+
+
 @pytest.mark.parametrize("name", policy_names())
 def test_the_plain_name_means_the_first_run(name):
     policy = load_policy(name)
