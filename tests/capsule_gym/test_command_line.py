@@ -2,7 +2,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from capsule_gym.command_line import check_output, parse
+from capsule_gym.command_line import PositiveCount, check_output, parse
 
 
 @dataclass(frozen=True)
@@ -23,6 +23,29 @@ def test_a_default_replaces_those_of_the_fields(default, count):
 
 def test_words_replace_a_default():
     assert parse(Options, "prog", ["--count", "7"], default=Options(count=5)).count == 7
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Options of another command.
+
+    Args:
+        steps: a number of steps.
+    """
+
+    steps: PositiveCount = 1
+
+
+@pytest.mark.parametrize(("word", "steps"), [("7", 7), ("8e6", 8_000_000), ("2.5e3", 2500)])
+def test_a_count_may_have_an_exponent(word, steps):
+    assert parse(Steps, "prog", ["--steps", word]).steps == steps
+
+
+@pytest.mark.parametrize("word", ["0", "-3", "1.5", "2.5e0", "nan", "inf", "many"])
+def test_a_count_is_a_whole_number_from_1_on(word, capsys):
+    with pytest.raises(SystemExit):
+        parse(Steps, "prog", ["--steps", word])
+    assert word in capsys.readouterr().err
 
 
 def test_an_output_file_that_exists_is_overwritten_only_on_request(tmp_path):
