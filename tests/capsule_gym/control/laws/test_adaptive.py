@@ -1,6 +1,7 @@
 """The adaptive law (37) to (39): every term compared with the paper's equations and the plant's."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from capsule_gym.control.laws.adaptive import (
 from capsule_gym.control.laws.gains import PUBLISHED, REGULARISED, UNREGULARISED, Gains
 from capsule_gym.control.laws.profiles import COLUMNS, PROPOSED, reference_table
 from capsule_gym.parameters import NOMINAL
+from tests import ROOT
 
 # All values differ, so that no gain can be confused with another.
 GAINS = Gains(Lambda_theta=11.0, Lambda_x=7.0, K1=1.7, K2=3.0, K3=13.0, Gamma_1=0.19, Gamma_2=0.23)
@@ -28,6 +30,13 @@ FORMS = {"regularised": REGULARISED, "unregularised": UNREGULARISED}
 
 # Cells of the memory.
 ESTIMATES, ETA_ROOT, ANCHOR = slice(9), 9, 10
+
+
+def test_the_gains_are_those_that_the_documentation_quotes_from_the_paper():
+    page = (ROOT / "docs" / "controllers.md").read_text(encoding="utf-8")
+    _, _, table = page.partition("|gain|value|unit|")
+    quoted = dict(re.findall(r"^\|`(\w+)`\|([\d.]+)\|", table.partition("\n\n")[0], re.MULTILINE))
+    assert {name: float(value) for name, value in quoted.items()} == PUBLISHED._asdict()
 
 
 def some_constants(choices=REGULARISED, *, contact="newton", dt=1e-3, **changes):
