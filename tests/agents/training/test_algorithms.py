@@ -5,6 +5,7 @@ import math
 import pickle
 import sys
 
+import gymnasium as gym
 import numpy as np
 import pytest
 import torch
@@ -13,14 +14,16 @@ from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
+import capsule_gym
 import train as command_line
-from agents.training.algorithms import CLASSES, make_env, make_noise
+from agents.training.algorithms import CLASSES, EpisodeMetrics, make_env, make_noise
 from agents.training.config import TD3Config
 from agents.training.export import export, save
 from agents.training.presets import PRESETS
 from capsule_gym import load_policy
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 from tests.agents.training.small import finished, small
+from tests.agents.training.wrappers import Swing
 
 LABELS = {
     PPO: ("ppo", "tanh", "clip"),
@@ -155,6 +158,19 @@ def test_a_wrong_wrapper_is_an_error_of_the_command_line(attribute, reason, tmp_
     for part in ("--wrapper", name, reason):
         assert part in error
     assert not run.exists()
+
+
+def test_an_episode_that_a_wrapper_ends_has_its_distance_over_a_whole_one():
+    env = gym.make(capsule_gym.ENV_ID, max_episode_steps=100, randomization="none")
+    env = EpisodeMetrics(Swing(env))
+    env.reset(seed=0)
+    terminated = False
+    while not terminated:
+        _, _, terminated, _, info = env.step(np.ones(1, np.float32))
+    metrics = info["metrics"]
+    assert metrics["failed"] == 1.0
+    assert metrics["distance"] != 0.0
+    assert metrics["mean_speed"] == pytest.approx(100.0 * metrics["distance"] / 2.0)
 
 
 VELOCITY = small(
