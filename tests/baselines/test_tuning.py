@@ -58,6 +58,14 @@ def test_standstill_scores_about_zero():
     assert abs(score) < 0.5
 
 
+def test_a_speed_has_the_digits_of_the_file():
+    score, metrics = open_loop_score(0.6)
+    assert metrics["failures"] == 0
+    digits = 10_000.0 * metrics["mean_speed"]
+    assert digits == pytest.approx(round(digits), abs=1e-6)
+    assert digits != pytest.approx(10_000.0 * score, abs=1e-6)
+
+
 def test_a_failure_scores_below_standstill():
     score, metrics = open_loop_score(1.5)
     assert metrics["failures"] == 2
