@@ -8,6 +8,7 @@ import torch
 
 from agents.distillation import __main__ as command
 from agents.distillation import dagger
+from agents.distillation import dataset as data
 from agents.distillation.config import STUDENTS
 from agents.distillation.dagger import Network, interpolated_regret
 from agents.distillation.dataset import _plant_changes, collect
@@ -158,6 +159,16 @@ def test_the_acting_policy_decides_the_states(dataset):
     assert shapes == {(4, 9)}
     assert np.abs(alone.inputs[:, LAST_ACTION]).mean() < 0.1
     assert np.abs(dataset.inputs[:, LAST_ACTION]).mean() > 0.1
+
+
+def test_random_actions_cover_their_range(monkeypatch):
+    monkeypatch.setattr(data, "EXPLORATION_PROBABILITY", 1.0)
+    # The first action of every episode follows its first observation.
+    actions = collected().inputs[4:, LAST_ACTION]
+    lowest, middle, highest = np.quantile(actions, [0.02, 0.5, 0.98])
+    assert -1.0 < lowest < -0.85
+    assert abs(middle) < 0.3
+    assert 0.85 < highest < 1.0
 
 
 @pytest.fixture(scope="module")
