@@ -21,6 +21,7 @@ from capsule_gym.parameters import (
 )
 from capsule_gym.tasks.registry import TASKS, find_task
 from capsule_gym.tasks.velocity import with_commands
+from web.data import describe_tasks
 
 COUNT = 200
 STEPS = 6
@@ -257,3 +258,8 @@ def test_javascript_asks_the_core_as_python_does(node, tmp_path, drawn):
     for env, case, theirs in zip(environments, cases, found, strict=True):
         for name, value in compute(env, case["seed"], case["action"]).items():
             assert theirs[name] == value, (name, case)
+
+
+def test_an_episode_of_the_page_starts_as_one_of_the_environment():
+    _, info = CapsuleEnv().reset(seed=0)
+    assert list(describe_tasks()["start"].values()) == info["state"].tolist()

@@ -1,7 +1,9 @@
+import csv
 import dataclasses
 import itertools
 import json
 import shutil
+import time
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ import torch
 from agents.criteria import CRITERIA, Criteria
 from agents.training.algorithms import make_env, make_model
 from agents.training.callbacks import validation_plants
-from agents.training.config import read_config
+from agents.training.config import EVALUATIONS, read_config
 from agents.training.loop import begin, train
 from agents.training.presets import preset
 from capsule_gym import load_policy
@@ -73,6 +75,13 @@ def content(run):
 def test_a_training_uses_one_thread(run):
     # Sums of several have other bits.
     assert torch.get_num_threads() == 1
+
+
+def test_the_processor_time_of_a_run_begins_at_zero(tmp_path, monkeypatch):
+    monkeypatch.setattr(time, "process_time", lambda: 100.0)
+    run = finished(tmp_path / "run", CONFIG)
+    lines = csv.DictReader((run / EVALUATIONS).read_text("utf-8").splitlines())
+    assert [float(line["core_seconds"]) for line in lines] == [0.0, 0.0, 0.0]
 
 
 def test_a_folder_that_holds_a_run_is_not_used_again(run):

@@ -224,6 +224,15 @@ def test_the_ends_of_a_range_are_drawn_exactly():
     assert draw_plant(point, Capsule(M=0.7), middle) == (0.7, 0.1)
 
 
+@pytest.mark.parametrize("width", [1e-6, 0.25, 0.5, 1.0])
+def test_a_range_of_any_width_is_drawn(width):
+    simulation = Simulation(8, EnvConfig(randomization=Randomization(M=(0.5, 0.5 + width))))
+    for i in range(8):
+        simulation.seed(i, i)
+    simulation.reset(np.arange(8))
+    assert len({*simulation.row(Row.M)}) == 8
+
+
 @pytest.mark.parametrize("wrong", [[0, -1], [130], [2**40, 0]])
 def test_rows_must_name_environments(wrong):
     simulation = Simulation(130)
