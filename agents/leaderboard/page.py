@@ -77,7 +77,7 @@ SECTIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "energy": (("direct-ppo", "efficient"), (RANKING_SET,)),
     "distilled": (
         ("dp-oracle", "gait-guarded", "direct-ppo-wide", "dp-distilled-wide", "dp-distilled"),
-        (RANKING_SET, "wide", "drift", "sticky"),
+        (RANKING_SET, "wide", "sticky"),
     ),
     "paper": ((*GROUPS["The paper"], *OTHER_LAWS), (RANKING_SET,)),
 }
