@@ -11,8 +11,7 @@ from agents.leaderboard.page import GROUPS, MAIN_SETS, SPEED
 from agents.leaderboard.rows import RESULTS, load_row
 from baselines.tables import text_table
 from capsule_gym.command_line import Positional, arg, command
-from capsule_gym.evaluation.episodes import evaluate, failures, scores, validation_set
-from capsule_gym.evaluation.sets import load_set
+from capsule_gym.evaluation.episodes import drawn_like, evaluate, failures, scores
 from capsule_gym.evaluation.statistics import estimate
 
 # Seeds far from those of frozen sets, 0, 1, ..
@@ -45,11 +44,7 @@ def main(rows: Annotated[Positional[tuple[str, ...]], arg(metavar="ROW")] = ()) 
     for name in rows or chain(*GROUPS.values()):
         row = load_row(ROOT / RESULTS / f"{name}.npz")
         for set_name in MAIN_SETS:
-            like = load_set(set_name)
-            drawn = validation_set(
-                set_name, "new", FIRST_SEED, PLANTS, like.capsule, "speed", like.disturbances
-            )
-            episodes = evaluate(row.name, drawn)
+            episodes = evaluate(row.name, drawn_like(set_name, FIRST_SEED, PLANTS))
             new = scores(episodes, SPEED.name)
             before = row.score(set_name, SPEED.name)
             mean = new.mean()

@@ -33,8 +33,8 @@ from agents.distillation.plants import draw_groups, solve_groups
 from agents.training.checkpoint import git_revision
 from agents.training.config import CONFIG, RunError
 from capsule_gym import Policy
-from capsule_gym.evaluation.episodes import evaluate, scores, validation_set
-from capsule_gym.evaluation.sets import EvaluationSet, load_set
+from capsule_gym.evaluation.episodes import drawn_like, evaluate, scores
+from capsule_gym.evaluation.sets import EvaluationSet
 from capsule_gym.files import replacing, to_json, write_atomically
 from capsule_gym.policies.policy import POLICY
 
@@ -133,8 +133,8 @@ class Run:
             began = time.process_time()
             if fit.expert_share is not None:
                 act = self.policy.start(range(self.student.num_envs)) if self.policy else None
-                args = (self.student, groups, solutions, self.rng, fit.expert_share, act)
-                self._add(collect(*args))
+                share = fit.expert_share
+                self._add(collect(self.student, groups, solutions, self.rng, share, act))
             if self.network is None:
                 self.network = Network(self.student, self.datasets[0], self.seed)
             self.network.fit(self.datasets, fit.updates, fit.rates, self.rng)
@@ -221,17 +221,4 @@ def _validation_plants(student: Student, seed: int) -> Sequence[EvaluationSet]:
     """The plants that select a run's best policy: drawn as those of sets, but never theirs."""
     count = student.evaluation_episodes
     first = SELECTION_SEED + seed * count
-    sets = []
-    for name in student.validation:
-        like = load_set(name)
-        sets.append(
-            validation_set(
-                name,
-                f"validation plants of {name}",
-                first,
-                count,
-                like.capsule,
-                disturbances=like.disturbances,
-            )
-        )
-    return sets
+    return [drawn_like(name, first, count) for name in student.validation]

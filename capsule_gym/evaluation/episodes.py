@@ -129,6 +129,25 @@ def validation_set(
     return EvaluationSet(name, tuple(plants), task, capsule, disturbances)
 
 
+def drawn_like(set_name: str, first_seed: int, count: int) -> EvaluationSet:
+    """Draws other plants from the distribution of a frozen set of the speed task.
+
+    Args:
+        set_name: name of the frozen set, which is also that of its distribution.
+        first_seed: seed of the first episode; the others follow.
+        count: number of plants.
+    """
+    like = load_set(set_name)
+    return validation_set(
+        set_name,
+        f"plants drawn as those of {set_name}",
+        first_seed,
+        count,
+        like.capsule,
+        disturbances=like.disturbances,
+    )
+
+
 def evaluate(
     policy: Any,
     evaluation_set: EvaluationSet | str | Path = "paper",
