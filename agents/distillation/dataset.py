@@ -13,8 +13,9 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from agents.distillation.config import Student
-from agents.distillation.plants import PENDULUM, Group, draw_changes, draw_disturbances
+from agents.distillation.plants import Group, draw_changes, draw_disturbances
 from baselines.dynamic_programming.policy import NUM_TORQUES, TORQUES, PlantOracle
+from baselines.dynamic_programming.problem import PENDULUM
 from baselines.dynamic_programming.solver import Solution
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.parameters import NOMINAL
@@ -112,17 +113,15 @@ def _episode_options(
 ) -> dict[str, Any]:
     """The options of a reset: the plants of the episodes, their changes and disturbances."""
     seconds = student.steps * CONTROL_DT
-    chosen: dict[str, list[Any]] = {"M": [], "mu": [], "changes": []}
-    if student.disturbances != "none":
-        chosen |= {"capsule": [], "disturbances": []}
+    episodes: list[dict[str, Any]] = []
     for _ in range(student.num_envs):
         group = groups[int(rng.integers(len(groups)))]
         problem = group.problems[int(rng.integers(len(group.problems)))]
-        chosen["M"].append(problem.M)
-        chosen["mu"].append(problem.mu)
-        chosen["changes"].append(draw_changes(group, student.change_rate, seconds, rng))
+        options: dict[str, Any] = {"M": problem.M, "mu": problem.mu}
+        options["changes"] = draw_changes(group, student.change_rate, seconds, rng)
         if student.disturbances != "none":
-            constants = {name: getattr(problem, name) for name in (*PENDULUM, "static_ratio")}
-            chosen["capsule"].append(constants)
-            chosen["disturbances"].append(draw_disturbances(group, rng))
-    return chosen
+            names = (*PENDULUM, "static_ratio")
+            options["capsule"] = {name: getattr(problem, name) for name in names}
+            options["disturbances"] = draw_disturbances(group, rng)
+        episodes.append(options)
+    return {name: [options[name] for options in episodes] for name in episodes[0]}

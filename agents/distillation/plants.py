@@ -21,15 +21,12 @@ from tqdm import tqdm
 from agents.distillation.config import Student
 from baselines.dynamic_programming.archive import known_results, solve_near
 from baselines.dynamic_programming.grid import Grid
-from baselines.dynamic_programming.problem import Problem
+from baselines.dynamic_programming.problem import CONSTANTS, PENDULUM, Problem
 from baselines.dynamic_programming.solver import Solution
 from capsule_gym.envs.contract import draw_plant
 from capsule_gym.files import replacing
 from capsule_gym.parameters import DISTURBANCES, NOMINAL, RANDOMIZATIONS, REAL
 
-# The constants of a plant, in the order of its file.
-CONSTANTS = ("M", "mu", "m", "l", "k", "c", "static_ratio", "motor_friction")
-PENDULUM = ("m", "l", "k", "c")
 # Every group draws its own plants, the same in all runs.
 SEED = 63
 # Share by which the ranges of the solutions are longer than those of nominal plants.
@@ -133,7 +130,8 @@ def solve_groups(groups: Sequence[Group], folder: Path, jobs: int = -1) -> list[
 
 
 def _constants(problem: Problem) -> np.ndarray:
-    return np.array([getattr(problem, name) for name in CONSTANTS])
+    """M, mu and the others, as in the plant's file."""
+    return np.array([getattr(problem, name) for name in ("M", "mu", *CONSTANTS)])
 
 
 def _solve(problem: Problem, path: Path) -> None:

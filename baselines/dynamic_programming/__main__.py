@@ -4,7 +4,6 @@ Results are written after every problem of `baselines.dynamic_programming.proble
 """
 
 import sys
-from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
 
@@ -52,7 +51,7 @@ def main(check: bool = False, report: bool = False, folder: Path = FOLDER) -> in
         from baselines.tables import fields_table
 
         results = archive.results.values()
-        rows = [{**asdict(result), "limit": extrapolated(result)} for result in results]
+        rows = [{**result.content(), "limit": extrapolated(result)} for result in results]
         print(fields_table(rows))
         return 0
     missing = [problem for problem in PROBLEMS if problem.key not in archive.results]

@@ -21,6 +21,7 @@ from baselines.dynamic_programming import solver
 from baselines.dynamic_programming.grid import Grid
 from baselines.dynamic_programming.problem import (
     ENERGY_WEIGHTS,
+    PENDULUM,
     Problem,
     Trajectory,
     corner_weights,
@@ -68,6 +69,11 @@ class Result(Problem):
     steady: list[float]  # mean speed of each grid's trajectory over whole cycles, cm/s
     mean_speed: float  # of the archived trajectory over 33 s from rest, cm/s
     cost_of_transport: float  # of the archived trajectory
+
+    def content(self) -> dict[str, Any]:
+        """The fields but the constants of the pendulum and the motor, which are nominal."""
+        nominal = (*PENDULUM, "motor_friction")
+        return {name: value for name, value in asdict(self).items() if name not in nominal}
 
 
 @dataclass
@@ -191,7 +197,7 @@ class Archive:
         ordered: dict[str, Any] = dict(sorted(self.arrays.items()))
         with replacing(folder / ARRAYS) as temporary:
             np.savez_compressed(temporary, **ordered)
-        results = [asdict(self.results[key]) for key in sorted(self.results)]
+        results = [self.results[key].content() for key in sorted(self.results)]
         lines = ",\n".join(f"  {json.dumps(result)}" for result in results)
         write_atomically(folder / ARCHIVE, f'{{\n "results": [\n{lines}\n ]\n}}\n')
 

@@ -46,6 +46,11 @@ ENERGY_WEIGHTS = (
 NOMINAL_MARGIN = 1.6
 
 
+# Fields of `Problem` that are constants of the pendulum, and all of its plant but M and mu.
+PENDULUM = ("m", "l", "k", "c")
+CONSTANTS = (*PENDULUM, "static_ratio", "motor_friction")
+
+
 @dataclass(frozen=True, kw_only=True)
 class Problem:
     """The objective: the mean speed, less a weight times the energy."""
@@ -61,6 +66,11 @@ class Problem:
     k: float = NOMINAL.k  # N m/rad
     c: float = NOMINAL.c  # N m s/rad
     motor_friction: float = NOMINAL.motor_friction  # N m
+
+    @property
+    def capsule(self) -> Capsule:
+        """The plant's constants but M and mu."""
+        return Capsule(**{name: getattr(self, name) for name in CONSTANTS})
 
     @property
     def q(self) -> float:
@@ -87,14 +97,7 @@ class Problem:
             energy_weight=self.energy_weight,
             termination_penalty=0.0,
             randomization="none",
-            capsule=Capsule(
-                static_ratio=self.static_ratio,
-                m=self.m,
-                l=self.l,
-                k=self.k,
-                c=self.c,
-                motor_friction=self.motor_friction,
-            ),
+            capsule=self.capsule,
         )
 
 
