@@ -76,7 +76,7 @@ def test_the_sensitivity_is_that_of_its_episodes(policy, monkeypatch):
 def test_samples_of_a_limit_cycle_are_those_of_the_episode(policy, monkeypatch):
     monkeypatch.setattr(limit_cycle, "HORIZON", SECONDS)
     samples = limit_cycle.sample_episode(policy)
-    env = CapsuleEnv(**{**policy.env_kwargs, "randomization": "none"})
+    env = CapsuleEnv(**(policy.env_kwargs | {"randomization": "none"}))
     observation, _ = env.reset(seed=0)
     act = policy.start([0])
     found = []

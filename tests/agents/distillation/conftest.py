@@ -7,39 +7,24 @@ import pytest
 from agents.distillation.config import STUDENTS
 from agents.distillation.plants import draw_groups, solve_groups
 
+# Settings of both students.
+TINY = {
+    "groups": 4,
+    "plants": {"wide": 1},
+    "num_envs": 4,
+    "steps": 40,
+    "rounds": 3,
+    "updates": 3,
+    "final_updates": 4,
+    "final_parts": 2,
+    "learning_rate": 1e-3,
+    "validation": ("paper",),
+    "evaluation_episodes": 2,
+}
 RECURRENT = dataclasses.replace(
-    STUDENTS["dp-distilled"],
-    groups=4,
-    plants={"wide": 1},
-    units=8,
-    num_envs=4,
-    steps=40,
-    rounds=3,
-    updates=3,
-    final_updates=4,
-    final_parts=2,
-    batch_size=6,
-    sequence=20,
-    burn_in=5,
-    learning_rate=1e-3,
-    validation=("paper",),
-    evaluation_episodes=2,
+    STUDENTS["dp-distilled"], **TINY, units=8, batch_size=6, sequence=20, burn_in=5
 )
-FEEDFORWARD = dataclasses.replace(
-    STUDENTS["dp-distilled-wide"],
-    groups=3,
-    plants={"wide": 1},
-    num_envs=4,
-    steps=40,
-    rounds=3,
-    updates=3,
-    final_updates=4,
-    final_parts=2,
-    batch_size=16,
-    learning_rate=1e-3,
-    validation=("paper",),
-    evaluation_episodes=2,
-)
+FEEDFORWARD = dataclasses.replace(STUDENTS["dp-distilled-wide"], **TINY, batch_size=16)
 
 
 @pytest.fixture(scope="session")

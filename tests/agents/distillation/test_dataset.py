@@ -49,7 +49,8 @@ def test_steps_after_the_end_of_an_episode_do_not_count(solved):
 
 def test_a_student_observes_the_estimates(solved_nominal):
     inputs = collected(FEEDFORWARD, solved_nominal, steps=150, change_rate=0.0).inputs
-    first, last = inputs[:, 0], inputs[:, -1]
+    first = inputs[:, 0]
+    last = inputs[:, -1]
     assert (first[:, ESTIMATES] == first[0, ESTIMATES]).all()
     assert (last[:, M_DEVIATION] < 0.2 * first[:, M_DEVIATION]).all()
 

@@ -22,7 +22,7 @@ STEPS = round(SECONDS / CONTROL_DT)
 
 def played(policy, plant):
     """The environment after an episode on a plant, with a memory of its own."""
-    env = CapsuleEnv(**{**policy.env_kwargs, **PLANTS.env_kwargs})
+    env = CapsuleEnv(**(policy.env_kwargs | PLANTS.env_kwargs))
     observation, _ = env.reset(seed=plant.seed, options=plant.reset_options())
     act = policy.start([plant.seed])
     for _ in range(STEPS):
@@ -153,7 +153,8 @@ def test_a_batch_with_autoreset_gives_every_episode_a_new_memory(mode):
                 begun += 1
             assert alone[i](observations[i]).tobytes() == actions[i].tobytes()
         observations, _, terminated, truncated, _ = env.step(actions)
-        before, ended = ended, terminated | truncated
+        before = ended
+        ended = terminated | truncated
         # With NEXT_STEP, the observation after the last one is the first of the next episode.
         starts = ended if mode is AutoresetMode.SAME_STEP else before
         assert np.array_equal(starts, env.simulation.row(Row.steps) == 0)
