@@ -186,8 +186,8 @@ def message(board: Board) -> str:
         f"programming or learning brings {min(perfect):.0f} to {max(perfect):.0f} with perfect "
         "sensors on the assumed plants. With real sensors most of these fall below the PD "
         f"({speed('pd', REAL):.1f}). LQR keeps {lqr:.1f} without learning, PPO on a law with a "
-        f"predictor (`residual-real`) makes {residual:.1f}, and `dp-distilled`, a network with a "
-        f"memory that is told nothing about its plant, {distilled:.1f}."
+        f"predictor (`residual-real`) makes {residual:.1f}, and `dp-distilled`, a recurrent "
+        f"network from which M and mu are hidden, {distilled:.1f}."
     )
 
 
