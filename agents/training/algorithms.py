@@ -11,7 +11,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from sb3_contrib import TQC
+from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import NStepReplayBuffer
@@ -30,6 +30,7 @@ from agents.training.config import (
     Config,
     OffPolicyConfig,
     PPOConfig,
+    RecurrentPPOConfig,
     RunError,
     SACConfig,
     TQCConfig,
@@ -41,7 +42,13 @@ from capsule_gym.parameters import Disturbances
 from capsule_gym.sb3 import AsymmetricPolicy, CapsuleSB3VecEnv, FixedScale
 from capsule_gym.tasks import velocity
 
-CLASSES: dict[Algorithm, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "td3": TD3, "tqc": TQC}
+CLASSES: dict[Algorithm, type[BaseAlgorithm]] = {
+    "ppo": PPO,
+    "recurrentppo": RecurrentPPO,
+    "sac": SAC,
+    "td3": TD3,
+    "tqc": TQC,
+}
 
 
 class EpisodeMetrics(gym.Wrapper[Any, Any, Any, Any]):
@@ -184,6 +191,10 @@ def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
     }
     names = ["batch_size", "gamma", "seed"]
     kwargs: dict[str, Any] = {}
+    policy: Any = AsymmetricPolicy if config.asymmetric else "MlpPolicy"
+    if isinstance(config, RecurrentPPOConfig):
+        policy = "MlpLstmPolicy"
+        network["lstm_hidden_size"] = config.lstm_units
     if isinstance(config, PPOConfig):
         network["log_std_init"] = config.log_std_init
         names += ["n_steps", "n_epochs", "gae_lambda", "ent_coef"]
@@ -205,7 +216,7 @@ def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
     for name in names:
         kwargs[name] = getattr(config, name)
     return CLASSES[config.algo](
-        AsymmetricPolicy if config.asymmetric else "MlpPolicy",
+        policy,
         env,
         learning_rate=schedule(config),
         policy_kwargs=network,

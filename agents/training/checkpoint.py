@@ -38,6 +38,8 @@ CHECKPOINTS = "checkpoint-" + 12 * "[0-9]"
 # shorten them.
 WRITTEN = ["checkpoint-*"]
 WRITTEN += [Path(name).stem for name in (CONFIG, EVALUATIONS, MODEL, NORMALISATION, POLICY)]
+# Attribute of RecurrentPPO.
+MEMORY = "_last_lstm_states"
 DIGEST_SIZE = hashlib.sha256().digest_size
 
 
@@ -146,8 +148,9 @@ def write(run: Path, model: BaseAlgorithm, progress: Progress, before: Path | No
         "numpy": np.random.get_state(),
         "python": random.getstate(),
         "actions": model.action_space.np_random.bit_generator.state,
-        # SB3 resets the noise when training continues.
+        # SB3 resets the noise when training continues, and sb3-contrib the memory.
         "action_noise": getattr(model, "action_noise", None),
+        "memory": vars(model).get(MEMORY),
         "log": [dict(values) for values in _unwritten(model.logger)],
     }
     content = pickle.dumps(state)
@@ -194,6 +197,7 @@ def restore(
 
     def restore_streams() -> None:
         vars(model)["action_noise"] = state["action_noise"]
+        vars(model)[MEMORY] = state["memory"]
         torch.set_rng_state(state["torch"])
         np.random.set_state(state["numpy"])
         random.setstate(state["python"])

@@ -36,7 +36,7 @@ EVALUATIONS = "evaluations.csv"
 # and config.json call the mode "task"; in Python, the task is that of the environment.
 ActionMode = Literal["residual", "direct"]
 Environment = Literal["CapsuleStickSlip-v0", "CapsuleGoal-v0", "CapsuleVelocity-v0"]
-Algorithm = Literal["ppo", "sac", "td3", "tqc"]
+Algorithm = Literal["ppo", "recurrentppo", "sac", "td3", "tqc"]
 
 
 def _option(name: str, more: str = "") -> Any:
@@ -60,7 +60,7 @@ LEAST = {"seed": 0, "batch_size": 2, "learning_starts": 0, "dropped_quantiles": 
 POSITIVE = ("a finite number > 0", 0.0, math.inf, True)
 NONNEGATIVE = ("a finite number >= 0", 0.0, math.inf, False)
 SHARE = ("a number in [0, 1]", 0.0, 1.0, False)
-MOST = {"seed": LARGEST_SEED, "hidden": MOST_UNITS}
+MOST = {"seed": LARGEST_SEED, "hidden": MOST_UNITS, "lstm_units": MOST_UNITS}
 RANGES: dict[str, tuple[str, float, float, bool]] = {
     "learning_rate": POSITIVE,
     "episode_seconds": POSITIVE,
@@ -251,6 +251,22 @@ class PPOConfig(Config):
 
 
 @dataclass(frozen=True)
+class RecurrentPPOConfig(PPOConfig):
+    """Proximal policy optimisation with an LSTM before the hidden layers of actor and critic."""
+
+    algo: ClassVar[Algorithm] = "recurrentppo"
+
+    lstm_units: Count = 64
+    """Units of the LSTM of the actor, and of that of the critic."""
+
+    def check(self) -> None:
+        """Also checks that the critic observes what the actor does."""
+        super().check()
+        if self.privileged:
+            raise ValueError(f"privileged must be False with recurrentppo, got {self.privileged!r}")
+
+
+@dataclass(frozen=True)
 class OffPolicyConfig(Config):
     """Algorithms that learn from a replay buffer."""
 
@@ -312,7 +328,7 @@ class TQCConfig(SACConfig):
 
 
 ALGORITHMS: dict[Algorithm, type[Config]] = {
-    kind.algo: kind for kind in (PPOConfig, SACConfig, TD3Config, TQCConfig)
+    kind.algo: kind for kind in (PPOConfig, RecurrentPPOConfig, SACConfig, TD3Config, TQCConfig)
 }
 
 

@@ -9,6 +9,7 @@ from agents.training.config import (
     Config,
     Environment,
     PPOConfig,
+    RecurrentPPOConfig,
     SACConfig,
     TD3Config,
     TQCConfig,
@@ -44,6 +45,19 @@ DIRECT_PPO = replace(
     initial_range=None,
     termination_penalty=30.0,
 )
+RECURRENT_PPO: dict[str, Any] = dict(
+    termination_penalty=30.0,
+    total_steps=4_000_000,
+    evaluate_every=400_000,
+    num_envs=128,
+    n_steps=128,
+    batch_size=2048,
+    learning_rate=1e-3,
+    final_learning_rate=0.0,
+    gae_lambda=0.95,
+    ent_coef=0.003,
+)
+DIRECT_RECURRENT_PPO = RecurrentPPOConfig(action_mode="direct", controller=None, **RECURRENT_PPO)
 OFF_POLICY: dict[str, Any] = dict(
     total_steps=400_000,
     evaluate_every=50_000,
@@ -76,6 +90,8 @@ DIRECT_TQC = TQCConfig(**DIRECT_OFF_POLICY, target_entropy=-3.0, quantiles=10, d
 PRESETS: dict[tuple[ActionMode, Algorithm], Config] = {
     ("residual", "ppo"): RESIDUAL_PPO,
     ("direct", "ppo"): DIRECT_PPO,
+    ("residual", "recurrentppo"): RecurrentPPOConfig(total_torque=True, **RECURRENT_PPO),
+    ("direct", "recurrentppo"): DIRECT_RECURRENT_PPO,
     ("residual", "sac"): SACConfig(**OFF_POLICY),
     ("direct", "sac"): DIRECT_SAC,
     ("residual", "td3"): TD3Config(**OFF_POLICY, action_noise=0.2),

@@ -12,6 +12,7 @@ import torch
 from stable_baselines3.common.save_util import load_from_zip_file
 
 from agents.training.callbacks import TrainingCallback
+from agents.training.config import ALGORITHMS, PPOConfig
 from agents.training.loop import begin, train
 from agents.training.presets import PRESETS
 from capsule_gym import load_policy
@@ -31,7 +32,8 @@ CLOCKS = ("core_seconds", "time/fps", "time/time_elapsed", "time/iterations")
 
 
 def small(action_mode, algo, **changes):
-    settings = SMALL_PPO if algo == "ppo" else SMALL_OFF_POLICY
+    on_policy = issubclass(ALGORITHMS[algo], PPOConfig)
+    settings = SMALL_PPO if on_policy else SMALL_OFF_POLICY
     return dataclasses.replace(PRESETS[action_mode, algo], **settings | changes)
 
 
@@ -80,7 +82,9 @@ def network(folder):
     if not (folder / POLICY).is_file():
         return b""
     policy = load_policy(folder / POLICY)
-    arrays = itertools.chain((policy.mean, policy.variance), *policy.layers)
+    arrays = itertools.chain(
+        (policy.mean, policy.variance), *policy.layers, policy.cell or (), *policy.head
+    )
     return b"".join(array.tobytes() for array in arrays)
 
 

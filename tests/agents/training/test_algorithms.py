@@ -17,7 +17,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 import capsule_gym
 import train as command_line
 from agents.training.algorithms import CLASSES, EpisodeMetrics, make_env, make_noise
-from agents.training.config import TD3Config
+from agents.training.config import PPOConfig, TD3Config
 from agents.training.export import export, save
 from agents.training.presets import PRESETS
 from capsule_gym import load_policy
@@ -111,7 +111,8 @@ def test_later_training_does_not_change_an_exported_policy(agent, policy):
 @pytest.mark.parametrize("algo", CLASSES)
 def test_an_archive_loads_without_this_checkout(algo, tmp_path, monkeypatch):
     config = small("direct", algo, total_steps=320, episode_seconds=0.4)
-    if algo != "ppo":
+    on_policy = isinstance(config, PPOConfig)
+    if not on_policy:
         config = dataclasses.replace(config, n_steps=3, action_noise=0.2)
     run = finished(tmp_path / "run", config)
     for name in list(sys.modules):
@@ -121,11 +122,11 @@ def test_an_archive_loads_without_this_checkout(algo, tmp_path, monkeypatch):
     assert model.num_timesteps >= 320
     package = type(model.policy).__module__.partition(".")[0]
     assert package in ("stable_baselines3", "sb3_contrib", "capsule_gym")
-    env = CapsuleSB3VecEnv(2, seed=0, privileged=algo == "ppo")
+    env = CapsuleSB3VecEnv(2, seed=0, privileged=config.asymmetric)
     normalised = VecNormalize.load(run / "vecnormalize.pkl", env)
     action, _ = model.predict(normalised.reset(), deterministic=True)
     assert action.shape == (2, 1)
-    assert normalised.norm_reward is (algo == "ppo")
+    assert normalised.norm_reward is on_policy
 
 
 @pytest.mark.parametrize(("noise_time", "expected"), [(0.0, 0.0), (0.1, math.exp(-1.0))])

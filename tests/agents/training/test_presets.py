@@ -12,7 +12,7 @@ import train
 from agents.analysis.curves import read_evaluations
 from agents.distillation.config import STUDENTS
 from agents.distillation.network import CLIP, EPSILON, MIN_VARIANCE
-from agents.training.config import CONFIG, EVALUATIONS, RANGES, read_config
+from agents.training.config import CONFIG, EVALUATIONS, RANGES, PPOConfig, read_config
 from agents.training.presets import PRESETS, TRAINED_ROWS
 from capsule_gym.evaluation.candidates import CHECKPOINTS, checkpoint_names, find_candidate
 from capsule_gym.files import to_json
@@ -72,7 +72,7 @@ def test_a_rows_settings_are_those_that_its_policies_were_trained_with(name):
 @pytest.mark.parametrize("name", TRAINED_ROWS)
 def test_a_row_was_evaluated_until_the_end_of_its_training(name):
     settings = TRAINED_ROWS[name]
-    rollout = settings.num_envs * (settings.n_steps if settings.algo == "ppo" else 1)
+    rollout = settings.num_envs * (settings.n_steps if isinstance(settings, PPOConfig) else 1)
     ends = [
         math.ceil(steps / rollout) * rollout
         for steps in (settings.evaluate_every, settings.total_steps)

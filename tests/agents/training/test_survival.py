@@ -32,9 +32,11 @@ from tests.agents.training.small import differences, finished, parameters, train
 from tests.agents.training.small import small as make_config
 
 SHORT = dict(total_steps=800, evaluation_episodes=1, evaluate_every=200)
+ON_POLICY = SHORT | dict(n_steps=16, n_epochs=1, episode_seconds=0.2, randomization="wide")
 OFF_POLICY = SHORT | dict(learning_starts=150, buffer_size=600, gradient_steps=1, noise_time=0.25)
 SETTINGS = {
-    "ppo": SHORT | dict(n_steps=16, n_epochs=1, episode_seconds=0.2, randomization="wide"),
+    "ppo": ON_POLICY,
+    "recurrentppo": ON_POLICY | dict(lstm_units=4),
     "sac": OFF_POLICY | dict(n_steps=3, action_noise=0.2),
     "td3": OFF_POLICY,
 }
@@ -264,6 +266,7 @@ REFUSED = {
     "--n-steps 1 --num-envs 1": "n_steps",
     "--algo sac --tau 0": "tau",
     "--algo tqc --dropped-quantiles 25": "dropped_quantiles",
+    "--algo recurrentppo --privileged": "privileged",
     # 9 PiB, of which numpy names the shape.
     "--algo sac --buffer-size 100_000_000_000_000": "Error",
 }
