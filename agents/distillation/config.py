@@ -17,15 +17,15 @@ class Student:
         observation: arguments of the environment that determine the observation.
         groups: groups of training plants, which share a pendulum.
         plants: plants in a group, by the distribution of their M and mu.
-        severity: size of the disturbances relative to "real", and of the deviations of the
-            pendulum; None takes 1 in half of the groups, 0 in a quarter, and draws it in others.
+        severities: sizes of the disturbances relative to "real", and of the deviations of the
+            pendulum, which the groups take in turn; None draws them.
         sticky_share: share of the groups with a static friction of 1.3 times the kinetic.
         change_rate: mean number of changes of M and mu per second of an episode, 1/s; the new
             values are of the group's plants of `wide`.
         margin: normal force (N) below which a torque costs more, up to `max_regret` at 0 N. A
             student that does not know M needs a larger margin than the expert.
-        deviations: number of standard deviations of the platform's estimated weight that are added
-            to `margin`, for students that observe estimates.
+        spare_share: share of the platform's weight beyond that of the lightest after a change that
+            is added to `margin`: a change of M may take this weight away.
         max_regret: upper bound on the regret of a torque in the data, cm; the end of an episode
             would cost more.
         units: units of the GRU; 0 for a network without a memory.
@@ -53,11 +53,11 @@ class Student:
     observation: Mapping[str, Any] = field(default_factory=dict)
     groups: int
     plants: Mapping[str, int]
-    severity: float | None
+    severities: tuple[float | None, ...]
     sticky_share: float = 0.0
     change_rate: float = 0.0
     margin: float
-    deviations: float = 0.0
+    spare_share: float = 0.0
     max_regret: float = 60.0
     units: int = 0
     hidden: int = 64
@@ -93,10 +93,10 @@ STUDENTS = {
         observation={"observe_estimates": True},
         groups=8,
         plants={"wide": 4, "broad": 4},
-        severity=0.0,
+        severities=(0.0,),
         change_rate=0.2,
         margin=0.5,
-        deviations=2.0,
+        spare_share=0.6,
         num_envs=96,
         updates=1000,
         final_updates=24_000,
@@ -110,19 +110,39 @@ STUDENTS = {
         disturbances="real",
         groups=24,
         plants={"wide": 3, "broad": 2, "sticky": 1, "paper": 2},
-        severity=None,
+        severities=(1.0, 0.0, 1.0, None),
         sticky_share=0.5,
         change_rate=0.1,
         margin=0.5,
+        spare_share=0.4,
         units=96,
         num_envs=192,
-        updates=250,
-        final_updates=3200,
+        updates=320,
+        final_updates=4600,
         batch_size=64,
         sequence=100,
         burn_in=16,
         learning_rate=2e-3,
         validation=("paper", "wide", "real", "real-wide", "sticky"),
         evaluation_episodes=64,
+    ),
+    # For the ranges of `real`, where M and mu vary little.
+    "dp-distilled-real": Student(
+        randomization="real",
+        disturbances="real",
+        groups=128,
+        plants={"real": 1},
+        severities=(1.0, 1.0, 1.0, None),
+        margin=0.5,
+        units=64,
+        num_envs=96,
+        updates=450,
+        final_updates=4800,
+        batch_size=64,
+        sequence=100,
+        burn_in=16,
+        learning_rate=2e-3,
+        validation=("real",),
+        evaluation_episodes=512,
     ),
 }

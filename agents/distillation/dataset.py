@@ -18,6 +18,7 @@ from baselines.dynamic_programming.policy import NUM_TORQUES, TORQUES, PlantOrac
 from baselines.dynamic_programming.problem import PENDULUM
 from baselines.dynamic_programming.solver import Solution
 from capsule_gym import CapsuleVectorEnv
+from capsule_gym.core.layout import Row
 from capsule_gym.parameters import NOMINAL
 from capsule_gym.policies.scripted import Act
 from capsule_gym.tasks.task import CONTROL_DT
@@ -59,21 +60,19 @@ def collect(
     count = student.num_envs
     env_kwargs = student.env_kwargs
     env = CapsuleVectorEnv(num_envs=count, autoreset_mode=AutoresetMode.DISABLED, **env_kwargs)
-    entries = list(env.simulation.entries)
     expert = PlantOracle(env.simulation, solutions)
+    lightest = min((problem.M for group in groups for problem in group.targets), default=0.0)
     seeds = rng.integers(2**31, size=count).tolist()
     options = _episode_options(student, groups, rng)
     observations, _ = env.reset(seed=seeds, options=options)
-    inputs = np.zeros((student.steps, count, len(entries)), np.float32)
+    inputs = np.zeros((student.steps, *observations.shape), np.float32)
     regrets = np.zeros((student.steps, count, NUM_TORQUES), np.float16)
     running = np.zeros((student.steps, count), bool)
     runs = np.ones(count, bool)
     expert_acts = rng.random(count) < expert_share
     for step in range(student.steps):
-        margin = np.full((count, 1), student.margin)
-        if student.deviations > 0.0:
-            M_deviation = observations[:, [entries.index("M_deviation")]]
-            margin += student.deviations * NOMINAL.g * M_deviation
+        spare = np.maximum(env.simulation.row(Row.M) - lightest, 0.0) * NOMINAL.g
+        margin = student.margin + student.spare_share * spare[:, None]
         regret = _regret(expert.scores(), expert.normal_force, margin, student.max_regret)
         inputs[step] = observations
         regrets[step] = regret

@@ -51,16 +51,11 @@ class Group:
 
 
 def draw_groups(student: Student) -> list[Group]:
-    """The groups of a student's training plants.
-
-    Without a severity, sensors, motor and pendulum are those of `real` in half of them, those of
-    `paper` in a quarter, and between them in the others.
-    """
-    severities = (1.0, 0.0, 1.0, None) if student.severity is None else (student.severity,)
+    """The groups of a student's training plants."""
     groups = []
     for n in range(student.groups):
         rng = np.random.default_rng([SEED, n])
-        severity = severities[n % len(severities)]
+        severity = student.severities[n % len(student.severities)]
         size = rng.random() if severity is None else severity
         pendulum = {}
         for name in PENDULUM:
@@ -114,8 +109,13 @@ def draw_changes(
 
 
 def solve_groups(groups: Sequence[Group], folder: Path, jobs: int = -1) -> list[Solution]:
-    """The solutions of all plants, from files of a folder where they have been solved before."""
+    """The solutions of all plants of groups, as `solve_problems`."""
     problems = [problem for group in groups for problem in group.problems]
+    return solve_problems(problems, folder, jobs)
+
+
+def solve_problems(problems: Sequence[Problem], folder: Path, jobs: int = -1) -> list[Solution]:
+    """The solutions of problems, from files of a folder where they have been solved before."""
     paths = [folder / f"{n:04}.npz" for n in range(len(problems))]
     found = [_read(path, problem) for path, problem in zip(paths, problems, strict=True)]
     missing = [n for n, solution in enumerate(found) if solution is None]
@@ -125,7 +125,7 @@ def solve_groups(groups: Sequence[Group], folder: Path, jobs: int = -1) -> list[
         text = "solving plants"
         for _ in tqdm(solving, text, len(missing), unit="plant", file=sys.stderr, disable=None):
             pass
-        return solve_groups(groups, folder, jobs)
+        return solve_problems(problems, folder, jobs)
     return [solution for solution in found if solution is not None]
 
 

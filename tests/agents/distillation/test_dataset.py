@@ -55,8 +55,8 @@ def test_a_student_observes_the_estimates(solved_nominal):
     assert (last[:, M_DEVIATION] < 0.2 * first[:, M_DEVIATION]).all()
 
 
-def first_regrets(solved_nominal, margin, deviations=0.0):
-    settings = {"steps": 1, "max_regret": 100.0, "margin": margin, "deviations": deviations}
+def first_regrets(solved_nominal, margin, spare_share=0.0):
+    settings = {"steps": 1, "max_regret": 100.0, "margin": margin, "spare_share": spare_share}
     return collected(FEEDFORWARD, solved_nominal, **settings).regrets.astype(float)
 
 
@@ -66,12 +66,17 @@ def test_a_torque_that_leaves_less_normal_force_than_the_margin_costs_more(solve
     assert wide.mean() > narrow.mean() + 10.0
 
 
-def test_an_uncertain_mass_enlarges_the_margin(solved_nominal):
-    # Before any observation, the standard deviation of M is that of the prior, 0.2 kg.
-    expected = first_regrets(solved_nominal, 1.0 + 2.0 * NOMINAL.g * 0.2)
-    uncertain = first_regrets(solved_nominal, 1.0, deviations=2.0)
-    np.testing.assert_allclose(uncertain, expected, rtol=2e-3, atol=1e-2)
-    assert (uncertain != first_regrets(solved_nominal, 1.0)).any()
+def test_the_weight_that_a_change_may_take_away_enlarges_the_margin(solved_nominal):
+    groups, _ = solved_nominal
+    lightest = min(problem.M for group in groups for problem in group.targets)
+    observed = {"observation": {"observe_parameters": True}, "steps": 1}
+    masses = collected(FEEDFORWARD, solved_nominal, **observed).inputs[:, 0, -2]
+    assert masses.max() > lightest + 0.05
+    found = first_regrets(solved_nominal, 1.0, spare_share=0.5)
+    for episode, M in enumerate(masses):
+        margin = 1.0 + 0.5 * NOMINAL.g * (M - lightest)
+        expected = first_regrets(solved_nominal, margin)[episode]
+        np.testing.assert_allclose(found[episode], expected, rtol=2e-3, atol=1e-2)
 
 
 def test_the_acting_policy_decides_the_states(solved):
