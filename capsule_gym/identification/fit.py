@@ -1,20 +1,21 @@
 """Identification of a rig's plant from a log of torques and readings."""
 
+import json
 import math
 import os
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from capsule_gym.checks import check_number, nearest, require
+from capsule_gym.checks import check_number, nearest, require, short_repr
 from capsule_gym.envs.config import DIRECT_PHYSICS_DT, EnvConfig
 from capsule_gym.envs.contract import check_step, describe
-from capsule_gym.files import replacing
+from capsule_gym.files import replacing, write_atomically
 from capsule_gym.identification.derivatives import PLANT, subset
 from capsule_gym.identification.log import UNITS, read_log
 from capsule_gym.parameters import SENSORS, Capsule, Disturbances, Randomization
@@ -49,6 +50,8 @@ LARGEST_CHI2 = 1.2
 FIGURES = (".png", ".svg", ".pdf")
 # Smallest square of a coefficient of an axis that is named.
 SMALLEST_SHARE = 0.1
+# The fields of a result that its file contains as they are.
+SAVED = ("estimates", "chi2", "minima", "widths", "ranges")
 # Width of an interval in units of the range's from which on it is the prior's.
 OPEN = 0.8
 # The same width, below which an estimate at the end of its range is one that the log determines.
@@ -70,6 +73,7 @@ class Fit:
         minima: sums of squares at the ends of the fits from the best starts, the best first; one if
             they agree.
         widths: standard deviation of each quantity over that of its range.
+        ranges: ends of the ranges of the prior by quantity.
     """
 
     estimates: dict[str, float]
@@ -79,8 +83,10 @@ class Fit:
     chi2: float
     minima: tuple[float, ...]
     widths: dict[str, float]
-    _problem: "ShootingProblem" = field(repr=False)
-    _found: np.ndarray = field(repr=False)
+    ranges: dict[str, tuple[float, float]]
+    # A result from a file has no log.
+    _problem: "ShootingProblem | None" = field(default=None, repr=False)
+    _found: np.ndarray | None = field(default=None, repr=False)
 
     @property
     def covariance(self) -> np.ndarray:
@@ -95,7 +101,7 @@ class Fit:
             For every axis its standard deviation over that of the ranges, and the largest
             coefficients by name, the best determined first. A value near 1 is the prior's.
         """
-        ranges = self._problem.high - self._problem.low
+        ranges = np.ptp(list(self.ranges.values()), axis=1)
         relative = 12.0 * self.covariance / np.outer(ranges, ranges)
         variances, axes = np.linalg.eigh(relative)
         names = list(self.estimates)
@@ -149,17 +155,60 @@ class Fit:
         rows.append(f"chi2 {self.chi2:.2f}; minima of the fits: {self.minima}")
         return "\n".join(rows)
 
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes the result, without the log, to a JSON file that `load` reads.
+
+        Args:
+            path: path of the file, which is replaced atomically.
+        """
+        content: dict[str, Any] = {name: getattr(self, name) for name in SAVED}
+        content["capsule"] = asdict(self.capsule)
+        content["disturbances"] = asdict(self.disturbances)
+        columns = self.samples.T.tolist()
+        content["samples"] = dict(zip(self.estimates, columns, strict=True))
+        write_atomically(Path(path), json.dumps(content) + "\n")
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> "Fit":
+        """Reads a result that `save` wrote; it cannot draw a report, which needs the log.
+
+        Raises:
+            OSError: if the file cannot be read.
+            ValueError: if the file was not written by `save`.
+        """
+        path = Path(path)
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+            # JSON has no tuples.
+            content["minima"] = tuple(content["minima"])
+            content["ranges"] = {name: tuple(ends) for name, ends in content["ranges"].items()}
+            columns = [content["samples"][name] for name in content["estimates"]]
+            content["samples"] = np.array(columns, np.float64).T
+            content["capsule"] = Capsule(**content["capsule"])
+            content["disturbances"] = Disturbances(**content["disturbances"])
+            fit = cls(**content)
+            fit.env_kwargs()
+        except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
+            reason = f"{type(error).__name__}: {short_repr(str(error))}"
+            raise ValueError(f"{path} is not a result that Fit.save wrote: {reason}") from error
+        return fit
+
     def report(self, path: str | os.PathLike[str]) -> None:
         """Draws measured and predicted readings, residuals, and correlations of the estimates.
 
         Args:
             path: a .png, .svg or .pdf.
+
+        Raises:
+            ValueError: if the path has another suffix, or the result is from a file.
         """
         from matplotlib.figure import Figure
 
         path = Path(path)
         accepted = f"the name of a file {' or '.join(FIGURES)}"
         require(path.suffix in FIGURES, "path", accepted, str(path))
+        if self._problem is None or self._found is None:
+            raise ValueError("a result from a file has no log: call report on that of identify")
         log, sensors = self._problem.log, self._problem.sensors
         t = log["t"]
         readings, _ = self._problem.predict(self._found, slopes=False)
@@ -248,7 +297,7 @@ def identify(
     unknowns, minima = search(problem)
     shares, unknowns = sample_posterior(problem, unknowns)
     fit = summarise(problem, shares, unknowns, minima)
-    for doubt in doubts(fit):
+    for doubt in doubts(fit, problem, unknowns):
         warnings.warn(doubt, UserWarning, stacklevel=2)
     return fit
 
@@ -357,14 +406,14 @@ def summarise(
         chi2=problem.statistic(unknowns),
         minima=minima,
         widths=dict(zip(problem.names, widths.tolist(), strict=True)),
+        ranges=problem.ranges,
         _problem=problem,
         _found=unknowns,
     )
 
 
-def doubts(fit: Fit) -> Iterator[str]:
-    """The reasons to doubt a result."""
-    problem = fit._problem
+def doubts(fit: Fit, problem: "ShootingProblem", found: np.ndarray) -> Iterator[str]:
+    """The reasons to doubt a result; `found` are the unknowns of largest likelihood."""
     if fit.chi2 > LARGEST_CHI2:
         yield (
             f"chi2 is {fit.chi2:.2f}: the model does not explain the log, "
@@ -379,7 +428,7 @@ def doubts(fit: Fit) -> Iterator[str]:
         names = ", ".join(undetermined)
         yield f"the log does not determine {names}: the intervals are the prior's"
     at_end = []
-    for name, share in zip(problem.names, fit._found, strict=False):
+    for name, share in zip(problem.names, found, strict=False):
         if not 0.0 < share < 1.0 and fit.widths[name] < NARROW:
             at_end.append(name)
     if at_end:

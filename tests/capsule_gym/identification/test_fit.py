@@ -1,5 +1,6 @@
 """Identification: the intervals contain the truth, and warnings name what is open."""
 
+import json
 import subprocess
 import sys
 from dataclasses import replace
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from capsule_gym import Capsule, CapsuleEnv, Randomization, identify
+from capsule_gym.identification import Fit
 from capsule_gym.identification.fit import RANGES
 from tests.capsule_gym.identification.rig import BIAS, CONSTANTS, MOTOR, TRUTH, WHITE, make_log
 from tests.figures import texts
@@ -222,3 +224,38 @@ def test_a_wrong_model_warns():
     with pytest.warns(UserWarning) as caught:
         assert identify(log).chi2 > 1.2
     assert any("chi2 is" in str(warning.message) for warning in caught)
+
+
+def test_a_saved_result_is_the_same(fit, tmp_path):
+    fit.save(tmp_path / "fit.json")
+    loaded = Fit.load(tmp_path / "fit.json")
+    assert loaded.env_kwargs(0.9) == fit.env_kwargs(0.9)
+    assert loaded.identified == fit.identified
+    assert loaded.table() == fit.table()
+
+
+def test_a_result_from_a_file_draws_no_report(fit, tmp_path):
+    fit.save(tmp_path / "fit.json")
+    with pytest.raises(ValueError, match="call report on that of identify"):
+        Fit.load(tmp_path / "fit.json").report(tmp_path / "fit.png")
+
+
+BROKEN = {
+    "empty": lambda content: {},
+    "a list": lambda content: [],
+    "an unknown quantity": lambda content: content | {"colour": 1.0},
+    "a plant without a mass": lambda content: content | {"capsule": {"M": 0.0}},
+    "samples of other lengths": lambda content: content
+    | {"samples": content["samples"] | {"M": [0.5]}},
+    "samples beyond the limits": lambda content: content
+    | {"samples": content["samples"] | {"M": [-1.0] * len(content["samples"]["M"])}},
+}
+
+
+@pytest.mark.parametrize("change", BROKEN.values(), ids=BROKEN)
+def test_another_file_is_no_result(fit, tmp_path, change):
+    path = tmp_path / "fit.json"
+    fit.save(path)
+    path.write_text(json.dumps(change(json.loads(path.read_text()))))
+    with pytest.raises(ValueError, match=r"fit\.json is not a result that Fit.save wrote"):
+        Fit.load(path)
