@@ -80,6 +80,7 @@ class Args(Choice):
       python train.py --task direct --randomization wide --seed 1
       python train.py --row direct-ppo-wide --seed 1
       python train.py --env CapsuleGoal-v0 --seed 1
+      python train.py --task direct --stack-size 4 --rig fit.json
       python train.py --algo sac --total-steps 8e5 --run runs/mine
       python train.py --resume runs/mine --total-steps 2e6
       python train.py --task direct --wrapper my_module:MyReward
@@ -117,13 +118,16 @@ def read_args(arguments: Sequence[str] | None = None) -> Args:
     if choice.row is None:
         action_mode = choice.action_mode or ("residual" if choice.env == ENV_ID else "direct")
         settings = preset(choice.env, action_mode, choice.algo)
-        return parse(Args, PROG, arguments, default=_default(settings))
+        args = parse(Args, PROG, arguments, default=_default(settings))
+        _check_rig(settings, args)
+        return args
     try:
         settings = row_settings(choice.row)
     except ValueError as error:
         refuse(PROG, f"--row: {error}")
     args = parse(Args, PROG, arguments, default=_default(settings, row=choice.row))
     _check_same_kind(settings, args, f"--row {choice.row}")
+    _check_rig(settings, args)
     return args
 
 
@@ -134,7 +138,9 @@ def _read_resumed(run: Path, arguments: Sequence[str] | None) -> Args:
     except RunError as error:
         refuse(PROG, str(error))
     args = parse(Args, PROG, arguments, default=_default(before, resume=run))
-    for option, given in (("--run", args.run), ("--row", args.row)):
+    rig = args.hyperparameters.rig
+    other_rig = None if rig == before.rig else rig
+    for option, given in (("--run", args.run), ("--row", args.row), ("--rig", other_rig)):
         if given is not None:
             refuse(PROG, f"{option} must not be given with --resume, got {str(given)!r}")
     _check_same_kind(before, args, "--resume")
@@ -167,6 +173,15 @@ def _check_same_kind(settings: Config, args: Args, chosen_by: str) -> None:
         was, given = getattr(settings, name), getattr(args, name)
         if was != given:
             refuse(PROG, f"{option} must stay {was} with {chosen_by}, got {given}")
+
+
+def _check_rig(settings: Config, args: Args) -> None:
+    """Ends the command if options are given that an identified rig determines."""
+    config = args.hyperparameters
+    for name in ("randomization", "disturbances"):
+        given = getattr(config, name)
+        if config.rig is not None and given != getattr(settings, name):
+            refuse(PROG, f"--{name} must not be given with --rig, got {given!r}")
 
 
 def _report(failure: threading.ExceptHookArgs) -> None:
@@ -231,6 +246,9 @@ def _train(args: Args) -> int:
     if compared:
         QUIET_EXIT.message = "Stopped. The run is complete; its comparison is not."
         compare(run)
+    if not config.wrapper:
+        export = f"python -m capsule_gym.export {quote(str(run))} --c policy.h"
+        print(f"For a microcontroller: {export}{' --law' if config.controller else ''}")
     return 0
 
 

@@ -13,8 +13,9 @@ from agents.training.config import EVALUATIONS, Config, read_config
 from agents.training.presets import TRAINED_ROWS
 from baselines.drawing import BLUE, DPI, MUTED, new_figure, style
 from capsule_gym import CapsuleEnv, load_policy
+from capsule_gym.envs.config import EnvConfig
 from capsule_gym.evaluation.candidates import AnyPolicy, find_candidate
-from capsule_gym.evaluation.episodes import Episode, evaluate, scores
+from capsule_gym.evaluation.episodes import Episode, evaluate, scores, validation_set
 from capsule_gym.evaluation.sets import NOMINAL_PLANT, EvaluationSet, PlantSpec, load_set
 from capsule_gym.files import replacing
 
@@ -24,6 +25,9 @@ SHOWN = 6.6
 # Distance of the middle of a swing from 0, relative to its range, above which a gait is one-sided.
 ONE_SIDED = 0.25
 SAMPLES = ("t", "theta", "theta_dot", "x", "x_dot", "torque")
+# First seed and number of the plants from the ranges of a rig.
+RIG_SEED = 24_000_000
+RIG_PLANTS = 100
 # Settings that a run shares with the row of the leaderboard to which it is compared.
 KIND = (
     "env",
@@ -32,6 +36,7 @@ KIND = (
     "controller",
     "randomization",
     "disturbances",
+    "rig",
     "static_ratio",
     "energy_weight",
     "observe_parameters",
@@ -43,18 +48,24 @@ def compare(run: Path, set_name: str | None = None) -> None:
     """Compares a run's best model with the baseline on the same frozen episodes.
 
     Prints the comparison and, if the row of the same kind was evaluated on the set, that row.
-    Writes comparison.png to the run's folder. The default set is the task's ranking set.
+    Writes comparison.png to the run's folder. The default set is the task's ranking set, or with an
+    identified rig plants that are drawn from its ranges.
     """
     policy = load_policy(run, trust_controller=True)
-    criteria = CRITERIA[policy.env_kwargs.get("task", "speed")]
-    evaluation_set = load_set(set_name or criteria.ranking_set)
+    config = read_config(run)
+    criteria = CRITERIA[config.task]
+    if config.rig is not None and set_name is None:
+        evaluation_set = rig_plants(config)
+        plant = evaluation_set.plants[0]
+    else:
+        evaluation_set = load_set(set_name or criteria.ranking_set)
+        plant = NOMINAL_PLANT if config.task == "speed" else evaluation_set.plants[0]
     (baseline,) = find_candidate(criteria.baseline).policies
     own = evaluate(policy, evaluation_set)
     theirs = evaluate(baseline, evaluation_set)
     episodes = f"{len(own)} episodes of {evaluation_set.horizon:g} s, the same for both"
     print(f"\nOn the set {evaluation_set.name} ({episodes}):\n")
     print(comparison_table("agent", own, criteria.baseline, theirs) + "\n", flush=True)
-    plant = NOMINAL_PLANT if evaluation_set.task == "speed" else evaluation_set.plants[0]
     recordings = {
         criteria.baseline: run_episode(baseline, plant, evaluation_set),
         "agent": run_episode(policy, plant, evaluation_set),
@@ -64,6 +75,20 @@ def compare(run: Path, set_name: str | None = None) -> None:
     figure = run / "comparison.png"
     draw_comparison(recordings, figure, plant)
     print(f"Figure: {figure}")
+
+
+def rig_plants(config: Config) -> EvaluationSet:
+    """Plants from the ranges of a run's identified rig, with its disturbances."""
+    options = EnvConfig(**config.env_kwargs())
+    return validation_set(
+        options.randomization,
+        "plants from the ranges of the rig",
+        RIG_SEED,
+        RIG_PLANTS,
+        options.capsule,
+        config.task,
+        options.disturbances,
+    )
 
 
 def compare_to_row(

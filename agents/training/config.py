@@ -17,6 +17,7 @@ from tyro.conf import Fixed, Suppress
 from capsule_gym.checks import check_integer, check_number, prefix_errors
 from capsule_gym.command_line import Count
 from capsule_gym.envs.config import DOCS, EnvConfig
+from capsule_gym.identification import Fit
 from capsule_gym.parameters import Capsule, Randomization
 from capsule_gym.policies.policy import MOST_UNITS
 from capsule_gym.tasks.registry import TASKS
@@ -26,6 +27,7 @@ from capsule_gym.tasks.task import CONTROL_DT
 LARGEST_SEED = 2**32 - 1
 # Files of a run; docs/training.md describes its folder.
 CONFIG = "config.json"
+RIG = "rig.json"
 MODEL = "model.zip"
 NORMALISATION = "vecnormalize.pkl"
 BEST = "best"
@@ -79,11 +81,27 @@ RANGES: dict[str, tuple[str, float, float, bool]] = {
 }
 
 
+# What an identified rig determines.
+RIG_OPTIONS = ("mass_range", "friction_range", "static_ratio", "latency_range")
+
+
 class RunError(ValueError):
     """Raised if a run cannot be started or resumed.
 
     The message names the option or the file, and the reason.
     """
+
+
+def read_rig(path: str) -> dict[str, Any]:
+    """The arguments of the environment that stands for an identified rig, from its file.
+
+    Raises:
+        RunError: if the file cannot be read.
+    """
+    try:
+        return Fit.load(path).env_kwargs()
+    except (OSError, ValueError) as error:
+        raise RunError(f"--rig: {error}") from error
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,6 +141,9 @@ class Config:
     static_ratio: float | None = None
     """Static over kinetic friction coefficient of the floor; None for the environment's default."""
     disturbances: Annotated[Literal["none", "real"], _option("disturbances")] = "none"
+    rig: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
+    """Identified rig, a file of `Fit.save`: plant, ranges and disturbances are those of its 95 %
+    intervals."""
     latency_range: tuple[float, float] | None = None
     """Ends of the range of the sensors' latency in training, s; None for that of the
     disturbances."""
@@ -169,6 +190,8 @@ class Config:
             kwargs["task"] = self.task
         if self.randomization == "default":
             del kwargs["randomization"]
+        if self.rig is not None:
+            kwargs |= read_rig(self.rig)
         for name in LATER_OPTIONS:
             if kwargs[name] == getattr(EnvConfig, name):
                 del kwargs[name]
@@ -203,6 +226,9 @@ class Config:
     def to_dict(self) -> dict[str, Any]:
         """The fields as plain types, with the names of config.json."""
         fields = dataclasses.asdict(self)
+        if self.rig is not None:
+            # The copy in the folder of the run, which may be moved.
+            fields["rig"] = RIG
         return {"task": fields.pop("action_mode"), **fields}
 
     def check(self) -> None:
@@ -212,6 +238,10 @@ class Config:
         """
         if self.action_mode == "direct" and self.controller is not None:
             raise ValueError(f"controller must be None with direct torque, got {self.controller!r}")
+        if self.rig is not None:
+            for name in RIG_OPTIONS:
+                if getattr(self, name) is not None:
+                    raise ValueError(f"{name} must be None with rig, got {getattr(self, name)!r}")
         for field in dataclasses.fields(self):
             name = field.name
             value = getattr(self, name)
@@ -348,6 +378,8 @@ def read_config(run: Path) -> Config:
             raise ValueError(f"task must be one of {get_args(ActionMode)}, got {content['task']!r}")
         action_mode = given.pop("task", Config.action_mode)
         config = ALGORITHMS[content["algo"]](action_mode=action_mode, **given)
+        if config.rig is not None:
+            config = dataclasses.replace(config, rig=str(run / RIG))
         config.check()
     except FileNotFoundError:
         found = f"{str(run)!r}, which has no {CONFIG}"

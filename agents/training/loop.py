@@ -18,7 +18,7 @@ from agents.training import checkpoint
 from agents.training.algorithms import CLASSES, make_env, make_model, schedule
 from agents.training.callbacks import Stopped, TrainingCallback
 from agents.training.checkpoint import LOCK, Progress, git_revision, locked
-from agents.training.config import BEST, CONFIG, LOGS, MODEL, Config, RunError, read_config
+from agents.training.config import BEST, CONFIG, LOGS, MODEL, RIG, Config, RunError, read_config
 from agents.training.export import save
 from agents.training.signals import Stop
 from capsule_gym.evaluation.episodes import versions
@@ -53,6 +53,8 @@ def begin(run: Path, config: Config) -> None:
     with locked(run):
         # Another process may have begun a run here while the agent was created.
         check_unused(run)
+        if config.rig is not None:
+            write_atomically(run / RIG, Path(config.rig).read_bytes())
         write_atomically(run / CONFIG, to_json(content))
 
 

@@ -245,10 +245,12 @@ BROKEN = {
     "a list": lambda content: [],
     "an unknown quantity": lambda content: content | {"colour": 1.0},
     "a plant without a mass": lambda content: content | {"capsule": {"M": 0.0}},
-    "samples of other lengths": lambda content: content
-    | {"samples": content["samples"] | {"M": [0.5]}},
-    "samples beyond the limits": lambda content: content
-    | {"samples": content["samples"] | {"M": [-1.0] * len(content["samples"]["M"])}},
+    "samples of other lengths": lambda content: (
+        content | {"samples": content["samples"] | {"M": [0.5]}}
+    ),
+    "samples beyond the limits": lambda content: (
+        content | {"samples": content["samples"] | {"M": [-1.0] * len(content["samples"]["M"])}}
+    ),
 }
 
 
