@@ -29,8 +29,8 @@ distil: STUDENT ?= dp-distilled
 distil: SEED ?= 100
 distil: SET ?= real-wide
 distil: $(STAMP)  ## Install everything, distil the optimum into a policy and compare it with the published ones
-	$(BIN)/python -m agents.distillation $(STUDENT) --seeds $(SEED)
-	$(BIN)/python -m agents.evaluate runs/distillation/$(STUDENT)/seed-$(SEED) --set $(SET) --against $(STUDENT)
+	$(BIN)/python -m agents.distillation $(STUDENT) --seeds $(SEED) $(if $(RIG),--rig $(RIG))
+	$(if $(RIG),,$(BIN)/python -m agents.evaluate runs/distillation/$(STUDENT)/seed-$(SEED) --set $(SET) --against $(STUDENT))
 
 # Those whose library is missing are skipped: each has an extra of its own, and they do not all go together.
 examples: export EXAMPLES = 1

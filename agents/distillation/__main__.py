@@ -4,9 +4,9 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
-from agents.distillation.config import STUDENTS
-from agents.training.config import RunError
+from agents.distillation.config import STUDENTS, for_rig
 from agents.training.signals import INTERRUPTED
+from capsule_gym import Fit
 from capsule_gym.command_line import Count, Positional, arg, command, refuse
 
 PROG = "python -m agents.distillation"
@@ -16,6 +16,7 @@ PROG = "python -m agents.distillation"
 def main(
     name: Annotated[Positional[str], arg(metavar="NAME", help=f"One of {', '.join(STUDENTS)}.")],
     seeds: Annotated[tuple[Count, ...], arg(metavar="N")] = (0, 1, 2),
+    rig: Annotated[Path | None, arg(metavar="FILE")] = None,
     runs: Path = Path("runs/distillation"),
 ) -> int:
     """Distils the optimum into a network.
@@ -26,10 +27,13 @@ def main(
 
     Examples:
       python -m agents.distillation dp-distilled --seeds {0..4}
+      python -m agents.distillation dp-distilled-real --rig fit.json --seeds 0
 
     Args:
         name: student.
         seeds: Training seeds.
+        rig: Identified rig, a file of `Fit.save`: plants and disturbances of its 95 % intervals
+            replace those of the student.
         runs: Folder of the runs.
     """
     if name not in STUDENTS:
@@ -37,17 +41,24 @@ def main(
     # Imported after the command line is checked: --help does not need torch.
     from agents.distillation.dagger import FINISHED, Run
 
+    student = STUDENTS[name]
+    folder = runs / name
     try:
+        if rig is not None:
+            student = for_rig(student, Fit.load(rig))
+            folder = runs / f"{name}-{rig.stem}"
         for seed in seeds:
-            folder = runs / name / f"seed-{seed}"
-            if not (folder / FINISHED).is_file():
-                Run(name, STUDENTS[name], seed, folder).train()
-    except (OSError, RunError) as error:
+            run = folder / f"seed-{seed}"
+            if not (run / FINISHED).is_file():
+                Run(name, student, seed, run).train()
+    except (OSError, ValueError) as error:
         refuse(PROG, str(error))
     except KeyboardInterrupt:
         print("\nStopped; the same command continues. The best policy so far, if any, is kept.")
         return INTERRUPTED
-    print(f"Distilled; python -m agents.evaluate {runs / name} --against dp-oracle compares it.")
+    print(f"Distilled; python -m agents.evaluate {folder} --against dp-oracle compares it.")
+    first = folder / f"seed-{seeds[0]}"
+    print(f"For a microcontroller: python -m capsule_gym.export {first} --c policy.h")
     return 0
 
 

@@ -1,10 +1,14 @@
 """The students of the optimum: their observations, training episodes, and size of training."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from agents.criteria import CRITERIA
+from capsule_gym import Disturbances, Fit, Randomization
+
+# The key of a rig's own distribution in `Student.plants`.
+RIG = "rig"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -13,12 +17,13 @@ class Student:
 
     Attributes:
         randomization: distribution of the plants, for the environment of the policy.
-        disturbances: disturbances of the environment, "none" or "real".
-        observation: arguments of the environment that determine the observation.
+        disturbances: disturbances of the environment.
+        observation: further arguments of the environment, which determine the observation; with
+            an identified rig also the `capsule`.
         groups: groups of training plants, which share a pendulum.
         plants: plants in a group, by the distribution of their M and mu.
-        severities: sizes of the disturbances relative to "real", and of the deviations of the
-            pendulum, which the groups take in turn; None draws them.
+        severities: sizes of the disturbances relative to "real" or those of the rig, and of the
+            deviations of the pendulum, which the groups take in turn; None draws them.
         sticky_share: share of the groups with a static friction of 1.3 times the kinetic.
         change_rate: mean number of changes of M and mu per second of an episode, 1/s; the new
             values are of the group's plants of `wide`.
@@ -48,8 +53,8 @@ class Student:
             cm/s.
     """
 
-    randomization: str
-    disturbances: str = "none"
+    randomization: str | Randomization
+    disturbances: str | Disturbances = "none"
     observation: Mapping[str, Any] = field(default_factory=dict)
     groups: int
     plants: Mapping[str, int]
@@ -83,6 +88,20 @@ class Student:
             "disturbances": self.disturbances,
             **self.observation,
         }
+
+
+def for_rig(student: Student, fit: Fit) -> Student:
+    """A student whose plants and disturbances are drawn from the intervals of an identified rig."""
+    options = fit.env_kwargs()
+    return replace(
+        student,
+        randomization=options["randomization"],
+        disturbances=options["disturbances"],
+        observation={**student.observation, "capsule": options["capsule"]},
+        plants={RIG: 1},
+        severities=(1.0,),
+        sticky_share=0.0,
+    )
 
 
 # Keys are names of rows on the leaderboard.

@@ -26,16 +26,18 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from agents.distillation.config import Student
+from agents.distillation.config import RIG, Student
 from agents.distillation.dataset import Dataset, collect
 from agents.distillation.network import Network
 from agents.distillation.plants import draw_groups, solve_groups
 from agents.training.checkpoint import git_revision
 from agents.training.config import CONFIG, RunError
 from capsule_gym import Policy
-from capsule_gym.evaluation.episodes import drawn_like, evaluate, scores
+from capsule_gym.envs.config import EnvConfig
+from capsule_gym.evaluation.episodes import drawn_like, evaluate, scores, validation_set
 from capsule_gym.evaluation.sets import EvaluationSet
 from capsule_gym.files import replacing, to_json, write_atomically
+from capsule_gym.parameters import Randomization
 from capsule_gym.policies.policy import POLICY
 
 # First seed of the validation plants for selecting the best policy; far from other seeds.
@@ -218,7 +220,14 @@ class Run:
 
 
 def _validation_plants(student: Student, seed: int) -> Sequence[EvaluationSet]:
-    """The plants that select a run's best policy: drawn as those of sets, but never theirs."""
+    """The plants that select a run's best policy: drawn as those of sets, but never theirs.
+
+    With an identified rig they are drawn from its ranges.
+    """
     count = student.evaluation_episodes
     first = SELECTION_SEED + seed * count
+    if isinstance(student.randomization, Randomization):
+        own = EnvConfig(**student.env_kwargs)
+        kind = (own.randomization, RIG, first, count, own.capsule)
+        return [validation_set(*kind, disturbances=own.disturbances)]
     return [drawn_like(name, first, count) for name in student.validation]

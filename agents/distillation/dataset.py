@@ -121,6 +121,8 @@ def _episode_options(
         if student.disturbances != "none":
             names = (*PENDULUM, "static_ratio")
             options["capsule"] = {name: getattr(problem, name) for name in names}
+            # That of the problem is one of the disturbances.
+            options["capsule"]["motor_friction"] = 0.0
             options["disturbances"] = draw_disturbances(group, rng)
         episodes.append(options)
     return {name: [options[name] for options in episodes] for name in episodes[0]}

@@ -18,14 +18,22 @@ import numpy as np
 from joblib import Parallel, delayed
 from tqdm import tqdm
 
-from agents.distillation.config import Student
+from agents.distillation.config import RIG, Student
 from baselines.dynamic_programming.archive import known_results, solve_near
 from baselines.dynamic_programming.grid import Grid
 from baselines.dynamic_programming.problem import CONSTANTS, PENDULUM, Problem
 from baselines.dynamic_programming.solver import Solution
 from capsule_gym.envs.contract import draw_plant
 from capsule_gym.files import replacing
-from capsule_gym.parameters import DISTURBANCES, NOMINAL, RANDOMIZATIONS, REAL
+from capsule_gym.parameters import (
+    DISTURBANCES,
+    NOMINAL,
+    RANDOMIZATIONS,
+    REAL,
+    Capsule,
+    Disturbances,
+    Randomization,
+)
 
 # Every group draws its own plants, the same in all runs.
 SEED = 63
@@ -39,43 +47,60 @@ class Group:
     """Plants that differ in M and mu only.
 
     Attributes:
-        severity: size of the disturbances relative to `REAL`; None draws it anew for each
-            disturbance of each episode.
+        severity: size of the disturbances relative to `disturbances`; None draws it anew for
+            each disturbance of each episode.
         problems: the plants' problems.
         targets: those to which an episode may change.
+        disturbances: the disturbances in their full size.
     """
 
     severity: float | None
     problems: tuple[Problem, ...]
     targets: tuple[Problem, ...]
+    disturbances: Disturbances
 
 
 def draw_groups(student: Student) -> list[Group]:
     """The groups of a student's training plants."""
+    ranges, disturbances, capsule = _full_size(student)
     groups = []
     for n in range(student.groups):
         rng = np.random.default_rng([SEED, n])
         severity = student.severities[n % len(student.severities)]
         size = rng.random() if severity is None else severity
-        pendulum = {}
+        constants = {}
         for name in PENDULUM:
-            low, high = getattr(RANDOMIZATIONS["real"], name)
-            drawn = rng.uniform(low, high)
-            pendulum[name] = getattr(NOMINAL, name) + size * (drawn - getattr(NOMINAL, name))
+            usual = getattr(capsule, name)
+            low, high = getattr(ranges, name) or (usual, usual)
+            constants[name] = usual + size * (rng.uniform(low, high) - usual)
         sticky = rng.random() < student.sticky_share
-        shared = Problem(
-            static_ratio=STATIC_RATIO if sticky else NOMINAL.static_ratio,
-            motor_friction=size * _ends("motor_friction")[1],
-            **pendulum,
-        )
+        constants["static_ratio"] = STATIC_RATIO if sticky else capsule.static_ratio
+        _, friction = _ends(disturbances, "motor_friction")
+        constants["motor_friction"] = capsule.motor_friction + size * friction
+        for name in ("static_ratio", "motor_friction"):
+            if getattr(ranges, name) is not None:
+                constants[name] = rng.uniform(*getattr(ranges, name))
+        shared = Problem(**constants)
         problems = []
         for randomization, count in student.plants.items():
             for _ in range(count):
-                M, mu = draw_plant(RANDOMIZATIONS[randomization], NOMINAL, rng)
+                own = ranges if randomization == RIG else RANDOMIZATIONS[randomization]
+                M, mu = draw_plant(own, capsule, rng)
                 problems.append(replace(shared, M=M, mu=mu))
         targets = problems[: student.plants.get("wide", 0)]
-        groups.append(Group(severity, tuple(problems), tuple(targets)))
+        groups.append(Group(severity, tuple(problems), tuple(targets), disturbances))
     return groups
+
+
+def _full_size(student: Student) -> tuple[Randomization, Disturbances, Capsule]:
+    """The distribution of the pendulums, the disturbances, and the constants without deviations.
+
+    They are those of `real`, or of an identified rig.
+    """
+    if isinstance(student.randomization, str):
+        return RANDOMIZATIONS["real"], REAL, NOMINAL
+    disturbances = Disturbances.named(student.disturbances)
+    return student.randomization, disturbances or Disturbances(), student.observation["capsule"]
 
 
 def draw_disturbances(group: Group, rng: np.random.Generator) -> dict[str, float]:
@@ -83,15 +108,15 @@ def draw_disturbances(group: Group, rng: np.random.Generator) -> dict[str, float
     drawn: dict[str, float] = {}
     for name in DISTURBANCES:
         size = rng.random() if group.severity is None else group.severity
-        drawn[name] = size * rng.uniform(*_ends(name))
-    drawn["drift_time"] = rng.uniform(*_ends("drift_time"))
+        drawn[name] = size * rng.uniform(*_ends(group.disturbances, name))
+    drawn["drift_time"] = rng.uniform(*_ends(group.disturbances, "drift_time"))
     drawn["motor_friction"] = group.problems[0].motor_friction
     return drawn
 
 
-def _ends(name: str) -> tuple[float, float]:
-    """The smallest and the largest value of a disturbance in `REAL`."""
-    value = getattr(REAL, name)
+def _ends(disturbances: Disturbances, name: str) -> tuple[float, float]:
+    """The smallest and the largest value of a disturbance."""
+    value = getattr(disturbances, name)
     low, high = value if isinstance(value, tuple) else (value, value)
     return low, high
 

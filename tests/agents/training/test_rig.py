@@ -4,7 +4,6 @@ import json
 import re
 import shutil
 
-import numpy as np
 import pytest
 
 import train as command_line
@@ -12,26 +11,15 @@ from agents import report
 from agents.training.algorithms import make_env
 from agents.training.config import read_config
 from agents.training.loop import begin, train
-from capsule_gym import Capsule, Disturbances, Fit, load_policy
+from capsule_gym import load_policy
+from tests.agents.rig import RANGES, make_fit
 from tests.agents.training.small import finished, small
-
-RANGES = {"M": (0.6, 0.62), "mu": (0.05, 0.06), "latency": (0.004, 0.006)}
 
 
 @pytest.fixture
 def fit(tmp_path):
-    """A result whose intervals are nearly `RANGES`, and its file."""
-    samples = np.transpose([np.linspace(*ends, 1000) for ends in RANGES.values()])
-    found = Fit(
-        estimates={name: sum(ends) / 2.0 for name, ends in RANGES.items()},
-        samples=samples,
-        capsule=Capsule(m=0.15),
-        disturbances=Disturbances(lag=0.004),
-        chi2=1.0,
-        minima=(1.0,),
-        widths=dict.fromkeys(RANGES, 0.1),
-        ranges=RANGES,
-    )
+    """An identified rig, also in a file."""
+    found = make_fit()
     found.save(tmp_path / "fit.json")
     return found
 

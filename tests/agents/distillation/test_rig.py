@@ -1,0 +1,85 @@
+"""Students of an identified rig."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from agents.distillation.__main__ import main
+from agents.distillation.config import RIG, STUDENTS, for_rig
+from agents.distillation.dataset import collect
+from agents.distillation.plants import draw_disturbances, draw_groups, solve_groups
+from capsule_gym import load_policy
+from capsule_gym.core.layout import Row
+from tests.agents.distillation.conftest import RECURRENT
+from tests.agents.rig import RANGES, make_fit
+
+STUDENT = for_rig(dataclasses.replace(RECURRENT, groups=2, final_updates=2), make_fit())
+
+
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory):
+    groups = draw_groups(STUDENT)
+    return groups, solve_groups(groups, tmp_path_factory.mktemp("plants"), jobs=1)
+
+
+def within(name, value):
+    low, high = RANGES[name]
+    return low <= value <= high
+
+
+def test_plants_are_those_of_the_rig():
+    groups = draw_groups(dataclasses.replace(STUDENT, groups=20))
+    problems = [problem for group in groups for problem in group.problems]
+    assert len({problem.M for problem in problems}) == len(problems)
+    for problem in problems:
+        for name in ("M", "mu", "l", "motor_friction"):
+            assert within(name, getattr(problem, name))
+        assert problem.m == 0.15
+        assert problem.static_ratio == 1.0
+
+
+def test_disturbances_are_those_of_the_rig():
+    rng = np.random.default_rng(0)
+    (group, *_) = draw_groups(STUDENT)
+    drawn = draw_disturbances(group, rng)
+    assert within("latency", drawn["latency"])
+    assert drawn["lag"] == 0.004
+    assert drawn["theta_noise"] == 0.0
+    assert drawn["motor_friction"] == group.problems[0].motor_friction
+
+
+def test_friction_acts_once(solved, monkeypatch):
+    found = []
+    expert_of = collect.__globals__["PlantOracle"]
+
+    def expert(simulation, solutions):
+        found.append(simulation)
+        return expert_of(simulation, solutions)
+
+    monkeypatch.setitem(collect.__globals__, "PlantOracle", expert)
+    collect(STUDENT, *solved, np.random.default_rng(0), 1.0, None)
+    groups, _ = solved
+    frictions = {group.problems[0].motor_friction for group in groups}
+    (simulation,) = found
+    assert {*simulation.row(Row.motor_friction).tolist()} <= frictions
+
+
+def test_the_command_distils_a_policy_of_the_rig(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(STUDENTS, "dp-distilled", dataclasses.replace(RECURRENT, groups=2))
+    fit = make_fit()
+    fit.save(tmp_path / "mine.json")
+    words = ["--rig", str(tmp_path / "mine.json"), "--seeds", "3", "--runs", str(tmp_path)]
+    assert main(["dp-distilled", *words]) == 0
+    run = tmp_path / "dp-distilled-mine" / "seed-3"
+    assert f"python -m capsule_gym.export {run} --c policy.h" in capsys.readouterr().out
+    env_kwargs = load_policy(run).env_kwargs
+    for name, value in fit.env_kwargs().items():
+        assert env_kwargs[name] == value
+    assert STUDENT.plants == {RIG: 1}
+
+
+def test_a_missing_file_is_an_error(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        main(["dp-distilled", "--rig", str(tmp_path / "no.json"), "--runs", str(tmp_path)])
+    assert "no.json" in capsys.readouterr().err
