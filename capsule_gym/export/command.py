@@ -6,6 +6,9 @@ from typing import Annotated
 from capsule_gym.command_line import Positional, arg, check_output, command
 from capsule_gym.export.exported import Exported
 from capsule_gym.files import write_atomically
+from capsule_gym.identification import Excitation
+
+EXCITATION = "excitation"
 
 
 @command("python -m capsule_gym.export", ImportError, OSError, TypeError, ValueError)
@@ -15,26 +18,31 @@ def main(
     onnx: Path | None = None,
     single: Annotated[bool, arg(name="float")] = False,
     law: bool = False,
+    amplitude: float | None = None,
+    duration: float | None = None,
     overwrite: bool = False,
 ) -> None:
     """Exports a trained policy, and the control law that it acts on, as C99 or as ONNX.
 
     FILE.h of --c has no dependency and allocates nothing; FILE_test.c, next to it, checks it on an
     episode of an evaluation set. A control law of the core, such as baselines:adaptive, is exported
-    alone.
+    alone, and so is the excitation for the log of a rig.
 
     Examples:
       python -m capsule_gym.export direct-ppo --c policy.h
       python -m capsule_gym.export residual-real --c policy.h --float --law
       python -m capsule_gym.export runs/mine --onnx policy.onnx
+      python -m capsule_gym.export excitation --amplitude 0.4 --duration 20 --c excitation.h
 
     Args:
-        policy: Name of a pretrained policy, path of a policy file or of a run's folder, or import
-            string of a control law.
+        policy: Name of a pretrained policy, path of a policy file or of a run's folder, import
+            string of a control law, or "excitation".
         c: C header to write.
         onnx: ONNX model to write.
         single: Compute in float instead of double, which has the bits of this package.
         law: Export the control law, too.
+        amplitude: Root mean square of the excitation's multisine, N m; 0.45 by default.
+        duration: Duration of the excitation, s; 20 by default.
         overwrite: Replace existing files.
     """
     if c is None and onnx is None:
@@ -43,7 +51,14 @@ def main(
     test = c and c.with_name(f"{c.stem}_test.c")
     check_output("--c", test, (".c",), overwrite=overwrite)
     check_output("--onnx", onnx, (".onnx",), overwrite=overwrite)
-    exported = Exported(policy, law)
+    if policy == EXCITATION:
+        excitation = Excitation(amplitude=0.45 if amplitude is None else amplitude)
+        exported = Exported(excitation.controller(20.0 if duration is None else duration))
+    else:
+        for option, value in (("--amplitude", amplitude), ("--duration", duration)):
+            if value is not None:
+                raise ValueError(f"{option} is for {EXCITATION!r} alone, got {value} of {policy!r}")
+        exported = Exported(policy, law)
     if onnx is not None:
         write_atomically(onnx, exported.onnx(single=single))
     if c is not None and test is not None:

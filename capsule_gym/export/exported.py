@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from capsule_gym.control.controller import CoreLaw
+from capsule_gym.control.controller import Controller, CoreLaw
 from capsule_gym.control.lookup import find_controller
 from capsule_gym.core import _core
 from capsule_gym.core.layout import Row
@@ -45,7 +45,7 @@ class Exported:
 
     Args:
         name_or_path: as for `load_policy`; or the import string of a control law, such as
-            "baselines:adaptive".
+            "baselines:adaptive"; or a control law.
         law: whether the policy's control law is exported, too.
 
     Raises:
@@ -53,8 +53,8 @@ class Exported:
         ValueError: if there is no such policy or law, or the law is not part of the core.
     """
 
-    def __init__(self, name_or_path: str, law: bool = False) -> None:
-        if LAW_REFERENCE.fullmatch(name_or_path):
+    def __init__(self, name_or_path: str | Controller, law: bool = False) -> None:
+        if isinstance(name_or_path, Controller) or LAW_REFERENCE.fullmatch(name_or_path):
             law = True
             self.policy = None
             self.cell = None
@@ -65,8 +65,9 @@ class Exported:
                 "task": find_task(own_task).name,
             }
             self.options = EnvConfig(**self.env_kwargs)
-            name = name_or_path.partition(":")[2]
-            self.description = f"control law {name_or_path}"
+            shown = getattr(name_or_path, "name", name_or_path)
+            name = shown.rpartition(":")[2]
+            self.description = f"control law {shown}"
         else:
             self.policy = load_policy(name_or_path)
             self.env_kwargs = self.policy.env_kwargs

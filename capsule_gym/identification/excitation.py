@@ -3,13 +3,18 @@
 import math
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from typing import Any
 
 import numpy as np
 
 from capsule_gym.checks import check_integer, check_number
+from capsule_gym.control.controller import Controller
+from capsule_gym.control.laws import periodic
+
+# Gains that keep the pendulum away from its stop, N m/rad and N m s/rad.
+K_THETA, K_THETA_DOT = 0.6, 0.04
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,21 +47,48 @@ class Excitation:
 
         `seeds`, which every policy takes, changes nothing: all episodes have the same multisine.
         """
-        generator = np.random.default_rng(self.seed)
-        logarithms = generator.uniform(math.log(0.3), math.log(8.0), 16)
-        frequencies = np.exp(logarithms)
-        phases = generator.uniform(0.0, 2.0 * np.pi, 16)
+        multisine = self._multisine()
         steps = count()
 
         def act(observation: Any) -> np.ndarray:
             if isinstance(observation, dict):
                 observation = observation["observation"]
             theta, theta_dot = observation[:2]
-            angles = 2.0 * np.pi * self.control_dt * next(steps) * frequencies + phases
-            # The mean square of each wave is 1 / 2.
-            multisine = self.amplitude * np.sin(angles).sum() / math.sqrt(8.0)
-            torque = multisine - 0.6 * theta - 0.04 * theta_dot
+            torque = multisine(next(steps)) - K_THETA * theta - K_THETA_DOT * theta_dot
             action = np.array([torque / self.torque_limit], np.float32)
             return np.clip(action, -1.0, 1.0)
 
         return act
+
+    def controller(self, seconds: float = 20.0) -> Controller:
+        """The same motion as a control law, for a rig: `python -m capsule_gym.export excitation`.
+
+        Args:
+            seconds: duration, s, after which the multisine begins again.
+        """
+        accepted = f"a finite number >= {2.0 * self.control_dt:g} (s)"
+        seconds = check_number("seconds", seconds, accepted, 2.0 * self.control_dt)
+        rows = round(seconds / self.control_dt)
+        multisine = self._multisine()
+        torques = [multisine(step) for step in range(rows)]
+        columns = {
+            periodic.FEEDFORWARD: np.clip(torques, -self.torque_limit, self.torque_limit),
+            periodic.K_THETA: K_THETA,
+            periodic.K_THETA_DOT: K_THETA_DOT,
+        }
+        law = periodic.tracking("excitation", columns, rows)
+        return replace(law, dt=self.control_dt)
+
+    def _multisine(self) -> Callable[[int], float]:
+        """The sum of the waves, N m, as a function of the step."""
+        generator = np.random.default_rng(self.seed)
+        logarithms = generator.uniform(math.log(0.3), math.log(8.0), 16)
+        frequencies = np.exp(logarithms)
+        phases = generator.uniform(0.0, 2.0 * np.pi, 16)
+
+        def torque(step: int) -> float:
+            angles = 2.0 * np.pi * self.control_dt * step * frequencies + phases
+            # The mean square of each wave is 1 / 2.
+            return float(self.amplitude * np.sin(angles).sum() / math.sqrt(8.0))
+
+        return torque

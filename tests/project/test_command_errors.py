@@ -55,6 +55,16 @@ from train import main as train
         ),
         (export, "", "(?i)required|missing"),
         (export, "direct-ppo", "at least one of --c and --onnx must be given"),
+        (
+            export,
+            "direct-ppo --c policy.h --amplitude 0.3",
+            "--amplitude is for .excitation. alone",
+        ),
+        (
+            export,
+            "excitation --c policy.h --duration -1",
+            "seconds must be a finite number >= 0.02",
+        ),
         (export, "direct-ppo --law --c policy.h", "--law needs a control law of the core"),
         (
             export,

@@ -242,6 +242,7 @@ def test_c_law(library, name):
         ["goal", "--float"],
         ["residual-real", "--law", "--float"],
         ["baselines:gait"],
+        ["excitation", "--amplitude", "0.3", "--duration", "2"],
     ],
     ids=" ".join,
 )

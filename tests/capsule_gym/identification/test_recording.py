@@ -1,8 +1,11 @@
+import math
+
 import gymnasium as gym
 import numpy as np
 import pytest
 
 from capsule_gym import CapsuleEnv, Disturbances, Excitation, record
+from capsule_gym.evaluation.episodes import evaluate, failures, validation_set
 from tests.capsule_gym.identification.rig import make_env
 
 CONTROL_DT = 0.01
@@ -44,6 +47,35 @@ def test_an_excitation_is_limited(theta, action):
 def test_numbers_of_an_excitation_are_named():
     with pytest.raises(TypeError, match="positional"):
         Excitation(3, 0.2)
+
+
+def test_an_excitation_is_also_a_law():
+    excitation = Excitation(seed=3, amplitude=0.3)
+    env = CapsuleEnv(control_dt=CONTROL_DT, controller=None, randomization="none")
+    expected = record(env, excitation, seconds=2.0, seed=0)
+    env = CapsuleEnv(
+        control_dt=CONTROL_DT, controller=excitation.controller(3.0), randomization="none"
+    )
+    env.reset(seed=0)
+    torques = []
+    for _ in expected["t"]:
+        _, _, _, _, info = env.step(np.zeros(1, np.float32))
+        torques.append(info["torque"])
+    # The actions of the policy are in float32.
+    np.testing.assert_allclose(torques, expected["torque"], rtol=0.0, atol=1e-5)
+
+
+@pytest.mark.parametrize("seconds", [0.0, -1.0, math.nan])
+def test_an_excitation_has_a_duration(seconds):
+    with pytest.raises(ValueError, match="seconds must be a finite number"):
+        Excitation().controller(seconds)
+
+
+def test_no_plant_meets_its_stop_under_the_law():
+    plants = validation_set("real-wide", "excited", 22_000_000, 20, disturbances="real")
+    law = Excitation(amplitude=0.35).controller()
+    episodes = evaluate(law, plants, env_kwargs={"control_dt": CONTROL_DT}, horizon=20.0)
+    assert failures(episodes) == 0
 
 
 @pytest.fixture
