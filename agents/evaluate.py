@@ -43,7 +43,8 @@ def comparison_table(
     mean = replace(headline, label=f"{headline.label}, mean", share=True)
     rows = [["", name, reference, "difference"]]
     for metric in (mean, *metrics):
-        cells = [metric.label]
+        trimmed = metric == headline and not metric.share
+        cells = [f"{metric.label}, interquartile mean" if trimmed else metric.label]
         both = [scores(each, metric.name) for each in (episodes, others)]
         for values in both:
             interval = estimate(values, mean=metric.share).to_dict().values()

@@ -22,7 +22,6 @@ LABEL_COLUMNS = 22
 MARK_DISTANCE = 0.15
 # Smallest share of failed episodes that is marked.
 MARKED = 0.005
-CROSS = "\N{MULTIPLICATION SIGN}"
 
 
 def contents(board: Board) -> list[tuple[str, list[tuple[float, float]]]]:
@@ -65,14 +64,14 @@ def draw(board: Board) -> str:
             axes.barh(list(bars), speeds, BAR, color=colour, label=label)
             for y, (speed, failed) in bars.items():
                 if failed >= MARKED:
-                    text = f"{CROSS} {100.0 * failed:.0f} %"
+                    text = f"{100.0 * failed:.0f} % failed"
                     place = (max(speed, 0.0) + MARK_DISTANCE, y)
                     axes.annotate(text, place, va="center_baseline", fontsize="small")
         names = [textwrap.fill(label, LABEL_COLUMNS) for label, _ in lines]
         axes.set_yticks(range(len(lines)), names)
         for tick, (_, shown) in zip(axes.get_yticklabels(), lines, strict=True):
             tick.set_fontweight("normal" if shown else "bold")
-        axes.set_xlabel(f"mean speed (cm/s); {CROSS} failed episodes")
+        axes.set_xlabel("mean speed (cm/s)")
         axes.set_xlim(left=0.0)
         axes.set_ylim(len(lines) - 0.4, -0.4)
         axes.grid(visible=False, axis="y")

@@ -65,9 +65,12 @@ class Exported:
                 "task": find_task(own_task).name,
             }
             self.options = EnvConfig(**self.env_kwargs)
-            shown = getattr(name_or_path, "name", name_or_path)
-            name = shown.rpartition(":")[2]
-            self.description = f"control law {shown}"
+            if isinstance(name_or_path, Controller):
+                name = name_or_path.name
+                self.description = f"control law {name}"
+            else:
+                name = name_or_path.partition(":")[2]
+                self.description = f"control law {name_or_path}"
         else:
             self.policy = load_policy(name_or_path)
             self.env_kwargs = self.policy.env_kwargs
@@ -82,7 +85,7 @@ class Exported:
             if self.cell:
                 widths.append(self.cell.weight_ih.shape[1])
             self.widest = max(widths)
-        self.name = re.sub(r"\W|^(?=\d)", "_", name)
+        self.name = re.sub(r"\W|^(?=\d)", "_", name, flags=re.ASCII)
         self.law = self.controller if law else None
         if law and not isinstance(getattr(self.controller, "law", None), CoreLaw):
             found = self.options.controller or "a policy without a control law"
@@ -136,6 +139,7 @@ class Exported:
             task_inputs=task_inputs,
             task_outputs=task_outputs,
             observed=observed + estimates,
+            entry_names=self.observed,
             filter_inputs=filter_inputs,
             estimates=estimates,
             law_inputs=law_inputs,
@@ -254,6 +258,8 @@ class Exported:
         metadata = {
             "control_dt": self.options.control_dt,
             "torque_limit": self.options.torque_limit,
+            "residual_limit": self.settings.residual_limit,
+            "law": self.options.controller,
             "observation": list(self.observed),
         }
         return to_onnx(self.policy, self.scale, metadata, single=single)

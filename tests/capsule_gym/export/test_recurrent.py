@@ -144,6 +144,8 @@ def test_a_model_says_what_it_takes(path):
     assert found == {
         "control_dt": 0.02,
         "torque_limit": 1.5,
+        "residual_limit": 1.5,
+        "law": None,
         "observation": ["theta", "theta_dot", "x_dot", "stick", "last_action"],
     }
 
