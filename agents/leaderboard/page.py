@@ -39,7 +39,14 @@ GROUPS = {
     "The paper": ("adaptive", "feedback-linearising-optimal-profile"),
     "Simple feedback": ("pd", "oscillator", "gait-guarded", "gait-predictive"),
     "Model-based": ("lqr", "mpc", "dp-nominal", "dp-oracle"),
-    "Learned": ("direct-ppo", "residual-ppo", "residual-real", "dp-distilled-wide", "dp-distilled"),
+    "Learned": (
+        "direct-ppo",
+        "residual-ppo",
+        "residual-real",
+        "dp-distilled-wide",
+        "dp-distilled",
+        "dp-distilled-real",
+    ),
 }
 # The paper's other laws.
 OTHER_LAWS = ("adaptive-as-published", "adaptive-optimal-profile", "epc", "feedback-linearising")
@@ -70,7 +77,7 @@ HEAD = (
 # Tables of other pages: rows and sets.
 SECTIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "disturbances": (
-        ("gait-predictive", "residual-real", "dp-distilled"),
+        ("gait-predictive", "residual-real", "dp-distilled", "dp-distilled-real"),
         (REAL, "real-wide"),
     ),
     "algorithms": (("direct-ppo", "direct-sac"), (RANKING_SET,)),

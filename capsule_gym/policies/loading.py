@@ -97,6 +97,8 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
             folder = folder.parent
         # As `policy_names` names a row's run.
         name = "/".join(folder.parts[-2:]) if folder.name.startswith("seed-") else folder.name
+        if path.name != POLICY:
+            name = path.stem
     size = path.stat().st_size
     if size > LARGEST_FILE:
         limit = f"it must have at most {LARGEST_FILE} bytes, got {size}"
