@@ -91,7 +91,7 @@ SECTIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 # Policies that the message names: fast with perfect sensors, and faster than the PD with real ones,
 # the slowest first.
 PERFECT = ("lqr", "mpc", "dp-nominal", "dp-oracle", "direct-ppo", "residual-ppo")
-KEPT = ("lqr", "residual-real", "dp-distilled")
+KEPT = ("lqr", "residual-real", "dp-distilled", "dp-distilled-real")
 ENTRIES = ("policy", "description", "training_seeds", "revision", "files", "base", "versions")
 
 
@@ -186,7 +186,7 @@ def message(board: Board) -> str:
     blind = speed(REFERENCE)
     times = blind / speed("adaptive")
     perfect = [speed(name) for name in PERFECT]
-    lqr, residual, distilled = (speed(name, REAL) for name in KEPT)
+    lqr, residual, distilled, specialised = (speed(name, REAL) for name in KEPT)
     return (
         f"Torque as a function of time alone makes {blind:.1f} cm/s, {times:.1f} times the paper's "
         f"controller; an encoder and two gains (`pd`) make {speed('pd'):.1f}. A model, dynamic "
@@ -194,7 +194,8 @@ def message(board: Board) -> str:
         "sensors on the assumed plants. With real sensors most of these fall below the PD "
         f"({speed('pd', REAL):.1f}). LQR keeps {lqr:.1f} without learning, PPO on a law with a "
         f"predictor (`residual-real`) makes {residual:.1f}, and `dp-distilled`, a recurrent "
-        f"network from which M and mu are hidden, {distilled:.1f}."
+        f"network from which M and mu are hidden, {distilled:.1f}; trained for these plants alone "
+        f"(`dp-distilled-real`), it makes {specialised:.1f}."
     )
 
 
