@@ -153,7 +153,9 @@ def test_a_comparison_that_cannot_be_drawn_is_left_out_before_the_training(
     assert err == f"Without a comparison at the end, since {reason}\n"
     assert f"Training PPO on CapsuleStickSlip-v0, residual torque, seed 0, in {run}.\n" in out
     best = run / "best" / "policy.safetensors"
-    assert out.endswith(f"Trained; the best policy on validation plants is {best}.\n")
+    assert f"Trained; the best policy on validation plants is {best}.\n" in out
+    export = f"python -m capsule_gym.export {run} --c policy.h --law"
+    assert out.endswith(f"For a microcontroller: {export}\n")
     assert train.QUIET_EXIT.message == f"Stopped. To resume: python train.py --resume {run}"
     assert threading.excepthook is before
     assert not (run / "comparison.png").exists()
