@@ -1,7 +1,6 @@
 """The chart of the main table: mean speeds and shares of failed episodes on `paper` and `real`."""
 
 import io
-import textwrap
 
 from agents.leaderboard.page import RANKING_SET, REAL, SPEED, Board, grouped
 from baselines.drawing import BLUE, VERMILION, new_figure, style
@@ -13,11 +12,10 @@ BARS = {
     REAL: (VERMILION, "real: noise, bias and latency of sensors, lag and friction of the motor"),
 }
 # Width of the figure and height of a line, in.
-WIDTH = 5.0
+WIDTH = 6.0
 LINE_HEIGHT = 0.19
 # Thickness of a bar, in lines.
 BAR = 0.38
-LABEL_COLUMNS = 22
 # Distance of a mark from its bar, cm/s.
 MARK_DISTANCE = 0.15
 # Smallest share of failed episodes that is marked.
@@ -67,7 +65,7 @@ def draw(board: Board) -> str:
                     text = f"{100.0 * failed:.0f} % failed"
                     place = (max(speed, 0.0) + MARK_DISTANCE, y)
                     axes.annotate(text, place, va="center_baseline", fontsize="small")
-        names = [textwrap.fill(label, LABEL_COLUMNS) for label, _ in lines]
+        names = [label for label, _ in lines]
         axes.set_yticks(range(len(lines)), names)
         for tick, (_, shown) in zip(axes.get_yticklabels(), lines, strict=True):
             tick.set_fontweight("normal" if shown else "bold")
