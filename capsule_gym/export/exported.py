@@ -4,6 +4,7 @@ The loops of the network are in `policy.h.jinja`; everything else is recorded fr
 (`c_code`).
 """
 
+import hashlib
 import re
 from dataclasses import replace
 from functools import partial
@@ -244,8 +245,10 @@ class Exported:
         environment.filters["table"] = partial(c_table, single=single)
         text = environment.get_template(template).render(vars(self) | values, single=single)
         text = text.replace("REAL", "float" if single else "double")
-        text = text.replace("NAME", self.name)
-        return text.replace("THIS_FILE", str(values.get("file")))
+        text = text.replace("NAME", self.name).replace("THIS_FILE", str(values.get("file")))
+        # The guard of a header: headers of one name with other contents do not skip each other.
+        digest = hashlib.sha256(text.encode()).hexdigest()
+        return text.replace("THIS_HASH", digest[:16])
 
     def onnx(self, *, single: bool = False) -> bytes:
         """The policy as an ONNX model, which computes in float or in double.

@@ -2,6 +2,7 @@
 
 import ctypes
 import os
+import platform
 import re
 import shutil
 import subprocess
@@ -261,6 +262,47 @@ def test_program(tmp_path, target, arguments):
         run("gcc", *C99, target, source, "-o", program, "-lm")
         output = run(program)
     assert re.search(r": 0 of \d\d+ periods differ", output), output
+
+
+FLAGS = (
+    "-ffast-math",
+    "-freciprocal-math",
+    "-fno-signed-zeros",
+    "-funsafe-math-optimizations",
+    "-ffinite-math-only",
+    "-mfpmath=387",
+    "-U__DBL_MANT_DIG__ -D__DBL_MANT_DIG__=24",
+)
+
+
+@pytest.fixture(scope="module")
+def header(tmp_path_factory):
+    path = tmp_path_factory.mktemp("header") / "law.h"
+    path.write_text(Exported("baselines:pd").c())
+    return path
+
+
+@pytest.mark.parametrize("flags", FLAGS)
+def test_a_compiler_that_rounds_otherwise_is_refused(header, flags):
+    if "387" in flags and platform.machine() != "x86_64":
+        pytest.skip("needs the x87")
+    command = ["gcc", "-std=c99", *flags.split(), "-fsyntax-only", str(header)]
+    found = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert found.returncode != 0
+    assert re.search("rounded as it is written|must compute in double", found.stderr)
+    run("gcc", "-std=c99", "-fsyntax-only", header)
+
+
+def test_headers_of_one_name_do_not_skip_each_other(header, tmp_path):
+    other = tmp_path / "other.h"
+    other.write_text(Exported("baselines:pd").c(single=True))
+    program = tmp_path / "both.c"
+    program.write_text(f'#include "{header}"\n#include "{header}"\n')
+    run("gcc", "-std=c99", "-fsyntax-only", program)
+    program.write_text(f'#include "{header}"\n#include "{other}"\n')
+    command = ["gcc", "-std=c99", "-fsyntax-only", str(program)]
+    found = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert "pd_memory" in found.stderr
 
 
 def test_program_of_an_episode_that_ends_early(tmp_path):
