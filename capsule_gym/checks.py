@@ -110,12 +110,14 @@ def check_number(
         TypeError: if `value` is not a real number.
         ValueError: if it is not finite or outside the range.
     """
-    real = isinstance(value, (int, float, np.integer, np.floating))
-    if not real or isinstance(value, NO_NUMBERS):
+    without_axes = isinstance(value, np.ndarray) and value.ndim == 0
+    scalar = value[()] if without_axes else value
+    real = isinstance(scalar, (int, float, np.integer, np.floating))
+    if not real or isinstance(scalar, NO_NUMBERS):
         got = f"{short_repr(value)} of type {type(value).__name__}"
         raise TypeError(f"{name} must be {accepted}, got {got}")
     try:
-        number = float(value)
+        number = float(scalar)
     except OverflowError:  # an integer beyond the largest float
         number = math.inf
     above = number > low if open_low else number >= low

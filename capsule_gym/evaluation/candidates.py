@@ -3,6 +3,7 @@
 docs/evaluation.md shows how to evaluate the latter.
 """
 
+import inspect
 import os
 import pkgutil
 import re
@@ -33,6 +34,7 @@ from capsule_gym.policies.scripted import (
 BASELINE = "adaptive"
 CHECKPOINTS = FOLDER
 REFERENCE = re.compile(r"([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*):([A-Za-z_]\w*)")
+NO_POSITION = (inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.VAR_KEYWORD)
 EXTERNAL = "a policy of another project"
 
 
@@ -106,7 +108,22 @@ def _start_of(policy: Any) -> Start:
         )
     if callable(getattr(policy, "predict", None)):
         return _start_with_predict(policy)
+    if inspect.isfunction(policy) and not _takes_observations(policy):
+        name = policy.__name__
+        raise TypeError(
+            f"policy must be a function of observations, got {name}, which needs no argument: "
+            f"{name}() may be what you mean"
+        )
     return lambda seeds: policy
+
+
+def _takes_observations(function: Any) -> bool:
+    """Whether a function has an argument without a default, or takes any number of them."""
+    for parameter in inspect.signature(function).parameters.values():
+        optional = parameter.default is not parameter.empty or parameter.kind in NO_POSITION
+        if not optional:
+            return True
+    return False
 
 
 def _start_with_predict(policy: Any) -> Start:

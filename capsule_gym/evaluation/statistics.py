@@ -19,6 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from capsule_gym.checks import require
+
 CONFIDENCE = 0.95
 
 
@@ -48,15 +50,33 @@ def interquartile_mean(scores: ArrayLike) -> np.ndarray:
     """The mean of the middle half along the last axis.
 
     Of n sorted scores, floor(n / 4) are dropped at either end and the others have equal weights, as
-    in `scipy.stats.trim_mean(scores, 0.25)`, which rliable uses. NaN sorts as the largest score.
+    in `scipy.stats.trim_mean(scores, 0.25)`, which rliable uses.
 
     Args:
         scores: shape (.., n) with n >= 1.
 
+    Raises:
+        ValueError: if there is no score, or one is NaN.
+
     >>> interquartile_mean([0.0, 1.0, 2.0, 900.0]).item()
     1.5
     """
-    ordered = np.sort(np.asarray(scores, dtype=np.float64), axis=-1)
+    array = np.asarray(scores, np.float64)
+    require(array.ndim > 0 and array.size > 0, "scores", "at least one number", scores)
+    _check_scores(array)
+    return _middle_mean(array)
+
+
+def _check_scores(scores: np.ndarray) -> None:
+    """Raises a ValueError if a score is NaN."""
+    count = int(np.isnan(scores).sum())
+    if count:
+        raise ValueError(f"scores must not be NaN, got NaN in {count} of {scores.size}")
+
+
+def _middle_mean(scores: np.ndarray) -> np.ndarray:
+    """The interquartile mean along the last axis; NaN sorts as the largest score."""
+    ordered = np.sort(scores, axis=-1)
     count = ordered.shape[-1]
     cut = count // 4
     return np.asarray(ordered[..., cut : count - cut].mean(axis=-1))
@@ -71,12 +91,13 @@ def estimate(scores: ArrayLike, *, mean: bool = False) -> Estimate:
             scores.
 
     Raises:
-        ValueError: if the scores have another shape.
+        ValueError: if the scores have another shape, or one is NaN.
     """
     array = np.asarray(scores, np.float64)
     if array.ndim != 2 or 0 in array.shape:
         accepted = "the shape (training seeds >= 1, episodes >= 1)"
         raise ValueError(f"scores must have {accepted}, got {array.shape}")
+    _check_scores(array)
     return _estimate(array, mean)
 
 
@@ -89,7 +110,7 @@ def _estimate(scores: np.ndarray, mean: bool) -> Estimate:
         raise ImportError('intervals need scipy: pip install "capsule-gym[paper]"') from error
 
     kind = "mean" if mean else "iqm"
-    value = float(scores.mean() if mean else interquartile_mean(scores.reshape(-1)))
+    value = float(scores.mean() if mean else _middle_mean(scores.reshape(-1)))
     if not np.isfinite(value) or scores.size == 1:
         return Estimate(value, np.nan, np.nan, kind)
     influence = scores if mean else _influence_on_interquartile_mean(scores)

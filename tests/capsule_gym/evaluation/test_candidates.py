@@ -8,7 +8,7 @@ from stable_baselines3 import PPO
 
 import capsule_gym
 from agents.leaderboard.candidates import all_candidates
-from baselines import adaptive, goal_pulses
+from baselines import adaptive, goal_pulses, pd
 from capsule_gym.evaluation.candidates import find_candidate, wrap_policy
 from capsule_gym.evaluation.episodes import evaluate, validation_set
 from capsule_gym.evaluation.sets import parse_set
@@ -232,3 +232,25 @@ def test_the_base_of_trained_policies_is_their_law_alone(name, base):
 )
 def test_the_inputs_of_policies(name, senses, told):
     assert find_candidate(name).inputs == (senses, told)
+
+
+def every_option(period=1.0, *, gain=2.0):
+    return period * gain
+
+
+@pytest.mark.parametrize("law", [pd, every_option])
+def test_a_law_that_was_not_called_is_named(law):
+    with pytest.raises(TypeError, match=rf"{law.__name__}\(\) may be what you mean"):
+        wrap_policy(law)
+
+
+def test_functions_of_observations_are_policies():
+    def scaled(observations, factor=0.5):
+        return factor * observations[:, :1]
+
+    def any_number(*arguments):
+        return arguments[0][:, :1]
+
+    for function in (scaled, any_number):
+        act = wrap_policy(function).start([0])
+        assert act(np.ones((1, 5), np.float32)).shape == (1, 1)

@@ -15,13 +15,24 @@ def test_interquartile_mean_is_scipys_trimmed_mean(count):
 @pytest.mark.parametrize(
     ("scores", "expected"),
     [
-        ([1, 1, 1, np.nan], 1.0),
-        ([1, 1, np.nan, np.nan], np.nan),
+        ([1, 1, 1, np.inf], 1.0),
         ([1, 1, np.inf, np.inf], np.inf),
     ],
 )
 def test_a_quarter_of_failed_ratios_has_no_effect_and_a_larger_share_does(scores, expected):
     np.testing.assert_equal(interquartile_mean(scores).item(), expected)
+
+
+@pytest.mark.parametrize("scores", [[], np.zeros((3, 0)), 1.0])
+def test_no_score_has_no_mean(scores):
+    with pytest.raises(ValueError, match="scores must be at least one number"):
+        interquartile_mean(scores)
+
+
+@pytest.mark.parametrize("summary", [interquartile_mean, estimate])
+def test_a_score_that_is_nan_is_an_error(summary):
+    with pytest.raises(ValueError, match="scores must not be NaN, got NaN in 2 of 4"):
+        summary([[1.0, np.nan], [2.0, np.nan]])
 
 
 def simulated(rng, seeds, plants, spreads, failing):

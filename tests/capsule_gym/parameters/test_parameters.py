@@ -58,9 +58,18 @@ def test_a_constant_below_its_lowest_value_is_named(field):
 
 
 @EACH_CONSTANT
-@pytest.mark.parametrize("value", ["0.3", None, True, np.True_, np.array(0.3)], ids=repr)
+@pytest.mark.parametrize(
+    "value", ["0.3", None, True, np.True_, np.array(True), np.array([0.3])], ids=repr
+)
 def test_a_constant_that_is_no_number_is_named_with_its_type(field, value):
     refuses(TypeError, field, value, " of type")
+
+
+@pytest.mark.parametrize("value", [np.array(0.3), np.float32(0.3), np.array(1)], ids=repr)
+def test_a_number_of_numpy_is_a_constant(value):
+    found = Capsule(mu=value).mu
+    assert type(found) is float
+    assert found == value
 
 
 @pytest.mark.parametrize("field", NON_NEGATIVE)
