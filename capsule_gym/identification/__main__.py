@@ -13,6 +13,7 @@ def main(
     prior: str = "real-wide",
     known: dict[str, float] | None = None,
     report: Path | None = None,
+    save: Path | None = None,
 ) -> None:
     """Estimates a rig's plant from a log.
 
@@ -20,20 +21,25 @@ def main(
 
     Examples:
       python -m capsule_gym.identification log.csv --known lag 0.005 --report fit.png
+      python -m capsule_gym.identification log.csv --save fit.json
 
     Args:
         log: CSV file; torque is the command that acts from t on.
         prior: Ranges of the plant: a name of the environment's argument randomization.
         known: Quantities that are not estimated: --known lag 0.005
         report: A new figure of readings, residuals and correlations.
+        save: A new JSON file of the result, from which train.py --rig trains.
     """
     if not log.is_file():
         raise ValueError(f"log must be a file, got {str(log)!r}")
     check_output("--report", report, FIGURES)
+    check_output("--save", save, (".json",))
     fit = identify(log, known, prior)
     print(fit.table())
     if report:
         fit.report(report)
+    if save:
+        fit.save(save)
 
 
 if __name__ == "__main__":
