@@ -28,7 +28,7 @@ def main(
         prior: Ranges of the plant: a name of the environment's argument randomization.
         known: Quantities that are not estimated: --known lag 0.005
         report: A new figure of readings, residuals and correlations.
-        save: A new JSON file of the result, from which train.py --rig trains.
+        save: A new JSON file of the result, for the option --rig of trainings.
     """
     if not log.is_file():
         raise ValueError(f"log must be a file, got {str(log)!r}")
