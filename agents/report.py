@@ -13,9 +13,8 @@ from agents.training.config import EVALUATIONS, Config, read_config
 from agents.training.presets import TRAINED_ROWS
 from baselines.drawing import BLUE, DPI, MUTED, new_figure, style
 from capsule_gym import CapsuleEnv, load_policy
-from capsule_gym.envs.config import EnvConfig
 from capsule_gym.evaluation.candidates import AnyPolicy, find_candidate
-from capsule_gym.evaluation.episodes import Episode, evaluate, scores, validation_set
+from capsule_gym.evaluation.episodes import Episode, drawn_from, evaluate, scores
 from capsule_gym.evaluation.sets import NOMINAL_PLANT, EvaluationSet, PlantSpec, load_set
 from capsule_gym.files import replacing
 
@@ -79,16 +78,8 @@ def compare(run: Path, set_name: str | None = None) -> None:
 
 def rig_plants(config: Config) -> EvaluationSet:
     """Plants from the ranges of a run's identified rig, with its disturbances."""
-    options = EnvConfig(**config.env_kwargs())
-    return validation_set(
-        options.randomization,
-        "plants from the ranges of the rig",
-        RIG_SEED,
-        RIG_PLANTS,
-        options.capsule,
-        config.task,
-        options.disturbances,
-    )
+    name = "plants from the ranges of the rig"
+    return drawn_from(config.env_kwargs(), name, RIG_SEED, RIG_PLANTS)
 
 
 def compare_to_row(

@@ -33,8 +33,7 @@ from agents.distillation.plants import draw_groups, solve_groups
 from agents.training.checkpoint import git_revision
 from agents.training.config import CONFIG, RunError
 from capsule_gym import Policy
-from capsule_gym.envs.config import EnvConfig
-from capsule_gym.evaluation.episodes import drawn_like, evaluate, scores, validation_set
+from capsule_gym.evaluation.episodes import drawn_from, drawn_like, evaluate, scores
 from capsule_gym.evaluation.sets import EvaluationSet
 from capsule_gym.files import replacing, to_json, write_atomically
 from capsule_gym.parameters import Randomization
@@ -227,7 +226,5 @@ def _validation_plants(student: Student, seed: int) -> Sequence[EvaluationSet]:
     count = student.evaluation_episodes
     first = SELECTION_SEED + seed * count
     if isinstance(student.randomization, Randomization):
-        own = EnvConfig(**student.env_kwargs)
-        kind = (own.randomization, RIG, first, count, own.capsule)
-        return [validation_set(*kind, disturbances=own.disturbances)]
+        return [drawn_from(student.env_kwargs, RIG, first, count)]
     return [drawn_like(name, first, count) for name in student.validation]

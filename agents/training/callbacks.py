@@ -23,8 +23,7 @@ from agents.training.config import BEST, EVALUATIONS, Config
 from agents.training.export import export, normalisation, save
 from agents.training.signals import Stop
 from capsule_gym import Policy
-from capsule_gym.envs.config import EnvConfig
-from capsule_gym.evaluation.episodes import Episode, evaluate, scores, validation_set
+from capsule_gym.evaluation.episodes import Episode, drawn_from, evaluate, scores
 from capsule_gym.evaluation.sets import EvaluationSet
 from capsule_gym.evaluation.statistics import interquartile_mean
 from capsule_gym.files import write_atomically
@@ -46,16 +45,9 @@ def validation_plants(config: Config) -> EvaluationSet:
 
     Their seeds are used only for this.
     """
-    options = EnvConfig(**config.env_kwargs())
-    return validation_set(
-        options.randomization,
-        f"validation plants from {config.randomization}",
-        SELECTION_SEED + config.seed * config.evaluation_episodes,
-        config.evaluation_episodes,
-        options.capsule,
-        config.task,
-        options.disturbances,
-    )
+    count = config.evaluation_episodes
+    name = f"validation plants from {config.randomization}"
+    return drawn_from(config.env_kwargs(), name, SELECTION_SEED + config.seed * count, count)
 
 
 class TrainingCallback(BaseCallback):

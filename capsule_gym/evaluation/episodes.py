@@ -26,6 +26,7 @@ from capsule_gym.parameters.limits import LONGEST_STEP
 from capsule_gym.policies.policy import Policy
 from capsule_gym.policies.rollout import rollout
 from capsule_gym.policies.scripted import ScriptedPolicy
+from capsule_gym.tasks.registry import find_task
 from capsule_gym.tasks.task import CONTROL_DT, START_THETA, TORQUE_LIMIT
 
 Episode = dict[str, Any]
@@ -145,6 +146,29 @@ def drawn_like(set_name: str, first_seed: int, count: int) -> EvaluationSet:
         count,
         like.capsule,
         disturbances=like.disturbances,
+    )
+
+
+def drawn_from(
+    env_kwargs: Mapping[str, Any], name: str, first_seed: int, count: int
+) -> EvaluationSet:
+    """Draws a set of plants as an environment with these arguments draws those of its episodes.
+
+    Args:
+        env_kwargs: arguments of the environment.
+        name: name of the set.
+        first_seed: seed of the first episode; the others follow.
+        count: number of plants.
+    """
+    options = EnvConfig(**env_kwargs)
+    return validation_set(
+        options.randomization,
+        name,
+        first_seed,
+        count,
+        options.capsule,
+        find_task(options.task).name,
+        options.disturbances,
     )
 
 
