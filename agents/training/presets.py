@@ -18,21 +18,24 @@ from capsule_gym.checks import nearest
 
 # Largest angle, rad, and angular velocity, rad/s, at the start of an episode.
 WIDE_STARTS = (1.047, 8.0)
-# Wide starts and, on a law, the total torque as action lead out of slow gaits; a critic that knows
-# the plant makes the seeds alike (docs/algorithms.md).
-RESIDUAL_PPO = PPOConfig(
-    total_torque=True,
-    initial_range=WIDE_STARTS,
-    termination_penalty=10.0,
+ON_POLICY: dict[str, Any] = dict(
     total_steps=4_000_000,
     evaluate_every=400_000,
     num_envs=128,
     n_steps=128,
-    batch_size=1024,
     learning_rate=1e-3,
     final_learning_rate=0.0,
     gae_lambda=0.95,
     ent_coef=0.003,
+)
+# Wide starts and, on a law, the total torque as action lead out of slow gaits; a critic that knows
+# the plant makes the seeds alike (docs/algorithms.md).
+RESIDUAL_PPO = PPOConfig(
+    **ON_POLICY,
+    total_torque=True,
+    initial_range=WIDE_STARTS,
+    termination_penalty=10.0,
+    batch_size=1024,
     privileged=True,
 )
 # From the default start, with a larger penalty, both tried seeds learnt wide swings; with wide
@@ -45,19 +48,7 @@ DIRECT_PPO = replace(
     initial_range=None,
     termination_penalty=30.0,
 )
-RECURRENT_PPO: dict[str, Any] = dict(
-    termination_penalty=30.0,
-    total_steps=4_000_000,
-    evaluate_every=400_000,
-    num_envs=128,
-    n_steps=128,
-    batch_size=2048,
-    learning_rate=1e-3,
-    final_learning_rate=0.0,
-    gae_lambda=0.95,
-    ent_coef=0.003,
-)
-DIRECT_RECURRENT_PPO = RecurrentPPOConfig(action_mode="direct", controller=None, **RECURRENT_PPO)
+DIRECT_RECURRENT_PPO = RecurrentPPOConfig(action_mode="direct", controller=None, **ON_POLICY)
 OFF_POLICY: dict[str, Any] = dict(
     total_steps=400_000,
     evaluate_every=50_000,
@@ -90,7 +81,7 @@ DIRECT_TQC = TQCConfig(**DIRECT_OFF_POLICY, target_entropy=-3.0, quantiles=10, d
 PRESETS: dict[tuple[ActionMode, Algorithm], Config] = {
     ("residual", "ppo"): RESIDUAL_PPO,
     ("direct", "ppo"): DIRECT_PPO,
-    ("residual", "recurrentppo"): RecurrentPPOConfig(total_torque=True, **RECURRENT_PPO),
+    ("residual", "recurrentppo"): RecurrentPPOConfig(total_torque=True, **ON_POLICY),
     ("direct", "recurrentppo"): DIRECT_RECURRENT_PPO,
     ("residual", "sac"): SACConfig(**OFF_POLICY),
     ("direct", "sac"): DIRECT_SAC,

@@ -52,8 +52,9 @@ def main(
     check_output("--c", test, (".c",), overwrite=overwrite)
     check_output("--onnx", onnx, (".onnx",), overwrite=overwrite)
     if policy == EXCITATION:
-        excitation = Excitation(amplitude=0.45 if amplitude is None else amplitude)
-        exported = Exported(excitation.controller(20.0 if duration is None else duration))
+        excitation = Excitation() if amplitude is None else Excitation(amplitude=amplitude)
+        seconds = {} if duration is None else {"seconds": duration}
+        exported = Exported(excitation.controller(**seconds))
     else:
         for option, value in (("--amplitude", amplitude), ("--duration", duration)):
             if value is not None:

@@ -66,12 +66,9 @@ class Exported:
                 "task": find_task(own_task).name,
             }
             self.options = EnvConfig(**self.env_kwargs)
-            if isinstance(name_or_path, Controller):
-                name = name_or_path.name
-                self.description = f"control law {name}"
-            else:
-                name = name_or_path.partition(":")[2]
-                self.description = f"control law {name_or_path}"
+            shown = name_or_path.name if isinstance(name_or_path, Controller) else name_or_path
+            name = shown.rpartition(":")[2]
+            self.description = f"control law {shown}"
         else:
             self.policy = load_policy(name_or_path)
             self.env_kwargs = self.policy.env_kwargs

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from agents.distillation import dataset
 from agents.distillation.__main__ import main
 from agents.distillation.config import RIG, STUDENTS, for_rig
 from agents.distillation.dataset import collect
@@ -51,13 +52,13 @@ def test_disturbances_are_those_of_the_rig():
 
 def test_friction_acts_once(solved, monkeypatch):
     found = []
-    expert_of = collect.__globals__["PlantOracle"]
+    expert_of = dataset.PlantOracle
 
     def expert(simulation, solutions):
         found.append(simulation)
         return expert_of(simulation, solutions)
 
-    monkeypatch.setitem(collect.__globals__, "PlantOracle", expert)
+    monkeypatch.setattr(dataset, "PlantOracle", expert)
     collect(STUDENT, *solved, np.random.default_rng(0), 1.0, None)
     groups, _ = solved
     frictions = {group.problems[0].motor_friction for group in groups}
