@@ -34,6 +34,7 @@ PARTS = (
     "drivers",
     "reset",
     "capsule",
+    "scripted",
     "episode",
     "replay",
 )

@@ -2,7 +2,13 @@
 export interface Driver {
   name: string;
   description: string;
-  kind: "law" | "policy" | "recording";
+  /** "scripted": a function of the observation that was not trained. */
+  kind: "law" | "policy" | "recording" | "scripted";
+  /** The group on the leaderboard; "Added" for an added one. */
+  group: string;
+  /** What it senses, and what it knows of the plant; not of an added one. */
+  senses?: string;
+  told?: string;
   /** One of `tasks`. */
   task: string;
   /** Control law inside the step; one of `controllers`. */

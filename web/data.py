@@ -11,11 +11,19 @@ import json
 import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, replace
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from baselines.dynamic_programming.policy import TORQUES
+from agents.leaderboard.page import GROUPS, OTHER_LAWS
+from baselines import lqr, mpc
+from baselines.dynamic_programming import grid
+from baselines.dynamic_programming.archive import known_results
+from baselines.dynamic_programming.policy import FAILURE_SCORE, TORQUES
+from baselines.dynamic_programming.problem import NOMINAL_MARGIN, Problem
+from baselines.dynamic_programming.solver import cell_curvature
 from capsule_gym import Policy, parameters
 from capsule_gym.control.controller import CoreLaw
 from capsule_gym.control.laws import LAWS
@@ -31,6 +39,7 @@ from capsule_gym.envs.contract import (
 )
 from capsule_gym.envs.simulation import Simulation
 from capsule_gym.evaluation import sets
+from capsule_gym.evaluation.candidates import find_candidate
 from capsule_gym.parameters import (
     CONSTANTS,
     DISTURBANCES,
@@ -49,6 +58,7 @@ from web.episodes import OVER, RECORDED, RECORDINGS, SEEDS, committed_episodes, 
 
 Options = Mapping[str, float | None]
 
+DESCRIPTIONS = Path(__file__).with_name("descriptions.json")
 # The name for no law; the other names are those of laws.
 DIRECT = "direct"
 LAW_NAMES = (DIRECT, *sorted(LAWS))
@@ -110,7 +120,9 @@ def pack_data(module: bytes) -> str:
     header: dict[str, Any] = {"module": archive.add(module)}
     header["tasks"] = {name: pack_options(EnvConfig(task=name)) for name in TASKS}
     header["controllers"] = {name: describe_controller(name, archive) for name in LAW_NAMES}
-    header["drivers"] = [describe_driver(policy, archive) for policy in drivers().values()]
+    described = [describe_driver(policy, archive) for policy in drivers().values()]
+    # In the order of the leaderboard's groups.
+    header["drivers"] = sorted(described, key=lambda driver: [*GROUPS].index(driver["group"]))
     header["torques"] = TORQUES.tolist()
     header["sets"] = {name: describe_set(name) for name in SETS}
     header["ideal"] = asdict(Disturbances())
@@ -244,14 +256,85 @@ def describe_policy(name: str, policy: Policy | ScriptedPolicy) -> dict[str, Any
 def describe_driver(policy: Policy | ScriptedPolicy, archive: Archive) -> dict[str, Any]:
     """The description of a driver for the page and the step."""
     described = describe_policy(policy.name, policy)
+    described["group"] = group_of(policy)
+    described["description"] = plain_descriptions().get(policy.name, policy.description)
+    described["senses"], described["told"] = find_candidate(policy.name).inputs
     if isinstance(policy, Policy):
         described["network"] = archive.add_array(described["network"])
     elif policy.name in RECORDED:
         described["kind"] = "recording"
         described["recordings"] = add_recordings(policy.name, archive)
+    elif policy.name == "lqr":
+        described["kind"] = "scripted"
+        described["regulator"] = describe_regulator(archive)
+    elif policy.name in ("dp-nominal", "mpc"):
+        described["kind"] = "scripted"
+        described["lookahead"] = describe_lookahead(archive)
+        if policy.name == "mpc":
+            described["planner"] = describe_planner()
     else:
         described["kind"] = "law"
     return described
+
+
+def group_of(policy: Policy | ScriptedPolicy) -> str:
+    """A policy's group on the leaderboard, also for one of another table."""
+    for title, names in GROUPS.items():
+        if policy.name in names:
+            return title
+    if policy.name in OTHER_LAWS:
+        return "The paper"
+    return "Learned" if isinstance(policy, Policy) else "Simple feedback"
+
+
+@cache
+def plain_descriptions() -> dict[str, str]:
+    """What the policies do, by name, for readers who do not know the field."""
+    return json.loads(DESCRIPTIONS.read_text("utf-8"))
+
+
+def describe_regulator(archive: Archive) -> dict[str, Any]:
+    """The regulator of `lqr`: a row of the table for each phase."""
+    content = json.loads(lqr.FILE.read_text("utf-8"))
+    return {
+        "table": archive.add_array(lqr.interpolate(content).T),
+        "scales": lqr.SCALES.tolist(),
+        "subphases": lqr.SUBPHASES,
+        "window": lqr.WINDOW,
+    }
+
+
+def describe_lookahead(archive: Archive) -> dict[str, Any]:
+    """The nominal plant and the values of its states, for steps of `dp-nominal` and `mpc`."""
+    problem = Problem(margin=NOMINAL_MARGIN)
+    solution = known_results().solution(problem)
+    numbers = {
+        "q": problem.q,
+        "margin": problem.margin,
+        "failure": FAILURE_SCORE,
+        "edge": grid.EDGE,
+        "stretch": grid.STRETCH,
+        "least_cosine": grid.MIN_COSINE,
+    }
+    return {
+        "options": as_numbers(core_options(problem.options, None)),
+        "values": archive.add_array(solution.values.ravel()),
+        "axes": solution.grid.axes.tolist(),
+        "nodes": solution.grid.shape,
+        "curvature": float(cell_curvature(solution.curvature, solution.grid)),
+        "numbers": numbers,
+    }
+
+
+def describe_planner() -> dict[str, Any]:
+    """The settings of `mpc`; JSON has no integers of 128 bits."""
+    generator: Any = np.random.default_rng(mpc.SEED).bit_generator.state["state"]
+    return {
+        "amplitudes": mpc.AMPLITUDES.ravel().tolist(),
+        "intervals": mpc.INTERVALS,
+        "state": str(generator["state"]),
+        "increment": str(generator["inc"]),
+    }
 
 
 def add_recordings(name: str, archive: Archive) -> dict[str, Any]:

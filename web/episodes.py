@@ -5,9 +5,9 @@ its task's set. Some have another one on a disturbed plant of the set `real`, or
 each held for several steps, since the platform would not move otherwise. The hash covers, after
 every step, the observation and what `info` shows.
 
-The tables of the optimum's policies are many times as large as the module, but their torques take
-few bytes. The module therefore contains recordings: for each of its plants, the index in `TORQUES`
-of each action. It replays the actions in its own step.
+The tables of `dp-oracle` are many times as large as the module, but its torques take few bytes. The
+module therefore contains recordings: for each of its plants, the index in `TORQUES` of each action.
+It replays the actions in its own step.
 """
 
 import hashlib
@@ -34,9 +34,7 @@ from capsule_gym.tasks.task import EPISODE_STEPS
 # Number of plants of each frozen set in the module; their seeds are 0, 1, ..
 SEEDS = 100
 # Policies that the browser runs from recorded actions, on these plants only.
-RECORDED = ("dp-nominal", "dp-oracle")
-# Policies that the browser does not have.
-LEFT_OUT = ("lqr", "mpc")
+RECORDED = ("dp-oracle",)
 FILE = Path(__file__).with_name("episodes.json")
 RECORDINGS = Path(__file__).with_name("recordings.npz")
 # Fills a recording after the last action of an episode.
@@ -46,9 +44,7 @@ OVER = 255
 @cache
 def drivers() -> dict[str, Any]:
     """The policies in the browser by name; of a trained one the run with the lowest seed."""
-    found: dict[str, Any] = {
-        name: policy for name, policy in ALL_SCRIPTED.items() if name not in LEFT_OUT
-    }
+    found: dict[str, Any] = dict(ALL_SCRIPTED)
     trained = [capsule_gym.load_policy(name) for name in policy_names()]
     # Policies of other tasks come last.
     trained.sort(key=lambda policy: "task" in policy.env_kwargs)

@@ -6,6 +6,8 @@ from urllib.parse import parse_qsl
 
 import pytest
 
+from agents.leaderboard.page import GROUPS
+from capsule_gym.evaluation.sets import load_set
 from tests.capsule_gym.policies.test_recurrent import recurrent_policy
 from web.data import describe_policy
 from web.episodes import committed_episodes
@@ -192,6 +194,131 @@ def test_a_drag_across_the_stage_turns_the_motor(open_page):
     shows(page, "torque-value", "0.00")
 
 
+@pytest.mark.parametrize("changed", ["Shift", "CapsLock"])
+def test_a_key_is_released_whatever_it_writes_then(open_page, changed):
+    page = open_page("#driver=yourself&M=0.5&mu=0.01")
+    page.keyboard.down("KeyA")
+    shows(page, "torque-value", "0.60")
+    page.keyboard.down(changed)
+    # As a browser tells of it: the same key with another letter.
+    page.evaluate("document.dispatchEvent(new KeyboardEvent('keyup', {code: 'KeyA', key: 'A'}))")
+    shows(page, "torque-value", "0.00")
+
+
+def test_a_page_that_loses_the_keyboard_releases_its_keys(open_page):
+    page = open_page("#driver=yourself&M=0.5&mu=0.01")
+    page.keyboard.down("ArrowLeft")
+    shows(page, "torque-value", "0.60")
+    page.evaluate("window.dispatchEvent(new Event('blur'))")
+    shows(page, "torque-value", "0.00")
+
+
+def touch(session, kind, *points):
+    """Sends a touch with all fingers on the screen: numbers, x and y of each."""
+    touches = [{"id": finger, "x": x, "y": y} for finger, x, y in points]
+    session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": touches})
+
+
+@pytest.mark.parametrize("control", ["#stage", "#push-left"])
+def test_a_second_finger_leaves_the_torque_of_the_first(open_page, control):
+    page = open_page("#driver=yourself&M=0.5&mu=0.01", has_touch=True)
+    session = page.context.new_cdp_session(page)
+    page.locator(control).scroll_into_view_if_needed()
+    box = page.locator(control).bounding_box()
+    x = box["x"] + box["width"] / 2
+    y = box["y"] + box["height"] / 2
+    touch(session, "touchStart", (0, x, y))
+    touch(session, "touchMove", (0, x - 40, y))
+    page.wait_for_function("parseFloat(document.getElementById('torque-value').textContent) > 0.3")
+    torque = page.locator("#torque-value").text_content()
+    touch(session, "touchStart", (0, x - 40, y), (1, x + 20, y))
+    # The second one leaves.
+    touch(session, "touchMove", (0, x - 40, y))
+    page.wait_for_timeout(100)
+    assert page.locator("#torque-value").text_content() == torque
+    touch(session, "touchEnd")
+    shows(page, "torque-value", "0.00")
+
+
+def test_the_buttons_of_the_hand_stand_below_the_stage_of_a_telephone(open_page):
+    page = open_page("#driver=yourself", viewport={"width": 400, "height": 800})
+    stage = page.locator("#stage").bounding_box()
+    for button in ("#push-left", "#push-right"):
+        box = page.locator(button).bounding_box()
+        assert box["y"] + box["height"] <= 800
+        assert 0 <= box["y"] - stage["y"] - stage["height"] < 30
+        assert box["height"] >= 48
+
+
+# Counts the writes of the address, and throws at each, as Safari does after 100 of them.
+THROWING = """() => {
+    window.writes = 0;
+    history.replaceState = () => {
+        window.writes += 1;
+        throw new DOMException("", "SecurityError");
+    };
+}"""
+
+
+def test_the_page_runs_on_where_the_address_cannot_be_written(open_page):
+    page = open_page(PAUSED)
+    page.evaluate(THROWING)
+    page.focus("#speed")
+    for _ in range(3):
+        for key in ("ArrowRight", "ArrowLeft"):
+            page.keyboard.press(key)
+    page.click("#play")
+    reaches(page, 0.6)
+    page.select_option("#driver", "pd")
+    shows(page, "head-driver", "pd")
+    assert page.evaluate("window.writes") > 0
+    check_no_error(page)
+
+
+def test_the_address_is_written_a_few_times_a_second(open_page):
+    page = open_page(PAUSED)
+    page.wait_for_timeout(600)
+    page.evaluate(THROWING.replace("throw", "return; throw"))
+    began = page.evaluate("performance.now()")
+    scrub = "document.getElementById('scrub').dispatchEvent(new Event('change'))"
+    page.evaluate(f"for (let n = 0; n < 200; n++) {scrub}")
+    page.wait_for_timeout(1200)
+    seconds = (page.evaluate("performance.now()") - began) / 1000
+    # The first at once, the last one later.
+    assert 2 <= page.evaluate("window.writes") <= 1 + 2 * seconds
+
+
+def test_a_copied_link_holds_the_present_scene(open_page):
+    page = open_page(PAUSED, permissions=["clipboard-read", "clipboard-write"])
+    page.evaluate("() => { history.replaceState = () => {}; }")
+    page.press("#step", "Enter")
+    shows(page, "figure-time", "0.12")
+    page.click("#copy")
+    shows(page, "copy", "Copied")
+    assert "t=0.12" in page.evaluate("navigator.clipboard.readText()")
+
+
+def test_policies_stand_in_the_groups_of_the_leaderboard(open_page):
+    page = open_page(PAUSED)
+    groups = page.locator("#driver optgroup")
+    assert groups.evaluate_all("groups => groups.map((group) => group.label)") == [*GROUPS]
+    for title, names in GROUPS.items():
+        inside = page.locator(f"#driver optgroup[label='{title}'] option").all_text_contents()
+        assert set(names) <= set(inside)
+
+
+def test_a_number_under_own_values_takes_the_plant_of_a_set(open_page):
+    page = open_page(PAUSED)
+    assert page.input_value("#plant") == ""
+    page.fill("#plant", "7")
+    page.press("#plant", "Tab")
+    page.wait_for_function("document.getElementById('set').value === 'paper'")
+    plant = load_set("paper").plants[7]
+    assert float(page.input_value("#M-number")) == pytest.approx(plant.M)
+    page.select_option("#set", "")
+    page.wait_for_function("document.getElementById('plant').value === ''")
+
+
 @pytest.mark.parametrize("control", ["driver", "rival"])
 def test_every_driver_steps(open_page, control):
     page = open_page(PAUSED)
@@ -202,7 +329,9 @@ def test_every_driver_steps(open_page, control):
         page.press("#step", "Enter")
         page.wait_for_function("Number(document.getElementById('figure-time').textContent) > 0")
         check_no_error(page)
-        assert link(page).get(control, "") == value
+        # The address follows within half a second.
+        part = "(new URLSearchParams(location.hash.slice(1)).get(name) ?? '')"
+        page.wait_for_function(f"([name, value]) => {part} === value", arg=[control, value])
 
 
 TASKS = [

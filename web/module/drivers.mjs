@@ -13,7 +13,7 @@ const DRIVER_FIELDS =
 export const drivers = DRIVERS.map(publicFields);
 
 /** Returns the public fields of a driver. */
-function publicFields({options, network, recordings, ...shown}) {
+function publicFields({options, network, recordings, regulator, lookahead, planner, ...shown}) {
   const {layout} = describe(CORE, mergeOptions(shown.task, shown.controller, options));
   shown.controlDt = options.control_dt;
   shown.steps = layout.steps;
@@ -58,6 +58,7 @@ export function addDriver(driver) {
   added.options = checkOptions(added.options, task);
   const {layout} = describe(CORE, optionsOf(added, {}));
   added.network = checkNetwork(added.network, layout.entries);
+  added.group = "Added";
   DRIVERS.push(added);
   drivers.push(publicFields(added));
 }

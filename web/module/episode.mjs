@@ -11,6 +11,7 @@ import {
   mergeOptions,
   sameOptions
 } from "./options.mjs";
+import {startScripted} from "./scripted.mjs";
 
 const LOAD_OPTIONS = ["set", "task", "disturbances", "options"];
 
@@ -18,14 +19,17 @@ const LOAD_OPTIONS = ["set", "task", "disturbances", "options"];
 export class Episode extends Capsule {
   #driver;
   #started;
+  #scripted;
+  #scriptedMemory = null;
   #recording = null;
   #action = 0;
 
-  /** Called by `drive`. */
-  constructor(started, driver) {
+  /** Called by `drive` with the results of `startCore` and `startScripted`. */
+  constructor(started, driver, scripted) {
     super(started);
     this.#started = started;
     this.#driver = driver;
+    this.#scripted = scripted;
   }
 
   /** Name of the driver. */
@@ -53,6 +57,7 @@ export class Episode extends Capsule {
     if (seed !== undefined && !this.draws)
       throw new RangeError(`seed must be left out: ${name} draws nothing`);
     this.#recording = recordings ? recordingOf(recordings[set], plant) : null;
+    this.#scriptedMemory = this.#scripted?.start;
     this.#action = 0;
     this.#started.view.network_memory.fill(0);
     if (this.draws && (frozen || seed !== undefined)) first.seed = seed ?? own;
@@ -70,6 +75,7 @@ export class Episode extends Capsule {
     const driver = {
       action: this.#action,
       recording: this.#recording,
+      scriptedMemory: this.#scriptedMemory,
       memory: this.#started.view.network_memory.slice()
     };
     return {...super.snapshot(), ...driver};
@@ -80,6 +86,7 @@ export class Episode extends Capsule {
     super.restore(snapshot);
     this.#action = snapshot.action;
     this.#recording = snapshot.recording;
+    this.#scriptedMemory = snapshot.scriptedMemory;
     this.#started.view.network_memory.set(snapshot.memory);
   }
 
@@ -102,6 +109,11 @@ export class Episode extends Capsule {
   #choose() {
     const {address, core} = this.#started;
     if (this.#driver.network) return core.act(address.network, address.network_memory);
+    if (this.#scripted) {
+      const [action, memory] = this.#scripted.act(this.observation, this.#scriptedMemory);
+      this.#scriptedMemory = memory;
+      return action;
+    }
     if (this.#recording) return HEADER.torques[this.#recording[this.info.steps]];
     return 0;
   }
@@ -151,7 +163,7 @@ export async function drive(name, {disturbances, ...options} = {}) {
     throw new RangeError(`set must be one of the task ${task}, got ${options.set}`);
   const given = optionsOf(driver, found?.options ?? disturbanceOptions(disturbances));
   const started = await startCore(task, controller, given, networkOf(driver));
-  const episode = new Episode(started, driver);
+  const episode = new Episode(started, driver, await startScripted(driver));
   episode.reset(options);
   return episode;
 }

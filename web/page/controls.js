@@ -58,13 +58,14 @@ function openTask() {
   const driver =
     task === first.task ? first.driver : drivers.find((each) => each.task === task).name;
   Object.assign(scene, {driver, rival: "", hand: []});
-  takePlant(scene, Object.keys(sets).find((name) => sets[name].task === task), 0);
+  takePlant(scene, firstSet(), 0);
   open({play: !reduced.matches});
 }
 
 function bindPlant() {
-  on("set", "change", choosePlant);
-  on("plant", "change", choosePlant);
+  on("set", "change", () => choosePlant(element("set").value));
+  // A number under own values is that of a plant of a set.
+  on("plant", "change", () => choosePlant(scene.set || firstSet()));
   for (const name of Object.keys(SCALES)) bindConstant(name);
   on("seed", "change", () => {
     scene.seed = clamp(Math.trunc(Number(element("seed").value)) || 0, 0, SEEDS - 1);
@@ -90,9 +91,13 @@ function logUniform(low, high) { return low * (high / low) ** Math.random(); }
 /** Rounds to four digits. */
 function rounded(value) { return Number(value.toPrecision(4)); }
 
-/** Takes the plant of the chosen set and number. */
-function choosePlant() {
-  const set = element("set").value;
+/** The first set of the scene's task with different plants. */
+function firstSet() {
+  return Object.keys(sets).find((name) => name !== "nominal" && sets[name].task === scene.task);
+}
+
+/** Takes the plant of a set with the chosen number; the one on the screen without a set. */
+function choosePlant(set) {
   if (set) takePlant(scene, set, chosenNumber(sets[set].plants.length - 1));
   else Object.assign(scene, {set: "", theta: undefined, jumps: []});
   scene.hand = [];

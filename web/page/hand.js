@@ -7,14 +7,12 @@ import {nudge, togglePlay} from "playback.js";
 import {handAction, YOURSELF} from "scene.js";
 import {help, player, scene, setPlaying} from "session.js";
 
-// The directions of the keys: 1 is to the left.
+// The directions of the keys by their code, which Shift does not change: 1 is to the left.
 const KEYS = {
   ArrowLeft: 1,
-  a: 1,
-  A: 1,
+  KeyA: 1,
   ArrowRight: -1,
-  d: -1,
-  D: -1
+  KeyD: -1
 };
 // Factor by which the helper reduces the strength of the right key.
 const RETURN_SHARE = 0.25;
@@ -95,10 +93,14 @@ function release() {
 function pressKey(event) {
   const within = (selector) => event.target.closest?.(selector);
   if (within("input:not(#torque), select, dialog")) return;
-  if (event.ctrlKey || event.metaKey || event.altKey) return;
-  if (event.key in KEYS && scene.driver === YOURSELF) {
+  if (event.ctrlKey || event.metaKey || event.altKey) {
+    // macOS does not tell of a key that is released while Command is held.
+    release();
+    return;
+  }
+  if (event.code in KEYS && scene.driver === YOURSELF) {
     event.preventDefault();
-    held.add(event.key);
+    held.add(event.code);
     driveByKeys();
     if (!player.playing && !event.repeat) playOn();
   } else if (event.key === " " && !within("button, a, input")) {
@@ -112,7 +114,7 @@ function pressKey(event) {
 export function bindHand() {
   document.addEventListener("keydown", pressKey);
   document.addEventListener("keyup", (event) => {
-    if (held.delete(event.key)) driveByKeys();
+    if (held.delete(event.code)) driveByKeys();
   });
   window.addEventListener("blur", release);
   on("torque", "input", () => {
@@ -131,32 +133,49 @@ function showStrength() { show("strength-value", torqueText(element("strength").
 
 /** Binds drags across the stage. */
 function bindDrag() {
-  let begin = null;
-  const end = () => {
-    if (begin !== null) release();
-    begin = null;
-  };
-  on("stage", "pointerdown", (event) => {
-    if (scene.driver !== YOURSELF || event.target.closest("button")) return;
-    begin = event.clientX;
-    element("stage").setPointerCapture(event.pointerId);
-    playOn();
+  let begin = 0;
+  bindPointer(element("stage"), {
+    down: (event) => {
+      begin = event.clientX;
+    },
+    move: (event) => drive((begin - event.clientX) / DRAG),
+    up: driveByKeys,
   });
-  on("stage", "pointermove", (event) => {
-    if (begin !== null) drive((begin - event.clientX) / DRAG);
-  });
-  on("stage", "pointerup", end);
-  on("stage", "pointercancel", end);
 }
 
 /** Binds a button that acts as a key. */
 function bindPush(button) {
-  button.addEventListener("pointerdown", (event) => {
-    button.setPointerCapture(event.pointerId);
-    held.add(button.dataset.key);
-    driveByKeys();
+  const {key} = button.dataset;
+  bindPointer(button, {
+    down: () => {
+      held.add(key);
+      driveByKeys();
+    },
+    move: () => {},
+    up: () => {
+      held.delete(key);
+      driveByKeys();
+    },
+  });
+}
+
+/** Binds the first pointer that touches a node, until it leaves; others have no effect. */
+function bindPointer(node, {down, move, up}) {
+  let pointer = null;
+  node.addEventListener("pointerdown", (event) => {
+    if (scene.driver !== YOURSELF || pointer !== null) return;
+    // First, since it may throw, and since `lostpointercapture` says when the pointer leaves.
+    node.setPointerCapture(event.pointerId);
+    pointer = event.pointerId;
+    down(event);
     playOn();
   });
-  button.addEventListener("pointerup", release);
-  button.addEventListener("pointercancel", release);
+  node.addEventListener("pointermove", (event) => {
+    if (event.pointerId === pointer) move(event);
+  });
+  node.addEventListener("lostpointercapture", (event) => {
+    if (event.pointerId !== pointer) return;
+    pointer = null;
+    up();
+  });
 }

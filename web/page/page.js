@@ -26,10 +26,11 @@ let shownPlant = null;
 let sought = false;
 
 function frame(time) {
+  // First, since an error below would end the animation.
+  requestAnimationFrame(frame);
   const elapsed = Math.max(0, time - last) / 1000;
   last = time;
   if (player.lanes.length > 0) advance(elapsed);
-  requestAnimationFrame(frame);
 }
 
 /** Advances the page by real time (s). */

@@ -69,7 +69,7 @@ export function startOf(scene) {
 }
 
 /** Why M and mu cannot be chosen with some drivers. */
-export const ONLY_FROZEN = "The optimum is recorded on the plants of the sets";
+export const ONLY_FROZEN = "dp-oracle is recorded on the plants of the sets";
 
 /** Parts of a link that change the plant. */
 const PLANT_PARTS = ["M", "mu", "jumps", "disturbances", ...Object.keys(SLIDER_RANGES)];

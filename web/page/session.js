@@ -4,10 +4,15 @@ import {complain, element} from "elements.js";
 import {Player} from "player.js";
 import {firstScene, readScene, writeScene} from "scene.js";
 
+// Shortest time between two writes of the address, ms: Safari refuses more than 100 in 30 s.
+const WRITE_PERIOD = 500;
+
 export const reduced = window.matchMedia("(prefers-reduced-motion: reduce)");
 export const player = new Player();
 export const scene = firstScene();
 let outdated = true;
+let lastWrite = -Infinity;
+let nextWrite;
 
 /** Has the picture drawn in the next frame. */
 export function redraw() { outdated = true; }
@@ -48,13 +53,29 @@ export function handFailed() {
   return lane.hand !== null && hasFailed(lane);
 }
 
-/** Writes the scene to the page's address, with the time if the page is paused. */
-export function writeLink() {
+/** The page's address with the scene, and with the time if the page is paused. */
+export function sceneAddress() {
   const time = player.goal ?? player.now;
   scene.t = player.playing || time === 0 ? null : Number(time.toFixed(3));
   const hash = writeScene({...scene, hand: handActions()});
   // In a page embedded in another, relative addresses refer to the outer page.
-  history.replaceState(null, "", new URL(hash, location.href));
+  return new URL(hash, location.href).href;
+}
+
+/** Writes the scene to the page's address, now or once `WRITE_PERIOD` has passed. */
+export function writeLink() {
+  clearTimeout(nextWrite);
+  const wait = lastWrite + WRITE_PERIOD - performance.now();
+  if (wait > 0) {
+    nextWrite = setTimeout(writeLink, wait);
+    return;
+  }
+  lastWrite = performance.now();
+  try {
+    history.replaceState(null, "", sceneAddress());
+  } catch {
+    // The browser refuses the address: "Copy link" still gives it.
+  }
 }
 
 /** Reads the scene of an address's fragment. */

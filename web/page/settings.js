@@ -19,11 +19,6 @@ import {
 import {plantNow, player, redraw, scene, writeLink} from "session.js";
 
 export const SPEEDS = [0.1, 0.15, 0.2, 0.3, 0.5, 0.7, 1, 1.5, 2, 3, 5, 7, 10, 15, 20];
-const KINDS = {
-  law: "Control laws",
-  policy: "Trained policies",
-  recording: "The optimum, recorded"
-};
 /** How sliders show the constants of the plant; friction spans two powers of ten. */
 export const SCALES = {
   M: {toSlider: Number, fromSlider: Number, unit: " kg"},
@@ -77,7 +72,10 @@ export function showScene() {
   writeLink();
 }
 
-function described(name) { return driverNamed(name).description.replaceAll("`", ""); }
+function described(name) {
+  const {description, senses, told} = driverNamed(name);
+  return senses ? `${description} It senses: ${senses}. It is told: ${told}.` : description;
+}
 
 /** Fills the lists with the choices of the scene's task. */
 function fillChoices() {
@@ -93,19 +91,21 @@ function fillChoices() {
   }
 }
 
-/** The drivers of the scene's task in groups by kind. */
+/** The drivers of the scene's task in the groups of the leaderboard. */
 function driverGroups() {
-  const groups = [];
-  for (const [kind, label] of Object.entries(KINDS)) {
-    const group = document.createElement("optgroup");
-    group.label = label;
-    for (const driver of drivers) {
-      const fits = driver.kind === kind && driver.task === scene.task;
-      if (fits) group.append(new Option(driver.name));
-    }
-    if (group.childElementCount > 0) groups.push(group);
+  const groups = new Map();
+  for (const {name, group, task} of drivers) {
+    if (task !== scene.task) continue;
+    if (!groups.has(group)) groups.set(group, makeGroup(group));
+    groups.get(group).append(new Option(name));
   }
-  return groups;
+  return [...groups.values()];
+}
+
+function makeGroup(label) {
+  const group = document.createElement("optgroup");
+  group.label = label;
+  return group;
 }
 
 export function showSpeed() {
@@ -123,8 +123,7 @@ export function showPlant() {
   element("set").value = scene.set;
   const ownValues = element("set").options[0];
   ownValues.disabled = recorded;
-  element("plant").value = scene.plant;
-  element("plant").disabled = !scene.set;
+  element("plant").value = scene.set ? scene.plant : "";
   const plant = plantNow();
   for (const [name, {toSlider, unit}] of Object.entries(SCALES)) {
     const field = element(`${name}-number`);

@@ -3,7 +3,7 @@
 import {stage} from "display.js";
 import {announce, element, on} from "elements.js";
 import {written} from "numbers.js";
-import {player, writeLink} from "session.js";
+import {player, sceneAddress} from "session.js";
 
 export function bindSharing() {
   on("copy", "click", copyLink);
@@ -12,9 +12,8 @@ export function bindSharing() {
 
 async function copyLink() {
   const button = element("copy");
-  writeLink();
   try {
-    await navigator.clipboard.writeText(location.href);
+    await navigator.clipboard.writeText(sceneAddress());
     announce("The link is copied");
     button.textContent = "Copied";
   } catch {
@@ -31,14 +30,13 @@ async function copyLink() {
  * none.
  */
 async function share() {
-  writeLink();
   const [lane] = player.lanes;
   const {metrics} = lane.at(player.now, false);
   const distance = written(100 * metrics.distance, 1);
   const text = `${lane.title}: ${distance} cm in ${written(player.now, 1)} s`;
   const picture = await stage.picture(text);
   const file = new File([picture], "capsule.png", {type: picture.type});
-  const content = {files: [file], text, url: location.href};
+  const content = {files: [file], text, url: sceneAddress()};
   if (navigator.canShare?.(content)) {
     // A rejection means that the reader has closed the dialog.
     await navigator.share(content).catch(() => {});

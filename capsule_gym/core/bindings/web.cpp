@@ -98,6 +98,9 @@ EXPORT(memory_size) int memory_size(double gates, double units) {
   return web::memory_size({.gates = gates, .units = units});
 }
 
+// The cosine of an angle in rad, with the bits of Python's.
+EXPORT(cosine) double cosine(double angle) { return web::sincos(angle).cos; }
+
 // The action of a trained policy for the observation; renews the memory of a recurrent one, which
 // is zeros at the start of an episode.
 EXPORT(act) double act(const double* network, double* memory) {
