@@ -95,6 +95,8 @@ class CapsuleSB3VecEnv(VecEnv):
             critic = gym.spaces.Box(-np.inf, np.inf, (entries,), np.float32)
             space = gym.spaces.Dict({"policy": space, "critic": critic})
         super().__init__(num_envs, space, self.batch.single_action_space)
+        # `VecVideoRecorder` reads the frames per second here.
+        self.metadata = self.batch.metadata
         if seed is not None:
             self.seed(check_seed(seed, count=num_envs))
 

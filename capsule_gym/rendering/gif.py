@@ -6,10 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
+from capsule_gym.checks import check_number
 from capsule_gym.files import replacing
 from capsule_gym.rendering.renderer import FRAME_SECONDS
 
 FRAMES_OF_PALETTE = 8
+# Of a time, hundredths of a second.
+ROUNDING = 1e-6
 
 
 def write_gif(
@@ -20,16 +23,27 @@ def write_gif(
     Args:
         frames: the pictures.
         path: path of the GIF.
-        frame_seconds: time between frames; GIF counts hundredths of a second.
+        frame_seconds: time between frames, positive. GIF counts hundredths of a second: durations
+            alternate so that the whole lasts as long as the frames, and frames that would last none
+            are left out.
         width: width of the GIF, in pixels.
 
     Raises:
-        ValueError: if there are no pictures.
+        ValueError: if there are no pictures, or `frame_seconds` is not positive.
     """
     from PIL import Image
 
+    accepted = "a positive number (s)"
+    check_number("frame_seconds", frame_seconds, accepted, low=0.0, open_low=True)
     pictures = []
-    for frame in frames:
+    durations = []
+    end = 0
+    for n, frame in enumerate(frames, start=1):
+        begin = end
+        end = math.ceil(100.0 * n * frame_seconds - ROUNDING)
+        if end == begin:
+            continue
+        durations.append(10 * (end - begin))
         height = round(frame.shape[0] * width / frame.shape[1])
         pictures.append(Image.fromarray(frame).resize((width, height), Image.Resampling.LANCZOS))
     if not pictures:
@@ -50,7 +64,7 @@ def write_gif(
             temporary,
             save_all=True,
             append_images=others,
-            duration=round(1000 * frame_seconds),
+            duration=durations,
             loop=0,
             optimize=True,
         )

@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
+from weakref import WeakSet
 
 import gymnasium
 import numpy as np
@@ -87,6 +88,10 @@ def _import_pygame() -> Any:
     return pygame
 
 
+# The renderers that draw in pygame's window, of which there is one in a process.
+_SHOWN: "WeakSet[Renderer]" = WeakSet()
+
+
 class Renderer:
     """Draws the robot on its floor, and its figures.
 
@@ -144,6 +149,7 @@ class Renderer:
             )
         pygame.display.set_caption(self._title)
         self._window = pygame.display.set_mode((WIDTH, HEIGHT))
+        _SHOWN.add(self)
         self._clock = pygame.time.Clock()
 
     def draw(
@@ -204,13 +210,17 @@ class Renderer:
         # Taking every event keeps the queue from filling up.
         if lost or any(event.type == pygame.QUIT for event in pygame.event.get()):
             self.close()
+            # Ends the others, too: the user has closed the window of all.
+            pygame.display.quit()
 
     def close(self) -> None:
-        """Closes the window, if there is one; safe to call again."""
+        """Closes the window, unless another renderer draws in it; safe to call again."""
         self.closed = True
         if self._window is not None:
             self._window = None
-            self._pygame.display.quit()
+            _SHOWN.discard(self)
+            if not _SHOWN:
+                self._pygame.display.quit()
 
     def _draw_background(self, x: float) -> None:
         """Draws the ruler with the platform at x in the middle, and the inside of the shell."""

@@ -1,3 +1,6 @@
+import sys
+from types import ModuleType
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -5,7 +8,7 @@ import torch
 from numpy.testing import assert_array_equal
 from stable_baselines3 import PPO
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import VecNormalize
+from stable_baselines3.common.vec_env import VecNormalize, VecVideoRecorder
 
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.core.layout import Row
@@ -94,6 +97,15 @@ def test_interface_of_the_vec_env():
     assert [image.shape[2] for image in env.get_images()] == [3, 3, 3]
     env.close()
     assert env.batch.closed
+
+
+@pytest.mark.parametrize(("control_dt", "fps"), [(0.02, 50), (0.01, 100), (0.04, 25)])
+def test_a_video_runs_in_real_time(control_dt, fps, tmp_path, monkeypatch):
+    # Writes videos, which this test does not.
+    monkeypatch.setitem(sys.modules, "moviepy", ModuleType("moviepy"))
+    env = CapsuleSB3VecEnv(1, render_mode="rgb_array", control_dt=control_dt)
+    recorder = VecVideoRecorder(env, str(tmp_path), lambda step: False)
+    assert recorder.frames_per_sec == fps
 
 
 def test_options_of_the_next_reset_reach_each_environment_and_only_that_reset():

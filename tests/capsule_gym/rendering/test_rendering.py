@@ -126,6 +126,7 @@ def test_a_window_shows_the_frames(no_screen):
     shown = window_pixels().swapaxes(0, 1)
     assert shown.shape == (HEIGHT, WIDTH, 3)
     np.testing.assert_array_equal(shown[STAGE, 250:700], frame(time=0.04)[STAGE, 250:700])
+    renderer.close()
 
 
 def test_an_environment_draws_every_step_in_its_window(no_screen):
@@ -161,6 +162,60 @@ def test_a_closed_window_stays_closed(no_screen, by_user):
         assert renderer.closed
         assert not pygame.display.get_init()
     renderer.close()
+
+
+def test_a_window_stays_open_while_another_environment_draws_in_it(no_screen):
+    first, second = (CapsuleEnv(render_mode="human") for _ in range(2))
+    for env in (first, second):
+        env.reset(seed=0)
+        env.step(np.ones(1, np.float32))
+    first.close()
+    shown = window_pixels()
+    second.step(np.ones(1, np.float32))
+    assert (window_pixels() != shown).any()
+    second.close()
+    assert not pygame.display.get_init()
+
+
+def test_a_user_closes_the_window_of_all_renderers(no_screen):
+    renderers = [Renderer(Capsule(), "human", 200, 1.5) for _ in range(2)]
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    for renderer in renderers:
+        renderer.draw(**STATE)
+        assert renderer.closed
+    assert not pygame.display.get_init()
+
+
+# Time between frames, s, number of frames, and the number and durations (ms) in the GIF.
+RHYTHMS = [
+    (0.015, 50, 50, {10, 20}),
+    (0.008, 50, 40, {10}),
+    (1 / 60, 60, 60, {10, 20}),
+    (0.002, 1, 1, {10}),
+]
+
+
+@pytest.mark.parametrize(("seconds", "count", "kept", "durations"), RHYTHMS)
+def test_a_gif_lasts_as_long_as_its_frames(seconds, count, kept, durations, tmp_path):
+    path = tmp_path / "moving.gif"
+    frames = np.zeros((count, 4, 60, 3), np.uint8)
+    for n, picture in enumerate(frames):
+        picture[:, n] = 255
+    write_gif(frames, path, frame_seconds=seconds, width=60)
+    shown = []
+    with Image.open(path) as moving:
+        for n in range(moving.n_frames):
+            moving.seek(n)
+            shown.append(moving.info["duration"])
+    assert len(shown) == kept
+    assert set(shown) == durations
+    assert sum(shown) == pytest.approx(max(1000.0 * seconds * count, 10.0))
+
+
+@pytest.mark.parametrize("seconds", [0.0, -0.02, np.nan])
+def test_a_time_between_frames_that_is_not_positive_raises_an_error(seconds, tmp_path):
+    with pytest.raises(ValueError, match=f"frame_seconds must be a positive .* got {seconds}"):
+        write_gif([np.zeros((4, 6, 3), np.uint8)], tmp_path / "moving.gif", seconds)
 
 
 def test_every_frame_is_there_for_its_time_with_its_colours(tmp_path):
