@@ -34,6 +34,7 @@ from capsule_gym.parameters import (
     Disturbances,
     Randomization,
 )
+from capsule_gym.parameters.disturbances import SAMPLING
 
 # Every group draws its own plants, the same in all runs.
 SEED = 63
@@ -107,6 +108,10 @@ def draw_disturbances(group: Group, rng: np.random.Generator) -> dict[str, float
     """The disturbances of an episode; the motor's friction is that of the group's plants."""
     drawn: dict[str, float] = {}
     for name in DISTURBANCES:
+        if name in SAMPLING and _ends(group.disturbances, name) == (0.0, 0.0):
+            # No draw, so that those of older students stay the same.
+            drawn[name] = 0.0
+            continue
         size = rng.random() if group.severity is None else group.severity
         drawn[name] = size * rng.uniform(*_ends(group.disturbances, name))
     drawn["drift_time"] = rng.uniform(*_ends(group.disturbances, "drift_time"))

@@ -339,7 +339,7 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
 
     def _bind_drawn(self) -> None:
         """Keeps the drawn values of the episode as dicts, which are copied faster than arrays."""
-        drawn = self.simulation.world[0, Row.drawn_m : Row.key, 0]
+        drawn = self.simulation.world[0, Row.drawn_m : Row.delay_of_theta, 0]
         self._drawn = name_drawn(drawn.tolist()) if self.simulation.settings.varied else ()
 
     def episode_metrics(self, horizon: int | None) -> dict[str, float]:
@@ -452,7 +452,7 @@ def add_task(info: dict[str, Any], current: task.Task, memory: Any) -> None:
 
 
 def name_drawn(drawn: Sequence[Value]) -> tuple[dict[str, Value], dict[str, Value]]:
-    """The drawn constants of the plant and disturbances, from the rows `drawn_m` to `push`."""
+    """The drawn constants of the plant and disturbances, from the row `drawn_m` on."""
     constants = dict(zip(CONSTANTS, drawn, strict=False))
     disturbances = dict(zip(DISTURBANCES, drawn[len(CONSTANTS) :], strict=True))
     return constants, disturbances

@@ -9,6 +9,7 @@ from capsule_gym.checks import check_number, require, short_repr
 from capsule_gym.core import _core
 from capsule_gym.core.layout import Description
 from capsule_gym.parameters import CONSTANTS, DISTURBANCES, Disturbances
+from capsule_gym.parameters.disturbances import DELAYS
 from capsule_gym.parameters.limits import LARGEST, check_divisor
 from capsule_gym.tasks.task import LARGEST_STATE, THETA_LIMIT, Task
 
@@ -74,7 +75,9 @@ def write_options(
     for n, values in enumerate(options.get("capsule", ())):
         for name, number in _check_values("capsule", values, CONSTANT_LIMITS).items():
             drawn[layout.constant_draws + CONSTANTS.index(name), n] = number
-    limits = {**DISTURBANCE_LIMITS, "latency": (0.0, description.settings.longest_latency)}
+    settings = description.settings
+    reach = {name: (0.0, getattr(settings, f"longest_{name}")) for name in DELAYS}
+    limits = DISTURBANCE_LIMITS | reach
     for n, values in enumerate(options.get("disturbances", ())):
         for name, number in _check_values("disturbances", values, limits).items():
             drawn[layout.disturbance_draws + DISTURBANCES.index(name), n] = number

@@ -13,7 +13,7 @@ from capsule_gym.control.controller import CoreLaw
 from capsule_gym.control.lookup import find_controller
 from capsule_gym.control.user_law import bind_user_law
 from capsule_gym.core import _core, native
-from capsule_gym.core.layout import LANES, Row
+from capsule_gym.core.layout import LANES, NUM_ROWS, Row
 from capsule_gym.envs import contract, resets
 from capsule_gym.envs.config import EnvConfig
 from capsule_gym.envs.threads import Threads
@@ -41,6 +41,11 @@ def check_seed(
     Raises a TypeError or ValueError for what is not accepted.
     """
     return check_integer("seed", seed, accepted, 0, 2**128 - count)
+
+
+def _add_sampling_rows(world: np.ndarray) -> np.ndarray:
+    """The world of an older pickle, with zeros in the rows that it lacks."""
+    return np.insert(world, [Row.jitter] * (Row.key - Row.jitter), 0.0, axis=1)
 
 
 class Simulation:
@@ -88,7 +93,7 @@ class Simulation:
     def __getstate__(self) -> dict[str, Any]:
         """The state of the episodes, without code and threads."""
         names = ("num_envs", "options", "_changes", *COPIED_ATTRIBUTES)
-        return {name: getattr(self, name) for name in names}
+        return {"rows": NUM_ROWS, **{name: getattr(self, name) for name in names}}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         options = state["options"]
@@ -97,6 +102,8 @@ class Simulation:
         controller = state.get("controller", options.controller)
         Simulation.__init__(self, state["num_envs"], replace(options, controller=controller))
         self.options = options
+        if "rows" not in state:
+            state = {**state, "world": _add_sampling_rows(state["world"])}
         if self.world.shape != state["world"].shape:
             raise ValueError(
                 f"controller={options.controller!r} must be as it was when the simulation was "

@@ -290,7 +290,7 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
 
     def _read_drawn(self) -> None:
         """Reads what the running episodes have drawn."""
-        drawn = self.simulation.rows(Row.drawn_m, Row.key)
+        drawn = self.simulation.rows(Row.drawn_m, Row.delay_of_theta)
         drawn.flags.writeable = False
         capsule, disturbances = env.name_drawn(list(drawn))
         self._drawn = {

@@ -25,6 +25,7 @@ from capsule_gym.checks import (
 from capsule_gym.envs.config import check_object
 from capsule_gym.files import canonical_hash
 from capsule_gym.parameters import CONSTANTS, NOMINAL, Capsule, Disturbances, Randomization
+from capsule_gym.parameters.disturbances import SAMPLING
 from capsule_gym.tasks.registry import TASKS, find_task
 from capsule_gym.tasks.task import (
     CHANGE,
@@ -156,7 +157,10 @@ class EvaluationSet:
         if self.capsule is not None:
             content["capsule"] = _changed(self.capsule, vars(self.capsule))
         if isinstance(self.disturbances, Disturbances):
-            content["disturbances"] = asdict(self.disturbances)
+            given = asdict(self.disturbances)
+            for name in SAMPLING:
+                del given[name]
+            content["disturbances"] = given | _changed(self.disturbances, SAMPLING)
         content["plants"] = [plant.to_dict() for plant in self.plants]
         return content
 

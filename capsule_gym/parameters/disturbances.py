@@ -12,6 +12,8 @@ from capsule_gym.parameters.randomization import Range
 LARGEST_DISTURBANCE = 1e3
 # s; each environment remembers its states for so long.
 LONGEST_LATENCY = 0.5
+# The disturbances that make readings older, for which environments remember their states.
+DELAYS = ("latency", "theta_latency", "theta_dot_latency", "x_dot_latency", "jitter")
 # The sensors that always exist, unless they are `unmeasured`.
 SENSORS = ("theta", "theta_dot", "x_dot")
 
@@ -39,6 +41,14 @@ class Disturbances:
             rounded; 0 does not round.
         latency: age of the state that a reading shows, s; rounded to whole periods of the law or,
             without a law, to steps of the integrator.
+        theta_latency, theta_dot_latency, x_dot_latency: latencies of single sensors, s, added to
+            `latency`.
+        jitter: largest time by which a reading of all sensors is taken early, s; drawn uniformly
+            from [0, jitter] for each reading. Between two periods the state is interpolated.
+        hold: periods that a sensor repeats its sample, rounded to a whole number; a period is the
+            time between readings.
+        lost: probability that a sensor's reading is lost. The control law and the agent then
+            observe the last one received; the first one of an episode is never lost.
         lag: time constant of the motor's torque, s.
         motor_friction: Coulomb friction of the motor, N m, added to `Capsule.motor_friction`.
         torque_resolution: step to which the commanded torque is rounded, N m; 0 does not round.
@@ -73,6 +83,12 @@ class Disturbances:
     theta_dot_resolution: Draws = 0.0
     x_dot_resolution: Draws = 0.0
     latency: Draws = 0.0
+    theta_latency: Draws = 0.0
+    theta_dot_latency: Draws = 0.0
+    x_dot_latency: Draws = 0.0
+    jitter: Draws = 0.0
+    hold: Draws = 0.0
+    lost: Draws = 0.0
     lag: Draws = 0.0
     motor_friction: Draws = 0.0
     torque_resolution: Draws = 0.0
@@ -124,8 +140,10 @@ class Disturbances:
         """The smallest and the largest value that a field of `DISTURBANCES` may have."""
         if name.endswith("_bias"):
             return -LARGEST_DISTURBANCE, LARGEST_DISTURBANCE
-        if name == "latency":
+        if name in DELAYS:
             return 0.0, LONGEST_LATENCY
+        if name == "lost":
+            return 0.0, 1.0
         lowest = SHORTEST_STEP if name == "drift_time" else 0.0
         return lowest, LARGEST_DISTURBANCE
 
@@ -140,6 +158,9 @@ class Disturbances:
 
 DISTURBANCES = tuple(_core.DISTURBANCES)
 """The fields of `Disturbances` that are numbers or ranges, in the order of their draws."""
+
+SAMPLING = tuple(_core.SAMPLING)
+"""Those of `DISTURBANCES` with draws of their own, which older files do not have."""
 
 REAL = Disturbances(
     theta_noise=0.01,

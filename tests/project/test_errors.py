@@ -110,6 +110,10 @@ def test_fields_are_given_by_name(kind):
             "mu must be within a factor .*5e-324",
         ),
         (Disturbances, {"latency": -1.0}, r"latency must be a .* 0 to 0\.5, or .*-1"),
+        (Disturbances, {"x_dot_latency": 0.6}, r"x_dot_latency must be a .* 0 to 0\.5, or .*0\.6"),
+        (Disturbances, {"jitter": -1e-3}, r"jitter must be a .* 0 to 0\.5, or .*-0\.001"),
+        (Disturbances, {"lost": (0.0, 1.5)}, r"lost\[1\] must be a number from 0 to 1, .*1\.5"),
+        (Disturbances, {"hold": float("nan")}, r"hold must be a number from 0 to 1000, .* got nan"),
         (Disturbances, {"x_noise": -1.0}, "x_noise must be None or a number .* 1000, got -1"),
         (Disturbances, {"unmeasured": ("x",)}, r"unmeasured must be .* got \('x',\)"),
     ],
@@ -129,6 +133,10 @@ def test_an_invalid_parameter_is_named(kind, fields, message):
         (
             lambda: REAL.reset(options={"disturbances": {"latency": 0.1}}),
             r"must be .* 0 to 0\.016, got 0\.1",
+        ),
+        (
+            lambda: REAL.reset(options={"disturbances": {"jitter": 0.1}}),
+            r"must be a number from 0 to 0, got 0\.1",
         ),
         (
             lambda: REAL.reset(options={"disturbances": {"speed": 0.1}}),

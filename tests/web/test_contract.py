@@ -27,7 +27,14 @@ COUNT = 200
 STEPS = 6
 # Largest values of constants that are 0 on the nominal capsule, and of disturbances.
 LARGEST_CONSTANTS = {"viscous": 1.0, "stribeck_speed": 0.5, "slope": 0.1, "motor_friction": 0.1}
-LARGEST_DISTURBANCES = {"latency": 0.06, "drift_time": 1.0, "lag": 0.01, "push": 3.0}
+LARGEST_DISTURBANCES = {
+    "latency": 0.06,
+    "drift_time": 1.0,
+    "lag": 0.01,
+    "push": 3.0,
+    "lost": 0.7,
+    "hold": 4.0,
+}
 # Arguments of the environment: numbers with their limits, and flags.
 NUMBERS = {
     "torque_limit": (0.5, 2.0),

@@ -175,6 +175,10 @@ DISTURBED = {
     "lag": 0.004,
     "push": 2.0,
     "theta_dot_resolution": 0.01,
+    "jitter": (0.0, 0.003),
+    "lost": 0.3,
+    "hold": (0.0, 2.0),
+    "x_dot_latency": 0.004,
     "unmeasured": ("theta_dot",),
     "controls": "agent",
 }

@@ -69,12 +69,13 @@ function parseCapsule(capsule) {
 }
 
 /** Returns the row of each disturbance and its value. */
-function parseDisturbances(given, {longest_latency}) {
+function parseDisturbances(given, settings) {
   const fields = checkFields("disturbances", given, DISTURBANCES);
   return Object.entries(fields).map(([name, value]) => {
     // A value has the limits of the low end of the option's range.
     const [smallest, largest] = ACCEPTED.options[`disturbances_${name}_low`];
-    const most = name === "latency" ? longest_latency : largest;
+    // The history reaches back as far as the options need.
+    const most = settings[`longest_${name}`] ?? largest;
     return [ROW[name], checkNumber(`disturbances.${name}`, value, smallest, most)];
   });
 }

@@ -91,6 +91,7 @@ inline const Constants<double>& constants_of(const Options& o) {
 }
 constexpr int NUM_CONSTANTS = WIDTH<Constants<double>>;
 constexpr int NUM_DISTURBANCES = WIDTH<Disturbances<double>>;
+constexpr int NUM_SAMPLING = WIDTH<Sampling<double>>;
 
 inline bool varies_constants(const Options& o) {
   for (int n = 0; n < NUM_CONSTANTS; n++)
@@ -120,6 +121,24 @@ inline void set_sensors(Settings& settings, const Options& o) {
   settings.stick_threshold = o.stick_threshold;
 }
 
+// The history of varied plants.
+inline void set_history(Settings& settings, const Options& o) {
+  double dt = settings.physics_steps * settings.physics_dt;
+  // Whole periods up to the longest delay of a range, and this delay; the product may be a rounding
+  // error below the one that it is for.
+  auto reach = [&](Range range, double& longest) {
+    double periods = -floor(-(range.high / settings.law_dt));
+    longest = periods * dt * (1.0 + 1e-9);
+    return periods;
+  };
+  double theta = reach(o.disturbances_theta_latency, settings.longest_theta_latency);
+  double theta_dot = reach(o.disturbances_theta_dot_latency, settings.longest_theta_dot_latency);
+  double x_dot = reach(o.disturbances_x_dot_latency, settings.longest_x_dot_latency);
+  double common = reach(o.disturbances_latency, settings.longest_latency);
+  double jitter = reach(o.disturbances_jitter, settings.longest_jitter);
+  settings.history_states = 1.0 + common + max(theta, max(theta_dot, x_dot)) + jitter;
+}
+
 inline Settings make_settings(const Options& o) {
   Settings settings = {};
   bool disturbed = o.disturbed != 0.0;
@@ -140,12 +159,7 @@ inline Settings make_settings(const Options& o) {
   settings.with_theta = 1.0;
   settings.with_theta_dot = 1.0;
   settings.with_x_dot = 1.0;
-  if (settings.varied != 0.0) {
-    settings.history_states = 1.0 - floor(-(o.disturbances_latency.high / settings.law_dt));
-    double history = (settings.history_states - 1.0) * settings.physics_steps * settings.physics_dt;
-    // The product may be a rounding error below the latency that it is for.
-    settings.longest_latency = history * (1.0 + 1e-9);
-  }
+  if (settings.varied != 0.0) set_history(settings, o);
   if (disturbed) set_sensors(settings, o);
   auto plant = derive(constants_of(o));
   settings.pivot_torque_on_contact = o.paper_normal_force;
@@ -233,8 +247,11 @@ struct DrawWriter {
     int place = 0;
     auto put_uniform = [&](Range range) { put(row++, Stream::variation, place++, range, UNIFORM); };
     for (int n = 0; n < NUM_CONSTANTS; n++) put_uniform(range_of((&o.m_range)[n], (&o.m)[n]));
-    for (int n = 0; n < NUM_DISTURBANCES; n++) put_uniform((&o.disturbances_theta_noise)[n]);
-    put_uniform({0.0, LARGEST_KEY});
+    const Range* disturbances = &o.disturbances_theta_noise;
+    for (int n = 0; n < NUM_DISTURBANCES - NUM_SAMPLING; n++) put_uniform(*disturbances++);
+    for (int n = 0; n < NUM_SAMPLING; n++)
+      put(row++, Stream::sampling, n, *disturbances++, UNIFORM);
+    put(ROW_OF(key), Stream::variation, place, {0.0, LARGEST_KEY}, UNIFORM);
   }
 };
 

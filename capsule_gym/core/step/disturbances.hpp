@@ -4,6 +4,15 @@
 #pragma once
 #include "../numbers/random.hpp"
 
+// How readings are taken and passed on; their draws have a stream of their own.
+#define CAPSULE_SAMPLING(FIELD) \
+  FIELD(jitter)                 \
+  FIELD(lost)                   \
+  FIELD(hold)                   \
+  FIELD(theta_latency)          \
+  FIELD(theta_dot_latency)      \
+  FIELD(x_dot_latency)
+
 // What an episode draws; SI units.
 #define CAPSULE_DISTURBANCES(FIELD) \
   FIELD(theta_noise)                \
@@ -23,9 +32,13 @@
   FIELD(lag)                        \
   FIELD(motor_friction)             \
   FIELD(torque_resolution)          \
-  FIELD(push)
+  FIELD(push)                       \
+  CAPSULE_SAMPLING(FIELD)
 
 namespace LEVEL {
+template <class T> struct Sampling {
+  CAPSULE_SAMPLING(CAPSULE_NUMBER)
+};
 template <class T> struct Disturbances {
   CAPSULE_DISTURBANCES(CAPSULE_NUMBER)
 };
@@ -62,6 +75,22 @@ template <class T> struct SensorErrors {
 template <class T> INLINE T read_sensor(const SensorErrors<T>& errors, T shown, T drift, T white) {
   T error = errors.bias + drift + white * errors.noise;
   return rounded(shown + error, errors.resolution);
+}
+
+// A coordinate and its rate at a share of the way between two times, `h` seconds apart.
+template <class T> struct Coordinate {
+  T value, rate;
+};
+
+// By the cubic polynomial with the coordinates and the rates at both times.
+template <class T>
+INLINE Coordinate<T> interpolate(Coordinate<T> from, Coordinate<T> to, T share, double h) {
+  T change = to.value - from.value;
+  T linear = h * from.rate;
+  T square = 3.0 * change - h * (2.0 * from.rate + to.rate);
+  T cube = h * (from.rate + to.rate) - 2.0 * change;
+  T value = from.value + share * (linear + share * (square + share * cube));
+  return {value, (linear + share * (2.0 * square + share * (3.0 * cube))) / h};
 }
 
 // The motor's torque after one period, in which it covers the fraction `share` of its distance to

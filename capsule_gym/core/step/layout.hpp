@@ -62,6 +62,20 @@
   CAPSULE_PLANT(PLANT_ROW)                                                                       \
   CAPSULE_CONSTANTS(DRAWN)                                                                       \
   CAPSULE_DISTURBANCES(ROW)                                                                      \
+  /* Periods that a sensor is later than `delay`. */                                             \
+  ROW(delay_of_theta)                                                                            \
+  ROW(delay_of_theta_dot)                                                                        \
+  ROW(delay_of_x_dot)                                                                            \
+  ROW(early) /* by which the last reading was taken before its time, s */                        \
+  /* What the sensors show until their next sample, and 1.0 where the last reading was lost. */  \
+  ROW(sampled_theta)                                                                             \
+  ROW(sampled_theta_dot)                                                                         \
+  ROW(sampled_x)                                                                                 \
+  ROW(sampled_x_dot)                                                                             \
+  ROW(lost_theta)                                                                                \
+  ROW(lost_theta_dot)                                                                            \
+  ROW(lost_x)                                                                                    \
+  ROW(lost_x_dot)                                                                                \
   ROW(key)                                                                                       \
   /* Derived: the latency in periods, the shares of drift and of motor lag after one period. */  \
   ROW(delay)                                                                                     \
@@ -74,7 +88,7 @@
   ROW(drift_of_theta)                                                                            \
   ROW(drift_of_theta_dot)                                                                        \
   ROW(drift_of_x_dot)                                                                            \
-  /* The last reading; x is the integral of its x_dot, or that of a sensor. */                   \
+  /* The last reading received; x is the integral of its x_dot, or that of a sensor. */          \
   ROW(read_theta)                                                                                \
   ROW(read_theta_dot)                                                                            \
   ROW(read_x)                                                                                    \
@@ -158,7 +172,12 @@ constexpr int ESTIMATOR_CELLS = LEVEL::WIDTH<LEVEL::Estimator<double>>;
   FIELD(with_x)                                                                                   \
   FIELD(x_noise)                                                                                  \
   FIELD(stick_threshold) /* measured speed up to which the platform counts as at rest */          \
-  FIELD(longest_latency) /* up to which the history reaches */                                    \
+  /* Up to which the history reaches. */                                                          \
+  FIELD(longest_latency)                                                                          \
+  FIELD(longest_jitter)                                                                           \
+  FIELD(longest_theta_latency)                                                                    \
+  FIELD(longest_theta_dot_latency)                                                                \
+  FIELD(longest_x_dot_latency)                                                                    \
   /* The plant. */                                                                                \
   FIELD(extended)                                                                                 \
   FIELD(varied) /* whether plants differ in more than M and mu */                                 \
@@ -213,7 +232,8 @@ typedef void (*UserLaw)(void* data, double* block, double* torques, long long n)
   STREAM(initial_state)         \
   STREAM(disturbances)          \
   STREAM(task)                  \
-  STREAM(variation)
+  STREAM(variation)             \
+  STREAM(sampling)
 #define STREAM_PLACE(name) name,
 enum class Stream { CAPSULE_STREAMS(STREAM_PLACE) };
 

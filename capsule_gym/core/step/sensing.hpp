@@ -31,7 +31,7 @@ template <class T, int N> struct Disturbed {
     for (int j = 0; j < n; j++) {
       if (b.active[j] == 0.0) continue;
       derive_plant(j);
-      b.delay[j] = (b.latency[j] / period() + ROUNDING) - ROUNDING;
+      begin_sampling(j);
       b.drift_share[j] = decay(time_between_readings() / b.drift_time[j]);
       double lag = b.lag[j];
       b.motor_share[j] = lag > 0.0 ? 1.0 - decay(period() / lag) : 1.0;
@@ -46,6 +46,17 @@ template <class T, int N> struct Disturbed {
         store_record<double, N>(entry(i), j, state);
     }
   }
+
+  // Derives the delays of the sensors; nothing is lost so far.
+  INLINE void begin_sampling(int j) {
+    b.delay[j] = periods_of(b.latency[j]);
+    b.delay_of_theta[j] = periods_of(b.latency[j] + b.theta_latency[j]) - b.delay[j];
+    b.delay_of_theta_dot[j] = periods_of(b.latency[j] + b.theta_dot_latency[j]) - b.delay[j];
+    b.delay_of_x_dot[j] = periods_of(b.latency[j] + b.x_dot_latency[j]) - b.delay[j];
+    b.early[j] = 0.0;
+    store_record<double, N>(FROM(lost_theta), j, State<double>{});
+  }
+  INLINE double periods_of(double latency) const { return rounded(latency / period(), 1.0); }
 
   INLINE void derive_plant(int j) {
     auto drawn = load_record<Constants<double>, double, N>(FROM(drawn_m), j);
@@ -73,14 +84,15 @@ template <class T, int N> struct Disturbed {
   NOINLINE void measure(bool begins, bool last) {
     if (!begins) remember_state();
     if (!begins && !last && settings.with_reference == 0.0) return;
+    EACH choose_times(j, reads(j));
     look_back();
     double pause = time_between_readings();
     EACH {
-      auto active = GET(active) != 0.0;
-      // The law is not called any more where the step has ended early.
-      if (settings.with_reference != 0.0) active = active & (GET(halt) != HALTED);
+      auto active = reads(j);
       T key = GET(key);
       T count = GET(readings);
+      auto samples = active & starts_hold(j, count);
+      if (acts(GET(lost))) lose_readings(j, active);
       auto [white_0, white_1] = normals(word_of(key, count, 0));
       auto [white_2, slow_2] = normals(word_of(key, count, 1));
       auto [slow_0, slow_1] = normals(word_of(key, count, 2));
@@ -94,7 +106,8 @@ template <class T, int N> struct Disturbed {
     T reading = read_sensor(errors, GET(late_##name), drift, white);                               \
     if (settings.with_##name == 0.0) reading = 0.0;                                                \
     PUT_WHERE(active, drift_of_##name, drift);                                                     \
-    PUT_WHERE(active, read_##name, reading);                                                       \
+    PUT_WHERE(samples, sampled_##name, reading);                                                   \
+    PUT_WHERE(active & (GET(lost_##name) == 0.0), read_##name, GET(sampled_##name));               \
   }
       SENSOR(theta, white_0, slow_0)
       SENSOR(theta_dot, white_1, slow_1)
@@ -103,11 +116,50 @@ template <class T, int N> struct Disturbed {
       T x = GET(read_x) + min(count, T(1.0)) * pause * GET(read_x_dot);
       if (settings.with_x != 0.0) {
         T white = normals(word_of(key, count, 3)).first;
-        x = GET(late_x) + settings.x_noise * white;
+        PUT_WHERE(samples, sampled_x, GET(late_x) + settings.x_noise * white);
+        x = select(GET(lost_x) == 0.0, GET(sampled_x), GET(read_x));
       }
       PUT_WHERE(active, read_x, x);
       PUT_WHERE(active, readings, count + 1.0);
     }
+  }
+
+  // Whether the environments take part. The law is not called any more where the step has ended
+  // early.
+  INLINE auto reads(int j) const {
+    auto active = GET(active) != 0.0;
+    if (settings.with_reference != 0.0) active = active & (GET(halt) != HALTED);
+    return active;
+  }
+
+  // Draws by how much the next reading is taken before its time.
+  INLINE void choose_times(int j, auto active) {
+    if (!acts(GET(jitter))) return;
+    auto share = uniforms(scramble(word_of(GET(key), GET(readings), 4))).first - 1.0;
+    PUT_WHERE(active, early, GET(jitter) * share);
+  }
+
+  // Whether the sensors take a new sample: the first one, and after every `hold` repetitions.
+  INLINE auto starts_hold(int j, T count) const {
+    auto held = GET(hold);
+    if (!acts(held)) return count == count;
+    T cycle = rounded(held, T(1.0)) + 1.0;
+    return count == floor(count / cycle) * cycle;
+  }
+
+  // Draws which readings are lost; the first one of an episode is not.
+  INLINE void lose_readings(int j, auto active) {
+    T key = GET(key);
+    T count = GET(readings);
+    T probability = select(count > 0.0, GET(lost), T(0.0));
+    auto [theta, theta_dot] = uniforms(word_of(key, count, 4));
+    auto [x, x_dot] = uniforms(word_of(key, count, 5));
+#define LOSE(name) PUT_WHERE(active, lost_##name, select(name - 1.0 < probability, T(1.0), T(0.0)))
+    LOSE(theta);
+    LOSE(theta_dot);
+    LOSE(x);
+    LOSE(x_dot);
+#undef LOSE
   }
 
   // Appends the present state to the history.
@@ -118,13 +170,40 @@ template <class T, int N> struct Disturbed {
     EACH store_record<T, N>(newest, j, load_record<State<T>, T, N>(FROM(theta), j));
   }
 
-  // Writes the state that the next reading shows: each environment has its own latency.
+  // Writes the state that the next reading shows: each environment and each sensor has its own
+  // latency.
   INLINE void look_back() {
     for (int j = 0; j < n; j++) {
-      int place = (int)b.cursor[0] - (int)b.delay[j];
-      const double* state = entry(place < 0 ? place + (int)settings.history_states : place);
-      store_record<double, N>(FROM(late_theta), j, load_record<State<double>, double, N>(state, j));
+      double apart = b.delay_of_theta[j] + b.delay_of_theta_dot[j] + b.delay_of_x_dot[j];
+      if (apart + b.jitter[j] == 0.0) {
+        store_record<double, N>(FROM(late_theta), j, state_before(j, (int)b.delay[j]));
+        continue;
+      }
+      double age = b.delay[j] + b.early[j] / period();
+      b.late_x[j] = past_state(j, age).x;
+      b.late_theta[j] = past_state(j, age + b.delay_of_theta[j]).theta;
+      b.late_theta_dot[j] = past_state(j, age + b.delay_of_theta_dot[j]).theta_dot;
+      b.late_x_dot[j] = past_state(j, age + b.delay_of_x_dot[j]).x_dot;
     }
+  }
+
+  // The state some periods ago.
+  INLINE State<double> state_before(int j, int periods) const {
+    int place = (int)b.cursor[0] - periods;
+    const double* state = entry(place < 0 ? place + (int)settings.history_states : place);
+    return load_record<State<double>, double, N>(state, j);
+  }
+  // The same between two periods, as interpolated.
+  INLINE State<double> past_state(int j, double age) const {
+    double whole = floor(age);
+    State<double> to = state_before(j, (int)whole);
+    if (age == whole) return to;
+    State<double> from = state_before(j, (int)whole + 1);
+    double share = 1.0 - (age - whole);
+    auto [theta, theta_dot] = interpolate<double>({from.theta, from.theta_dot},
+                                                  {to.theta, to.theta_dot}, share, period());
+    auto [x, x_dot] = interpolate<double>({from.x, from.x_dot}, {to.x, to.x_dot}, share, period());
+    return {theta, theta_dot, x, x_dot};
   }
 };
 }  // namespace LEVEL
