@@ -9,6 +9,7 @@ import numpy as np
 from capsule_gym.checks import check_number, require
 from capsule_gym.core.layout import Row
 from capsule_gym.envs.env import CapsuleEnv
+from capsule_gym.envs.simulation import Simulation
 from capsule_gym.files import write_atomically
 from capsule_gym.identification.derivatives import STATE
 from capsule_gym.identification.excitation import Excitation
@@ -37,7 +38,8 @@ def record(
         options: options of the reset.
 
     Returns:
-        The columns, float64.
+        The columns, float64: `t` is when the sensors were read; lost readings are NaN, and empty
+        cells of the file.
 
     Raises:
         TypeError: if an argument is of the wrong type.
@@ -65,20 +67,30 @@ def record(
     source = "state" if disturbed is None else "reading"
     rows = []
     for step in range(round(seconds / dt)):
-        reading = dict(zip(STATE, info[source].tolist(), strict=True))
+        t, lost = read_sampling(plain.simulation, step * dt)
+        measured = np.where(lost, np.nan, info[source])
+        reading = dict(zip(STATE, measured.tolist(), strict=True))
         observation, _, terminated, truncated, info = env.step(act(observation))
         # That of the innermost environment: wrappers may change it.
         action = plain.simulation.world[0, Row.action, 0]
         torque = float(np.clip(scale * action, -limit, limit))
         readings = [reading[name] for name in sensors]
-        rows.append([step * dt, torque, *readings])
+        rows.append([t, torque, *readings])
         if terminated or truncated:
             break
     names = ("t", "torque", *sensors)
     if path is not None:
-        lines = [",".join(map(str, row)) for row in (names, *rows)]
+        lines = [",".join(map(str, row)).replace("nan", "") for row in (names, *rows)]
         write_atomically(Path(path), "\n".join(lines) + "\n")
     return dict(zip(names, np.transpose(rows), strict=True))
+
+
+def read_sampling(simulation: Simulation, t: float) -> tuple[float, np.ndarray]:
+    """When the reading of time t, s, was taken, and which components of the state it lost."""
+    if not simulation.settings.varied:
+        return t, np.zeros(len(STATE), bool)
+    (lost,) = simulation.rows(Row.lost_theta, Row.lost_x_dot + 1).T
+    return t - float(simulation.row(Row.early)[0]), lost != 0.0
 
 
 def sensors_of(disturbed: Disturbances | None) -> list[str]:

@@ -1,11 +1,14 @@
 import math
+from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 
 from capsule_gym import CapsuleEnv, Disturbances, Excitation, record
 from capsule_gym.evaluation.episodes import evaluate, failures, validation_set
+from capsule_gym.identification.log import read_log
 from tests.capsule_gym.identification.rig import make_env
 
 CONTROL_DT = 0.01
@@ -142,3 +145,41 @@ def test_the_torque_is_that_behind_wrappers():
 def test_sensors_that_do_not_exist_are_left_out():
     env = make_env(disturbances=Disturbances(latency=0.01, unmeasured=("x_dot",)))
     assert list(record(env, seconds=0.1, seed=0)) == ["t", "torque", "theta", "theta_dot"]
+
+
+def test_lost_readings_are_empty_cells_and_held_ones_are_written(tmp_path):
+    disturbances = Disturbances(lost=0.3, hold=2, theta_noise=0.01)
+    path = tmp_path / "log.csv"
+    log = record(make_env(disturbances=disturbances), path=path, seconds=3.0, seed=0)
+    assert "nan" not in path.read_text(encoding="utf-8")
+    read = read_log(path)
+    for name in ("theta", "theta_dot", "x_dot"):
+        assert np.array_equal(read[name], log[name], equal_nan=True)
+        assert 0.2 < np.isnan(log[name]).mean() < 0.4
+        for sample in np.reshape(log[name], (-1, 3)):
+            assert len({*sample[~np.isnan(sample)]}) <= 1
+
+
+def test_a_log_without_lost_readings_is_that_of_an_environment_without():
+    rough = Disturbances(lost=0.3, theta_noise=0.01)
+    lossy = record(make_env(disturbances=rough), lambda _: np.float32([0.2]), seconds=0.5, seed=0)
+    smooth = replace(rough, lost=0.0)
+    whole = record(make_env(disturbances=smooth), lambda _: np.float32([0.2]), seconds=0.5, seed=0)
+    received = ~np.isnan(lossy["theta"])
+    assert np.array_equal(lossy["theta"][received], whole["theta"][received])
+    assert not np.isnan(whole["theta"]).any()
+
+
+def test_times_of_a_log_are_those_of_its_readings():
+    rest = [0.3, 0.0, 0.0, 0.0]
+    disturbances = Disturbances(jitter=0.004)
+    late = record(make_env(disturbances=disturbances), seconds=1.0, seed=0, options={"state": rest})
+    policy = iter(np.float32(late["torque"])[:, None] / np.float32(1.5))
+    exact = record(make_env(), lambda _: next(policy), seconds=1.0, seed=0, options={"state": rest})
+    early = exact["t"] - late["t"]
+    assert early.min() >= 0.0
+    assert 0.003 < early.max() < 0.004
+    # Rates are of the order of 1 rad/s, and curves of 10 rad/s^2.
+    theta = CubicHermiteSpline(exact["t"], exact["theta"], exact["theta_dot"])
+    assert late["theta"][1:] == pytest.approx(theta(late["t"][1:]), abs=1e-4)
+    assert np.abs(late["theta"] - exact["theta"]).max() > 1e-3
