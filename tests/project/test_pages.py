@@ -1,4 +1,7 @@
-"""Pages and docstrings work as printed: blocks and examples run, commands and options exist."""
+"""Pages and docstrings work as printed: examples run, commands and options exist.
+
+`.ci/pages.py` runs the blocks of the pages with the installed package.
+"""
 
 import ast
 import contextlib
@@ -17,7 +20,6 @@ from types import SimpleNamespace
 from typing import NamedTuple
 
 import pytest
-from stable_baselines3 import PPO
 
 from tests import ROOT
 
@@ -98,7 +100,6 @@ def find_commands():
 
 
 BLOCKS = list(find_blocks())
-WITH_PYTHON = list(dict.fromkeys(block.path for block in BLOCKS if block.language == "python"))
 WITH_EXAMPLES = [path for path in MODULES if any(">>> " in text for _, text in texts(path))]
 
 
@@ -113,20 +114,13 @@ def test_every_fence_belongs_to_a_block():
         assert len(fences) == 2 * counts[path], path
 
 
-@pytest.mark.parametrize("path", WITH_PYTHON, ids=lambda path: place(path, 0)[:-2])
-def test_blocks_run_in_order(path, tmp_path, monkeypatch):
-    """Those of a page run in one folder, with trainings of one update."""
-    learn = PPO.learn
-    monkeypatch.setattr(PPO, "learn", lambda model, _, **options: learn(model, 1, **options))
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    monkeypatch.setenv("MPLBACKEND", "agg")
-    for block in BLOCKS:
-        if block.path == path and block.language == "python":
-            # A real file; padding gives it the line numbers of the page.
-            script = tmp_path / f"{path.stem}.py"
-            script.write_text("\n" * block.line + block.code, encoding="utf-8")
-            runpy.run_path(str(script), run_name="__main__")
+def test_every_row_belongs_to_a_table_with_headings():
+    for path in PAGES:
+        lines = ["", *path.read_text(encoding="utf-8").splitlines(), ""]
+        for before, line, after in zip(lines, lines[1:], lines[2:], strict=False):
+            row = line.startswith("|") and line.endswith("|")
+            if row and not before.startswith("|"):
+                assert re.fullmatch(r"\|(:?-+:?\|)+", after), f"{path.name}: {line}"
 
 
 @pytest.mark.parametrize("path", WITH_EXAMPLES, ids=module_name)

@@ -336,7 +336,7 @@ def test_loop_of_the_page(tmp_path):
     page = (ROOT / "docs" / "export.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"```c\n(.*?)```", page, re.DOTALL)
     body = "float s[4] = {-1}; return !(rig_step(s) > 1 && rig_step(s) <= 1.5f);"
-    (tmp_path / "policy.h").write_text(Exported("residual-real", True).c(single=True))
+    (tmp_path / "residual.h").write_text(Exported("residual-real", True).c(single=True))
     (tmp_path / "rig.c").write_text(f"{code}int main(void) {{ {body} }}\n")
     run("gcc", *C99, tmp_path / "rig.c", "-o", tmp_path / "rig", "-lm")
     run(tmp_path / "rig")
