@@ -38,8 +38,8 @@ def record(
         options: options of the reset.
 
     Returns:
-        The columns, float64: `t` is when the sensors were read; lost readings are NaN, and empty
-        cells of the file.
+        The columns, float64. `t` is when the sensors were read; with `jitter` the torque acts from
+        the next multiple of the period on. Lost readings are NaN, and empty cells of the file.
 
     Raises:
         TypeError: if an argument is of the wrong type.

@@ -28,6 +28,19 @@ def test_a_hash_ignores_integers_for_floats():
     assert parse_set(plant(M=1)).hash != parse_set(plant(M=1, seed=2**128 - 1)).hash
 
 
+def test_hashes_of_sets_without_sampling_stay():
+    # As of a version whose disturbances ended with `push`.
+    older = "ffbef85ada8c"
+    late = {**plant(), "disturbances": {"latency": 0.01}}
+    assert parse_set(late).hash.startswith(older)
+    late["disturbances"]["jitter"] = 0.0
+    assert parse_set(late).hash.startswith(older)
+    late["disturbances"]["jitter"] = 0.001
+    found = parse_set(late)
+    assert not found.hash.startswith(older)
+    assert parse_set(found.to_dict()) == found
+
+
 def test_an_empty_capsule_is_none():
     (empty,) = parse_set(plant(capsule={})).plants
     assert empty.capsule is None
