@@ -5,8 +5,11 @@
 #pragma once
 
 // Equal bits on every machine need every operation rounded as it is written.
-#if defined(__FAST_MATH__) || !defined(CAPSULE_FP_CONTRACT_OFF)
-#error "compile with -ffp-contract=off -DCAPSULE_FP_CONTRACT_OFF and without -ffast-math"
+#if defined(__FAST_MATH__) || defined(__RECIPROCAL_MATH__) || defined(__NO_SIGNED_ZEROS__) || \
+    defined(__ASSOCIATIVE_MATH__) || __FINITE_MATH_ONLY__ || __FLT_EVAL_METHOD__ ||           \
+    (defined(__GCC_IEC_559) && !__GCC_IEC_559) || __DBL_MANT_DIG__ != 53 ||                   \
+    !defined(CAPSULE_FP_CONTRACT_OFF)
+#error "every operation must be rounded as it is written: compile as CMakeLists.txt does"
 #endif
 
 #if defined(__x86_64__)
