@@ -59,7 +59,7 @@ struct Options {
 
 // The agent's step for which a task counts the steps of an episode, s.
 constexpr double CONTROL_DT = 2e-2;
-// The integrator's step without and with a law, s.
+// The integrator's longest default step without and with a law, s.
 constexpr double DIRECT_PHYSICS_DT = 2e-3;
 constexpr double LAW_PHYSICS_DT = 1e-3;
 // Integrator steps per agent step, which take a tenth of a second.
@@ -85,6 +85,14 @@ inline double count_of(double whole, double part) {
   return (min(whole / part, 2.0 * MOST_SUBSTEPS) + ROUNDING) - ROUNDING;
 }
 
+// The longest step up to `longest` that divides the period.
+inline double usual_step(double period, double longest) {
+  double count = period / longest;
+  double whole = count_of(period, longest);
+  bool divides = whole >= 1.0 && abs(count - whole) <= 1e-9 * whole;
+  return divides ? longest : period / -floor(-count);
+}
+
 // The values of the plant's constants, whose ranges follow each other from `m_range` on.
 inline const Constants<double>& constants_of(const Options& o) {
   return (const Constants<double>&)o.m;
@@ -101,7 +109,8 @@ inline bool varies_constants(const Options& o) {
 
 inline void set_times(Settings& settings, const Options& o) {
   bool law = o.controller != 0.0;
-  double usual = law ? LAW_PHYSICS_DT : DIRECT_PHYSICS_DT;
+  double usual =
+      law ? usual_step(o.law_dt, LAW_PHYSICS_DT) : usual_step(o.control_dt, DIRECT_PHYSICS_DT);
   settings.physics_dt = is_given(o.physics_dt) ? o.physics_dt : usual;
   // A latency, and a motor's lag, need a shorter period than an agent's step.
   double direct_dt = settings.varied != 0.0 ? settings.physics_dt : o.control_dt;

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from capsule_gym import CapsuleEnv, CapsuleVectorEnv, dynamics
+from capsule_gym.control.controller import Controller, CoreLaw
 from capsule_gym.envs.config import EnvConfig
 from capsule_gym.envs.simulation import Simulation
 from capsule_gym.parameters import (
@@ -253,11 +254,19 @@ def test_an_option_of_a_wrong_type_is_named(name, value):
         EnvConfig(**{name: value})
 
 
+BETWEEN = Controller("2.75 ms", CoreLaw("none"), np.zeros((1, 2)), dt=0.00275)
+
+
 @pytest.mark.parametrize(
     ("options", "residual_limit", "physics_dt", "physics_steps", "law_steps"),
     [
         ({"torque_limit": 2.0}, 2.0, 2e-3, 10, 1),
         ({"controller": "baselines:adaptive"}, 1.5, 1e-3, 1, 20),
+        # The longest step that divides the period.
+        ({"control_dt": 0.005}, 1.5, 0.005 / 3, 3, 1),
+        ({"control_dt": 0.006}, 1.5, 2e-3, 3, 1),
+        ({"control_dt": 1e-3}, 1.5, 1e-3, 1, 1),
+        ({"control_dt": 0.0055, "controller": BETWEEN}, 1.5, 0.00275 / 3, 3, 2),
     ],
 )
 def test_options_of_none_follow_from_the_others(
