@@ -40,11 +40,11 @@ class CapsuleSB3VecEnv(VecEnv):
     """The native batch as a `VecEnv` of Stable-Baselines3, without a Python loop over environments.
 
     It replaces `make_vec_env("capsule_gym:CapsuleStickSlip-v0", n_envs=num_envs)`. The info of an
-    environment is empty, and the same dict at every step, except at the end of an episode. There it
-    contains "terminal_observation", "TimeLimit.truncated", "episode" with the return "r" and the
-    length "l" as in SB3's `Monitor`, and "metrics" (`capsule_gym.tasks.task.METRICS`, and the
-    task's). With `goal_env=True` every info contains the terms that
-    `HerReplayBuffer(copy_info_dict=True)` adds to a reward.
+    environment contains the "cost" of the step, and is the same dict at every step without one. At
+    the end of an episode it also contains "terminal_observation", "TimeLimit.truncated", "episode"
+    with the return "r" and the length "l" as in SB3's `Monitor`, and "metrics"
+    (`capsule_gym.tasks.task.METRICS`, and the task's). With `goal_env=True` every info contains the
+    terms that `HerReplayBuffer(copy_info_dict=True)` adds to a reward.
 
     Args:
         num_envs: number of environments.
@@ -76,8 +76,8 @@ class CapsuleSB3VecEnv(VecEnv):
         fits = not (self.privileged and self._goals)
         require(fits, "privileged", "False with goal_env=True", privileged)
         self._actions: np.ndarray | None = None
-        # Creating empty infos at every step takes longer than what SB3 does with them.
-        self._no_infos: list[dict[str, Any]] = [{} for _ in range(num_envs)]
+        # Creating infos at every step takes longer than what SB3 does with them.
+        self._free_infos: list[dict[str, Any]] = [{"cost": 0.0} for _ in range(num_envs)]
         self._returns = np.zeros(num_envs)
         self._lengths = np.zeros(num_envs, np.int64)
         space: gym.spaces.Space[Any] = self.batch.single_observation_space
@@ -143,9 +143,13 @@ class CapsuleSB3VecEnv(VecEnv):
         dones = terminated | truncated
         self._returns += rewards
         self._lengths += 1
-        infos = self._goal_infos(info, dones) if self._goals else self._no_infos
+        infos = self._goal_infos(info, dones) if self._goals else self._free_infos.copy()
+        costs = info["cost"]
         if dones.any():
-            infos = infos.copy()
+            costs = np.where(dones, info["final_info"]["cost"], costs)
+        for i in np.flatnonzero(costs).tolist():
+            infos[i] = {**infos[i], "cost": float(costs[i])}
+        if dones.any():
             last = self._with_critic(info["final_obs"], info["final_info"])
             metrics = info["final_info"]["metrics"]
             names = [name for name in metrics if not name.startswith("_")]
@@ -166,7 +170,8 @@ class CapsuleSB3VecEnv(VecEnv):
         last = info["final_info"] if dones.any() else info
         names = ("reward_energy", "reward_termination")
         terms = [np.where(dones, last[name], info[name]).tolist() for name in names]
-        return [dict(zip(names, values, strict=True)) for values in zip(*terms, strict=True)]
+        rows = zip(*terms, strict=True)
+        return [{"cost": 0.0, **dict(zip(names, values, strict=True))} for values in rows]
 
     def close(self) -> None:
         """Ends the threads of the batch."""

@@ -39,7 +39,8 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
       observation is in `info["final_obs"]`, its info with the metrics of the episode in
       `info["final_info"]`.
     - DISABLED: an environment whose episode has ended does not change until
-      `reset(options={"reset_mask": mask})` resets it.
+      `reset(options={"reset_mask": mask})` resets it. The quantities of a step in its info are 0,
+      and their masks False.
 
     Args:
         num_envs: number of environments.
@@ -209,16 +210,19 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         simulation.step(array[:, 0], active)
 
         shown = simulation.rows(0, Row.start_x)
+        if active is not None and self.autoreset_mode is AutoresetMode.DISABLED:
+            shown[Row.normal_force : Row.reward, ~active] = 0.0
         rewards = shown[Row.reward].copy()
         # An environment that began its next episode in this step has taken no step, and one whose
-        # episode has ended keeps what its last step has reported.
+        # episode has ended keeps its termination.
         terminated = shown[Row.termination] != 0.0
         limit = math.inf if self.max_episode_steps is None else self.max_episode_steps
         truncated = shown[Row.steps] >= limit
         ended = terminated | truncated
         info = self._info(shown, self._everyone)
         if active is not None and self.autoreset_mode is AutoresetMode.DISABLED:
-            info |= {f"_{name}": active for name in simulation.task.reward_terms}
+            names = ("normal_force", "energy", "cost", *simulation.task.reward_terms)
+            info |= {f"_{name}": active for name in names}
         if self.autoreset_mode is not AutoresetMode.SAME_STEP:
             self._ended = ended
         elif ended.any():

@@ -30,6 +30,7 @@ def test_sb3_batch_is_the_native_batch_with_terminal_observations(kwargs):
     first, _ = native.reset(seed=4)
     assert ours.reset().tobytes() == first.tobytes()
     seen = set()
+    total_cost = 0.0
     returns = np.zeros(6)
     lengths = np.zeros(6, int)
     for actions in random_actions(0, 300, 6):
@@ -38,7 +39,10 @@ def test_sb3_batch_is_the_native_batch_with_terminal_observations(kwargs):
         assert observations.tobytes() == expected.tobytes()
         assert_array_equal(rewards, native_rewards.astype(np.float32))
         assert_array_equal(dones, terminated | truncated)
-        assert [bool(each) for each in infos] == dones.tolist()
+        assert [len(each) > 1 for each in infos] == dones.tolist()
+        costs = np.where(dones, info.get("final_info", info)["cost"], info["cost"])
+        assert [each["cost"] for each in infos] == costs.tolist()
+        total_cost += costs.sum()
         returns += native_rewards
         lengths += 1
         for i in np.flatnonzero(dones):
@@ -55,6 +59,7 @@ def test_sb3_batch_is_the_native_batch_with_terminal_observations(kwargs):
         lengths[dones] = 0
     # Both kinds of end occurred, failures and time limits, also in one step.
     assert seen == {(True, False), (False, True), (True, True)}
+    assert 0.0 < total_cost < 6 * 300
 
 
 def test_episodes_go_on_with_the_random_numbers_of_the_seed():

@@ -202,7 +202,12 @@ def test_disabled_autoreset_stands_still(half_ended):
     _, rewards, terminated, _, info = env.step(np.ones((3, 1), np.float32))
     assert terminated.tolist() == [False, True, False]
     assert rewards[1] == 0.0
-    assert info["_reward_progress"].tolist() == [True, False, True]
+    assert all(last[name][1] for name in ("cost", "normal_force", "reward_termination"))
+    for name in ("cost", "energy", "normal_force", "reward_progress", "reward_termination"):
+        assert info[name][1] == 0.0
+        assert info[f"_{name}"].tolist() == [True, False, True]
+    assert (info["normal_force"] > 0.0).tolist() == [True, False, True]
+    assert info["_torque"].all()
     assert_array_equal(info["state"][1], state)
     assert (info["M"] == 0.6).tolist() == [True, False, True]
     for name, values in env.episode_metrics().items():
