@@ -163,6 +163,38 @@ def check_options(options: EnvConfig, settings: Settings, *, law: bool) -> None:
         check_step(stiffest, corner.M, corner.mu, settings)
 
 
+def check_effects(options: EnvConfig, *, law: bool) -> None:
+    """Raises a ValueError for an option that has no effect because of another one.
+
+    A `Randomization` of one's own may draw constants around those of the capsule.
+
+    Args:
+        options: options of the environment.
+        law: whether a control law runs inside the step.
+    """
+    limit = options.residual_limit
+    same = not law and (limit is None or limit >= options.torque_limit)
+    accepted = "False without a controller, where the action is the total torque"
+    require(not (options.total_torque and same), "total_torque", accepted, True)
+    disturbances = Disturbances.named(options.disturbances) or Disturbances()
+    fits = law or disturbances.controls != "law"
+    require(fits, "disturbances.controls", "'both' or 'agent' without a controller", "law")
+    usual = find_task(options.task).defaults.get("randomization", DEFAULTS.randomization)
+    chosen = options.randomization
+    if isinstance(chosen, Randomization) and chosen != usual:
+        return
+    randomization = Randomization.named(chosen)
+    capsule = options.capsule or NOMINAL
+    for name in ("M", "mu", *randomization.drawn):
+        value = getattr(capsule, name)
+        fits = getattr(randomization, name) is None or value == getattr(NOMINAL, name)
+        accepted = (
+            f"left out where the randomization draws it ({randomization}); "
+            "randomization='none' keeps the capsule's"
+        )
+        require(fits, f"capsule.{name}", accepted, value)
+
+
 def check_periods(options: EnvConfig, settings: Settings, *, law: bool) -> None:
     """Raises a ValueError if the steps of integrator, law and agent do not fit together.
 

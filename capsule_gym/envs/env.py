@@ -14,7 +14,7 @@ from capsule_gym.checks import check_count, short_repr
 from capsule_gym.core.layout import Row
 from capsule_gym.envs import resets
 from capsule_gym.envs.config import RENDER_MODES, EnvConfig, EnvOptions
-from capsule_gym.envs.contract import SPEED
+from capsule_gym.envs.contract import SPEED, check_effects
 from capsule_gym.envs.simulation import GOAL_BOUND, Simulation, check_seed
 from capsule_gym.parameters import CONSTANTS, DISTURBANCES
 from capsule_gym.rendering import Renderer
@@ -197,7 +197,7 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
     | `initial_noise` | `0` | half width of the uniform noise on the initial angle, rad |
     | `initial_range` | `None` | half widths (rad, rad/s) of uniform distributions around 0 of the initial theta and theta_dot; None starts at rest at -pi/3 |
     | `control_dt` | `0.02` | agent step, s |
-    | `physics_dt` | 2 ms, with a controller 1 ms | step of the fourth-order integrator, s; at most a million steps per agent step |
+    | `physics_dt` | at most 2 ms, with a controller 1 ms | step of the fourth-order integrator, s; at most a million steps per agent step |
     | `threads` | `1` | number of threads that step a batch, each at least 128 environments; results do not depend on it |
     | `render_mode` | `None` | "human" or, also of a batch, "rgb_array" |
     | `task` | `"speed"` | the task: speed, goal, velocity, or what `velocity.with_commands` returns |
@@ -377,12 +377,14 @@ class CapsuleEnv(gym.Env[Any, np.ndarray]):
 
 
 def make_simulation(num_envs: int, config: EnvConfig) -> Simulation:
-    """The simulation of an environment; raises an error if the action has no effect."""
+    """The simulation of an environment; raises an error if an argument has no effect."""
     # `Simulation` itself accepts 0, to run a control law alone.
     if config.residual_limit == 0.0:
         message = "residual_limit must be > 0 (N m), got 0.0: the action would have no effect"
         raise ValueError(message)
-    return Simulation(num_envs, config)
+    simulation = Simulation(num_envs, config)
+    check_effects(config, law=simulation.controller is not None)
+    return simulation
 
 
 def make_renderer(env: Any) -> Renderer:

@@ -48,7 +48,9 @@ class Randomization:
     motor_friction: Range | None = None
 
     def __post_init__(self) -> None:
-        check_flag("Randomization.log_mu", self.log_mu)
+        logarithmic = check_flag("Randomization.log_mu", self.log_mu)
+        fits = self.mu is not None or not logarithmic
+        require(fits, "Randomization.log_mu", "False without a range of mu", logarithmic)
         for name in ("M", "mu", *CONSTANTS):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, self._checked_range(name))

@@ -20,6 +20,7 @@ from capsule_gym.tasks.task import Task
 SLOW = Controller("slow", lambda *numbers: (0.0, numbers[4]), np.zeros((1, 2)), dt=2000.0)
 REAL = CapsuleEnv(disturbances="real")
 GOALS = CapsuleEnv(task="goal", goal_env=True)
+FLOORS = Randomization(mu=(0.01, 0.1))
 ORIGIN = (0.0, 0.0, 0.0, 0.0)
 OSCILLATOR = dict.fromkeys(("omega", "alpha", "bias", "K_theta", "K_theta_dot", "dt"), 1.0)
 OSCILLATOR |= dict.fromkeys(("E_a", "E_b", "real", "imaginary"), (1.0, 2.0, 3.0))
@@ -50,12 +51,45 @@ GAIT = known_parameters("gait")
             {"initial_range": (0.1, 0.1), "initial_noise": 0.1},
             "initial_noise must be 0 .*got 0.1",
         ),
+        ({"capsule": Capsule(M=1.0, mu=0.2)}, r"^capsule\.M .*randomization='none'.*, got 1\.0"),
+        ({"capsule": Capsule(M=0.5, mu=0.2)}, r"^capsule\.mu .*randomization='none'.*, got 0\.2"),
+        (
+            {"capsule": Capsule(m=0.2), "randomization": "real"},
+            r"^capsule\.m must be left out where .* m in \[0\.1242, 0\.1518\].*, got 0\.2",
+        ),
+        ({"capsule": Capsule(M=1.0), "task": "goal"}, r"^capsule\.M must be left out where"),
+        ({"total_torque": True}, "^total_torque must be False without a controller"),
+        (
+            {"total_torque": True, "residual_limit": 3.0},
+            "^total_torque must be False without a controller",
+        ),
+        (
+            {"disturbances": Disturbances(controls="law")},
+            r"^disturbances\.controls must be 'both' or 'agent' without a controller, got 'law'",
+        ),
         ({"task": "velocity", "goal_env": True}, "^goal_env must be False for the task 'vel"),
     ],
 )
 def test_an_invalid_argument_of_the_environment_is_named(arguments, message):
     with pytest.raises(ValueError, match=message):
         CapsuleEnv(**arguments)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"capsule": Capsule(M=1.0, mu=0.2), "randomization": "none"},
+        {"capsule": Capsule(M=1.0, static_ratio=1.3), "randomization": FLOORS},
+        {"capsule": Capsule(M=0.8), "randomization": Randomization(M=(0.7, 0.9))},
+        {"capsule": Capsule(m=0.2, static_ratio=1.3)},
+        {"total_torque": True, "residual_limit": 1.0},
+        {"total_torque": True, "controller": "baselines:pd"},
+        {"disturbances": Disturbances(controls="law"), "controller": "baselines:pd"},
+        {"disturbances": Disturbances(controls="agent")},
+    ],
+)
+def test_an_argument_that_has_an_effect_beside_another_is_accepted(arguments):
+    CapsuleEnv(**arguments).reset(seed=0)
 
 
 @pytest.mark.parametrize(
@@ -109,6 +143,7 @@ def test_fields_are_given_by_name(kind):
             {"mu": (5e-324, 0.1), "log_mu": True},
             "mu must be within a factor .*5e-324",
         ),
+        (Randomization, {"log_mu": True}, "log_mu must be False without a range of mu, got True"),
         (Disturbances, {"latency": -1.0}, r"latency must be a .* 0 to 0\.5, or .*-1"),
         (Disturbances, {"x_dot_latency": 0.6}, r"x_dot_latency must be a .* 0 to 0\.5, or .*0\.6"),
         (Disturbances, {"jitter": -1e-3}, r"jitter must be a .* 0 to 0\.5, or .*-0\.001"),

@@ -121,11 +121,12 @@ def test_a_step_costs_where_it_ends_an_episode_or_comes_close(made):
     assert costs == {(0.0, False), (1.0, False), (1.0, True)}
 
 
+LIGHT = Capsule(M=0.1, mu=0.7)
 PLANTS = pytest.mark.parametrize(
     ("kwargs", "largest"),
     [
         ({"randomization": Randomization(M=(0.3, 9.0), mu=(0.001, 3.0))}, [9.0, 3.0]),
-        ({"capsule": Capsule(M=0.1, mu=0.7)}, [0.55, 1.0]),
+        ({"capsule": LIGHT, "randomization": Randomization(M=(0.1, 0.55))}, [0.55, 1.0]),
     ],
 )
 
