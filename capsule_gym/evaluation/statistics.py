@@ -7,7 +7,8 @@ All intervals are for another training run on other plants of the same distribut
 linearised in the scores (by its influence function), the variances of the means over seeds and over
 plants are added, and Student's t has the degrees of freedom of Satterthwaite's approximation, four
 or more for five seeds. An axis with a single seed or plant adds no variance: the interval of a
-single run says nothing about another run.
+single run says nothing about another run. Two seeds have no interval: with the plants' variance
+added, that of one degree of freedom would cover 87 %.
 
 The percentile bootstrap over seeds, or over seeds and plants, covers less: with five seeds whose
 spread is 0.3 of the plants', 80 and 90 % instead of 95 %
@@ -30,8 +31,8 @@ class Estimate:
 
     Attributes:
         value: the interquartile mean, or the mean.
-        low: lower end of the 95 % interval; NaN if there is a single score or the value is not
-            finite.
+        low: lower end of the 95 % interval; NaN if there is a single score, two seeds differ or the
+            value is not finite.
         high: upper end.
         kind: kind of the summary, "iqm" or "mean".
     """
@@ -125,6 +126,8 @@ def _estimate(scores: np.ndarray, mean: bool) -> Estimate:
             squares += part * part / (count - 1)
     half = 0.0
     if variance != 0.0:
+        if 2 in scores.shape[:-1]:
+            return Estimate(value, np.nan, np.nan, kind)
         degrees = variance**2 / squares
         quantile = float(stdtrit(degrees, 0.5 + 0.5 * CONFIDENCE))
         half = quantile * variance**0.5

@@ -104,6 +104,15 @@ def test_a_single_score_or_infinite_ones_have_no_interval(scores):
     assert np.isnan([result.low, result.high]).all()
 
 
+@pytest.mark.parametrize("seeds", [2, 3])
+def test_two_training_runs_have_no_interval(seeds):
+    scores = np.random.default_rng(6).normal(size=(seeds, 100))
+    one = scores[:1]
+    found = [estimate(scores), estimate(scores, mean=True), paired_difference(one, scores)]
+    assert [np.isnan(each.low) for each in found] == [seeds == 2] * 3
+    assert [np.isnan(each.high) for each in found] == [seeds == 2] * 3
+
+
 def test_the_interquartile_mean_discards_up_to_a_quarter_of_infinite_ratios():
     assert np.isfinite(estimate([[1.0, 2.0, 3.0, np.inf]]).high)
 
