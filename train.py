@@ -282,4 +282,6 @@ def _new_name(args: Args) -> str:
 
 
 if __name__ == "__main__":
+    # Python looks for wrappers and laws beside this file alone.
+    sys.path.append("")
     sys.exit(main())

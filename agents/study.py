@@ -15,7 +15,9 @@ from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from importlib.util import find_spec
 from itertools import product
+from multiprocessing import active_children
 from pathlib import Path
+from types import FrameType
 from typing import Annotated, Literal
 
 from tqdm import tqdm
@@ -23,7 +25,7 @@ from tqdm import tqdm
 from agents.criteria import CRITERIA
 from agents.training.config import BEST, CONFIG, EVALUATIONS, Config, RunError, read_config
 from agents.training.presets import TRAINED_ROWS, row_settings
-from agents.training.signals import INTERRUPTED, Stop
+from agents.training.signals import INTERRUPTED, SIGNALS, Stop
 from baselines.tables import text_table
 from capsule_gym.checks import check_count
 from capsule_gym.command_line import Positional, arg, command
@@ -90,23 +92,39 @@ def _check_settings(job: Job) -> None:
         raise RunError(f"{job.run} {reason}: move it")
 
 
+class StopWorkers(Stop):
+    """Passes SIGTERM on to the workers, which get the terminal's Ctrl-C themselves."""
+
+    def _request(self, number: int, frame: FrameType | None) -> None:
+        if number == signal.SIGTERM:
+            for worker in active_children():
+                worker.terminate()
+        super()._request(number, frame)
+
+
+def _ignore_signals() -> None:
+    """Lets a worker without a run outlive the signals that stop the others."""
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+
+
 def train_job(job: Job) -> str:
     """Trains or resumes a run, with its output in seed-N.log next to its folder.
 
     Returns:
         The reason for a failure; empty if the run is complete.
     """
-    # Imported here, since torch takes seconds to import and only workers need it.
-    from agents.training.loop import begin, train
-
     path = job.run.with_name(f"{job.run.name}.log")
     path.parent.mkdir(parents=True, exist_ok=True)
     log = path.open("a", encoding="utf-8", buffering=1)
-    with log, redirect_stdout(log), redirect_stderr(log):
+    with log, redirect_stdout(log), redirect_stderr(log), Stop() as stop:
+        # Imported here, since torch takes seconds to import and only workers need it.
+        from agents.training.loop import begin, train
+
         try:
             if not job.run.exists():
                 begin(job.run, job.config)
-            if not train(job.run):
+            if stop.requested or not train(job.run):
                 return "stopped by a signal"
             (job.run / FINISHED).touch()
         except Exception as error:
@@ -137,12 +155,9 @@ def train_all(
                 # joblib would otherwise put several short runs into one batch.
                 batch_size=1,
                 pre_dispatch="n_jobs",
-                # Workers get the terminal's Ctrl-C themselves; those without a run must not die of
-                # it.
-                initializer=signal.signal,
-                initargs=(signal.SIGINT, signal.SIG_IGN),
+                initializer=_ignore_signals,
             )
-            with Stop(signal.SIGINT) as stop:
+            with StopWorkers() as stop:
                 reasons = work(delayed(train_job)(job) for job in waiting if not stop.requested)
             if stop.requested:
                 raise KeyboardInterrupt
@@ -251,8 +266,8 @@ def main(
 ) -> int:
     """Trains rows of the leaderboard over training seeds, several runs in parallel.
 
-    Ctrl-C stops; finished runs stay as they are, and --resume continues the others from their last
-    checkpoint. A run that fails does not stop the others; the exit status is then 1.
+    Ctrl-C or SIGTERM stops; finished runs stay as they are, and --resume continues the others from
+    their last checkpoint. A run that fails does not stop the others; the exit status is then 1.
 
     Examples:
       python -m agents.study direct-ppo residual-ppo --seeds {0..4} 7 --jobs 4

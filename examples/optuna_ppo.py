@@ -55,6 +55,9 @@ def objective(trial: optuna.Trial) -> float:
 study = optuna.create_study(
     storage=args.storage, study_name="ppo", direction="maximize", load_if_exists=True
 )
-study.optimize(objective, n_trials=args.trials)
-found = f"a return of {study.best_value:.1f} cm with {study.best_params}"
+# A training that diverges raises one of these, and its trial fails.
+study.optimize(objective, n_trials=args.trials, catch=(ValueError, ArithmeticError))
+found = "none was completed"
+if study.get_trials(states=[optuna.trial.TrialState.COMPLETE]):
+    found = f"a return of {study.best_value:.1f} cm with {study.best_params}"
 print(f"best of {len(study.trials)} trials: {found}")

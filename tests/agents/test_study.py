@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import os
 import re
 import signal
 import threading
@@ -98,6 +99,23 @@ def test_an_interrupt_ends_a_study_after_the_present_runs(tmp_path, monkeypatch)
         train_all([first, second], 1)
     assert first.run.exists()
     assert not second.run.exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs signals")
+def test_sigterm_ends_the_run_of_a_worker(tmp_path):
+    endless = job(tmp_path, total_steps=10**7)
+
+    def terminate():
+        while not (endless.run / "evaluations.csv").exists():
+            time.sleep(0.05)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    thread = threading.Thread(target=terminate, daemon=True)
+    thread.start()
+    with pytest.raises(KeyboardInterrupt):
+        train_all([endless], 2)
+    assert list(endless.run.glob("checkpoint-*"))
+    assert not endless.finished
 
 
 def test_a_killed_worker_is_a_failure_of_the_unfinished_runs(tmp_path, monkeypatch):
