@@ -29,6 +29,8 @@ from capsule_gym.tasks.task import CONTROL_DT, HORIZON
 
 FILE = Path(__file__).with_name("bits.json")
 RECURRENT = Path(__file__).parent / "capsule_gym" / "policies" / "recurrent-ppo"
+# Trained policies of which the episodes begin as in their training.
+WIDE_STARTS = ("direct-sac", "efficient", "residual-ppo")
 # One more than fills registers of any width.
 NUM_ENVS = 65
 # A random torque is held for so many steps; otherwise nothing would move.
@@ -152,7 +154,10 @@ def subjects():
             yield Subject(f"scripted {policy.name}", env_kwargs, policy.start)
     for name in policy_names(seeds=True):
         trained = capsule_gym.load_policy(name)
-        yield Subject(f"policy {name}", trained.env_kwargs, trained.start)
+        env_kwargs = dict(trained.env_kwargs)
+        if name.partition("/")[0] in WIDE_STARTS:
+            env_kwargs["initial_range"] = (1.047, 8.0)
+        yield Subject(f"policy {name}", env_kwargs, trained.start)
     yield from recurrent()
 
 

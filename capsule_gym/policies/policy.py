@@ -56,6 +56,8 @@ RECURRENT_VERSION = "3"
 # values.
 TEXTS = ("algorithm", "activation", "squashing", "revision")
 VALUES = ("clip", "epsilon", "env_kwargs", "training_seed")
+# Arguments of the training alone: an evaluation starts at rest.
+TRAINING_STARTS = ("initial_noise", "initial_range")
 # The algorithm of policies that imitate others, without a reward.
 IMITATION = "dagger"
 # Algorithms whose names in tables are not in capitals.
@@ -98,8 +100,8 @@ class Policy:
             within +-clip.
         clip: see `variance`.
         epsilon: see `variance`.
-        env_kwargs: arguments of the training environment, for `gym.make` with the id of the
-            policy's task.
+        env_kwargs: arguments of the training environment without its random starts, for `gym.make`
+            with the id of the policy's task.
         training_seed: seed of the training run.
         revision: git revision of the training code.
         cell: the recurrent cell; None for a policy without a memory.
@@ -252,6 +254,7 @@ class Policy:
         parsed = {
             key: getattr(options, key) if type(value) in (dict, list) else value
             for key, value in kwargs.items()
+            if key not in TRAINING_STARTS
         }
         object.__setattr__(self, "env_kwargs", parsed)
         law, task = options.controller, options.task

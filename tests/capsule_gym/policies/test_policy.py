@@ -15,6 +15,7 @@ import capsule_gym
 from agents.distillation.config import STUDENTS
 from capsule_gym import Capsule, Policy, Randomization, load_policy, policy_names
 from capsule_gym.policies.policy import IMITATION, POLICY
+from capsule_gym.tasks.task import START_THETA
 from tests.capsule_gym.policies.test_network import make_layers
 
 
@@ -55,6 +56,16 @@ def policy():
 
 
 OBSERVATIONS = np.random.default_rng(6).normal(size=(20, 5)).astype(np.float32)
+
+
+@pytest.mark.parametrize("name", ["direct-sac", "efficient", "residual-ppo", "noisy"])
+def test_the_environment_of_a_policy_starts_at_rest(name):
+    noisy = {"initial_noise": 0.3}
+    policy = make_policy(env_kwargs=noisy) if name == "noisy" else load_policy(name)
+    env = gym.make(capsule_gym.ENV_ID, **policy.env_kwargs)
+    for seed in range(3):
+        _, info = env.reset(seed=seed)
+        np.testing.assert_array_equal(info["state"], [START_THETA, 0.0, 0.0, 0.0])
 
 
 def test_a_file_gives_back_what_was_saved(tmp_path):
