@@ -36,7 +36,11 @@ except ImportError as error:
         extra for package, extra in _EXTRAS.items() if f"{_command}.".startswith(f"{package}.")
     ]
     _extra = _found[0] if _found else "render"
-    raise ImportError(f'this command needs tyro: pip install "capsule-gym[{_extra}]"') from error
+    _message = f'this command needs tyro: pip install "capsule-gym[{_extra}]"'
+    if _command.partition(".")[0] in ("agents", "baselines", "benchmarks", "capsule_gym"):
+        # Without a traceback, as all errors of a command.
+        sys.exit(f"python -m {_command.removesuffix('.__main__')}: error: {_message}")
+    raise ImportError(_message) from error
 
 __all__ = [
     "Count",

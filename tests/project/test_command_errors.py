@@ -170,7 +170,12 @@ def test_a_command_without_tyro_names_the_extra_of_all_that_it_needs(name, extra
     running = SimpleNamespace(__spec__=SimpleNamespace(name=name))
     monkeypatch.setitem(sys.modules, "tyro", None)
     monkeypatch.setitem(sys.modules, "__main__", running)
-    with pytest.raises(ImportError, match=rf"needs tyro: pip install \"capsule-gym\[{extra}\]\"$"):
+    shown = name.removesuffix(".__main__")
+    message = rf"^python -m {shown}: error: .* needs tyro: pip install \"capsule-gym\[{extra}\]\"$"
+    with pytest.raises(SystemExit, match=message):
+        importlib.reload(sys.modules["capsule_gym.command_line"])
+    monkeypatch.setattr(running, "__spec__", None)
+    with pytest.raises(ImportError, match="needs tyro: pip install"):
         importlib.reload(sys.modules["capsule_gym.command_line"])
 
 
