@@ -87,6 +87,13 @@ def nearest(given: str, names: Iterable[str]) -> str:
     return f"; did you mean {known[similar[0]]!r}?" if similar else ""
 
 
+def as_floats(values: Any) -> np.ndarray:
+    """A new array of the values, float64, with NaN where they are masked."""
+    if isinstance(values, np.ma.MaskedArray):
+        values = np.ma.filled(values.astype(np.float64), np.nan)
+    return np.array(values, np.float64)
+
+
 def check_number(
     name: str,
     value: Any,

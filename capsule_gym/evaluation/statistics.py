@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from capsule_gym.checks import require
+from capsule_gym.checks import as_floats, require
 
 CONFIDENCE = 0.95
 
@@ -57,19 +57,19 @@ def interquartile_mean(scores: ArrayLike) -> np.ndarray:
         scores: shape (.., n) with n >= 1.
 
     Raises:
-        ValueError: if there is no score, or one is NaN.
+        ValueError: if there is no score, or one is NaN or masked.
 
     >>> interquartile_mean([0.0, 1.0, 2.0, 900.0]).item()
     1.5
     """
-    array = np.asarray(scores, np.float64)
+    array = as_floats(scores)
     require(array.ndim > 0 and array.size > 0, "scores", "at least one number", scores)
     _check_scores(array)
     return _middle_mean(array)
 
 
 def _check_scores(scores: np.ndarray) -> None:
-    """Raises a ValueError if a score is NaN."""
+    """Raises a ValueError if a score is NaN, as masked ones are."""
     count = int(np.isnan(scores).sum())
     if count:
         raise ValueError(f"scores must not be NaN, got NaN in {count} of {scores.size}")
@@ -92,9 +92,9 @@ def estimate(scores: ArrayLike, *, mean: bool = False) -> Estimate:
             scores.
 
     Raises:
-        ValueError: if the scores have another shape, or one is NaN.
+        ValueError: if the scores have another shape, or one is NaN or masked.
     """
-    array = np.asarray(scores, np.float64)
+    array = as_floats(scores)
     if array.ndim != 2 or 0 in array.shape:
         accepted = "the shape (training seeds >= 1, episodes >= 1)"
         raise ValueError(f"scores must have {accepted}, got {array.shape}")
@@ -156,16 +156,20 @@ def paired_difference(scores: ArrayLike, reference: ArrayLike, *, mean: bool = F
 
     Args:
         scores: shape (training seeds, episodes).
-        reference: shape (training seeds of the reference, episodes); other shapes raise a
-            ValueError.
+        reference: shape (training seeds of the reference, episodes).
         mean: take the mean of the differences instead, for shares.
+
+    Raises:
+        ValueError: if the scores have other shapes, or one is NaN or masked.
     """
-    array = np.asarray(scores, np.float64)
-    other = np.asarray(reference, np.float64)
+    array = as_floats(scores)
+    other = as_floats(reference)
     two_axes = array.ndim == other.ndim == 2
     if not two_axes or array.shape[1] != other.shape[1] or 0 in array.shape + other.shape:
         got = f"{array.shape} and {other.shape}"
         raise ValueError(f"scores and reference must contain the same episodes, got {got}")
+    _check_scores(array)
+    _check_scores(other)
     # The difference of two infinite scores is NaN, without a warning.
     with np.errstate(invalid="ignore"):
         return _estimate(array[:, None, :] - other[None, :, :], mean)

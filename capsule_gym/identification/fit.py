@@ -18,6 +18,7 @@ from capsule_gym.envs.contract import check_step, describe
 from capsule_gym.files import replacing, write_atomically
 from capsule_gym.identification.derivatives import PLANT, subset
 from capsule_gym.identification.log import UNITS, read_log
+from capsule_gym.identification.sampling import drop_repeats
 from capsule_gym.parameters import SENSORS, Capsule, Disturbances, Randomization
 
 if TYPE_CHECKING:
@@ -252,7 +253,8 @@ def identify(
     Args:
         log: the path of a CSV file, or columns by name: "t" (s) in equal steps, "torque" (N m), the
             command that acts from t on, and the readings "theta", "theta_dot", "x", "x_dot" (SI
-            units), at least one of the first two. A reading may be missing: NaN, or an empty cell.
+            units), at least one of the first two. A missing reading is NaN, masked, or an empty
+            cell.
         known: quantities that are not estimated, such as {"lag": 0.005}: constants of the
             `Capsule`, "latency", "lag", or a sensor's bias.
         prior: ranges of the plant's constants, by name or as a `Randomization`. Where it leaves
@@ -266,8 +268,9 @@ def identify(
         ValueError: if the log or an argument is invalid; the message names the column.
 
     Warns:
-        UserWarning: if the model does not explain the log, if the log does not determine a constant
-            of the prior, or if an estimate lies at the end of its range.
+        UserWarning: if a sensor repeats its readings, if the model does not explain the log, if the
+            log does not determine a constant of the prior, or if an estimate lies at the end of its
+            range.
     """
     # These need scipy.
     from capsule_gym.identification.posterior import sample_posterior
@@ -276,6 +279,13 @@ def identify(
     mapping = known is None or isinstance(known, Mapping)
     require(mapping, "known", "a dict of numbers by name", known, TypeError)
     columns = read_log(log)
+    for name, count in drop_repeats(columns).items():
+        warnings.warn(
+            f"column {name!r} repeats {count} readings, which count as lost: leave the cells of "
+            "readings that are not new empty",
+            UserWarning,
+            stacklevel=2,
+        )
     prior = Randomization.named(prior, "prior")
     accepted = "a number of s from 1e-5 to 0.01"
     physics_dt = check_number("physics_dt", physics_dt, accepted, 1e-5, 0.01)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from capsule_gym.checks import nearest, require
+from capsule_gym.checks import as_floats, nearest, require
 from capsule_gym.core import _core
 from capsule_gym.tasks.task import THETA_LIMIT
 
@@ -30,6 +30,9 @@ MOST_ROWS = 100_000
 SHORTEST_PERIOD = 1e-4
 LONGEST_PERIOD = 0.05
 UNEVEN = 0.05
+# Angle, rad, near which a pendulum that stays for so long, s, lies on its stop.
+NEAR_STOP = 1.4
+REST = 0.3
 
 
 def read_log(log: Any) -> dict[str, np.ndarray]:
@@ -39,8 +42,30 @@ def read_log(log: Any) -> dict[str, np.ndarray]:
         TypeError: if the log is neither a path nor a mapping.
         ValueError: if it is invalid; the message names the column.
     """
+    columns = read_columns(log)
+    angle = "theta" in columns or "theta_dot" in columns
+    complete = "t" in columns and "torque" in columns and angle
+    required = "of the columns 't', 'torque', and 'theta' or 'theta_dot'"
+    require(complete, "log", required, tuple(columns))
+    period = check_times(columns["t"])
+    torque = columns["torque"]
+    varied = np.ptp(torque) > 1e-6 * np.abs(torque).max()
+    require(varied, "column 'torque'", "varied (N m)", torque)
+    for place, rate in (("theta", "theta_dot"), ("x", "x_dot")):
+        if place in columns and rate in columns:
+            check_rate(columns, place, rate, period)
+    if "theta" in columns:
+        check_stop(columns["theta"], period)
+    return columns
+
+
+def read_columns(log: Any) -> dict[str, np.ndarray]:
+    """The columns of a log, each of plausible numbers, before their comparison."""
     if isinstance(log, (str, os.PathLike)):
         log = read_csv(log)
+    elif hasattr(log, "columns"):
+        # A DataFrame is no mapping.
+        log = {name: log[name] for name in log.columns}
     mapping = isinstance(log, Mapping)
     require(mapping, "log", "the path of a CSV file or a mapping of columns", log, TypeError)
     columns: dict[str, np.ndarray] = {}
@@ -53,17 +78,6 @@ def read_log(log: Any) -> dict[str, np.ndarray]:
         shape = columns[name].shape
         require(shape == (rows,), f"column {name!r}", "one number for each row", shape)
         check_size(name, columns[name])
-    angle = "theta" in columns or "theta_dot" in columns
-    complete = "t" in columns and "torque" in columns and angle
-    required = "of the columns 't', 'torque', and 'theta' or 'theta_dot'"
-    require(complete, "log", required, tuple(columns))
-    period = check_times(columns["t"])
-    torque = columns["torque"]
-    varied = np.ptp(torque) > 1e-6 * np.abs(torque).max()
-    require(varied, "column 'torque'", "varied (N m)", torque)
-    for place, rate in (("theta", "theta_dot"), ("x", "x_dot")):
-        if place in columns and rate in columns:
-            check_rate(columns, place, rate, period)
     return columns
 
 
@@ -89,9 +103,9 @@ def read_csv(path: str | os.PathLike[str]) -> dict[str, list[str]]:
 
 
 def check_column(name: str, values: Any) -> np.ndarray:
-    """Returns a column as an array, or raises an error."""
+    """Returns a column as an array, with NaN where it is masked, or raises an error."""
     try:
-        return np.array(values, np.float64, ndmin=1)
+        return np.atleast_1d(as_floats(values))
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(
             f"column {name!r} must contain numbers ({UNITS[name]}) only: {error}"
@@ -160,4 +174,20 @@ def check_rate(columns: Mapping[str, np.ndarray], place: str, rate: str, period:
         found = f"changes of {place} are {ratio:.3g} times the integral of {rate}"
         raise ValueError(
             f"column {rate!r} must be the derivative of column {place!r}, in {units}: {found}"
+        )
+
+
+def check_stop(theta: np.ndarray, period: float) -> None:
+    """Raises an error where the pendulum meets its stop, or lies on it."""
+    stopped = np.abs(theta) >= THETA_LIMIT
+    # The readings of a stop may have a bias.
+    near = np.abs(theta) > NEAR_STOP
+    width = math.ceil(REST / period)
+    rests = np.convolve(near, np.ones(width), "valid") > width - 0.5
+    stopped[: len(rests)] |= rests
+    if stopped.any():
+        row = int(stopped.argmax())
+        raise ValueError(
+            "column 'theta' must be of a pendulum that stays away from its stop at 90 deg, got "
+            f"{theta[row]:.3f} rad in row {row}: cut the log there"
         )

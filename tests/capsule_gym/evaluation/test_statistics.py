@@ -29,10 +29,19 @@ def test_no_score_has_no_mean(scores):
         interquartile_mean(scores)
 
 
-@pytest.mark.parametrize("summary", [interquartile_mean, estimate])
-def test_a_score_that_is_nan_is_an_error(summary):
+def difference(scores):
+    return paired_difference([[1.0, 2.0]], scores)
+
+
+@pytest.mark.parametrize("summary", [interquartile_mean, estimate, difference])
+@pytest.mark.parametrize(
+    "scores",
+    [[[1.0, np.nan], [2.0, np.nan]], np.ma.masked_greater([[1, 9], [2, 9]], 8)],
+    ids=["NaN", "masked"],
+)
+def test_a_score_that_is_missing_is_an_error(summary, scores):
     with pytest.raises(ValueError, match="scores must not be NaN, got NaN in 2 of 4"):
-        summary([[1.0, np.nan], [2.0, np.nan]])
+        summary(scores)
 
 
 def simulated(rng, seeds, plants, spreads, failing):

@@ -30,6 +30,10 @@ def changed(**columns):
     return lambda log: {**log, **{name: change(log[name]) for name, change in columns.items()}}
 
 
+def rows(column):
+    return np.arange(len(column))
+
+
 def every(change):
     """Changes all columns alike."""
     return lambda log: {name: change(column) for name, column in log.items()}
@@ -50,6 +54,12 @@ def ninth(readings, kept):
             "column 'torque' must be finite numbers",
         ),
         (changed(theta=np.degrees), "column 'theta' must be in rad"),
+        (changed(theta=lambda a: np.where(rows(a) == 500, -1.6, a)), "stop at 90 deg.* row 500"),
+        (changed(theta=lambda a: np.where(rows(a) > 699, 1.55, a)), "stop at 90 deg.* row 700"),
+        (changed(theta=lambda a: np.where(rows(a) < 300, -1.52, a)), "stop at 90 deg.* row 0"),
+        (changed(torque=lambda u: np.ma.masked_greater(u, 0.5)), "'torque' must be finite numbers"),
+        (changed(x_dot=np.zeros_like), "column 'x_dot' must be of a sensor that works"),
+        (changed(theta=lambda a: 0.0 * a + 0.3), "'theta' must be of .*: leave the cells empty"),
         (
             changed(theta_dot=lambda w: 0.4 * w),
             "column 'theta_dot' must be the derivative of column 'theta'.* 2.[45]",
@@ -76,3 +86,28 @@ def ninth(readings, kept):
 def test_invalid_logs_name_the_column(log, change, text):
     with pytest.raises(ValueError, match=text):
         identify(change(log))
+
+
+def test_masked_readings_are_lost(log):
+    lost = rows(log["theta"]) % 7 == 0
+    found = read_log({**log, "theta": np.ma.array(log["theta"], mask=lost)})["theta"]
+    assert np.array_equal(found, np.where(lost, np.nan, log["theta"]), equal_nan=True)
+
+
+class Frame:
+    """A DataFrame, of which pandas and polars both have this interface."""
+
+    def __init__(self, columns):
+        self.columns = list(columns)
+        self.column = columns.get
+
+    def __getitem__(self, name):
+        return self.column(name)
+
+
+def test_a_dataframe_is_a_log(log):
+    lost = np.where(rows(log["t"]) == 3, None, log["x_dot"])
+    found = read_log(Frame({**log, "x_dot": lost}))
+    assert list(found) == list(log)
+    assert np.array_equal(found["theta"], log["theta"])
+    assert np.isnan(found["x_dot"]).nonzero()[0].tolist() == [3]
