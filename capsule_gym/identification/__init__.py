@@ -2,7 +2,9 @@
 
 from capsule_gym.identification.derivatives import Sensitivity, sensitivity
 from capsule_gym.identification.excitation import Excitation
-from capsule_gym.identification.fit import Fit, identify
+from capsule_gym.identification.fit import identify
 from capsule_gym.identification.recording import record
+from capsule_gym.identification.result import Fit
+from capsule_gym.identification.sampling import on_grid
 
-__all__ = ["Excitation", "Fit", "Sensitivity", "identify", "record", "sensitivity"]
+__all__ = ["Excitation", "Fit", "Sensitivity", "identify", "on_grid", "record", "sensitivity"]

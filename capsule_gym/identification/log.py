@@ -141,7 +141,8 @@ def check_times(t: np.ndarray) -> float:
     fits = equal and SHORTEST_PERIOD <= period <= LONGEST_PERIOD
     periods = f"{SHORTEST_PERIOD} to {LONGEST_PERIOD} s"
     durations = f"at least {SHORTEST:g} s and at most {LONGEST:g} s"
-    accepted = f"in equal steps of {periods}, over {durations}, in at most {MOST_ROWS} rows"
+    steps_accepted = f"in equal steps of {periods} (capsule_gym.identification.on_grid makes them)"
+    accepted = f"{steps_accepted}, over {durations}, in at most {MOST_ROWS} rows"
     step = steps[worst : worst + 1]
     found = f"{len(t)} rows over {duration:g} s; the step after row {worst} is {step}"
     bounded = SHORTEST <= duration <= LONGEST and len(t) <= MOST_ROWS

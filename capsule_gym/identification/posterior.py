@@ -14,9 +14,14 @@ FINEST = 0.03
 # The number of samples of a posterior, and of the draws from which they are chosen.
 SAMPLES = 5000
 PROPOSALS = 200_000
-# The quantities over which the others are fitted, and the shares of their ranges at which they are.
-PROFILED = ("static_ratio", "lag")
-NODES = np.linspace(0.0, 1.0, 7)
+# The number of static ratios, and of lags, at which the others are fitted.
+NODES = 7
+# The standard deviation of the lag's share below which the likelihood is normal in it, too.
+NARROW = 0.08
+# How many times larger the sums of squares at all but the best two nodes are where the log has no
+# noise; the width of the shares at which the search between them ends.
+DECISIVE = 2.0
+NARROWEST = 1e-6
 
 
 def sample_posterior(
@@ -26,44 +31,67 @@ def sample_posterior(
 
     The likelihood is approximated as normal in the ranges, but for two quantities, over which the
     others are fitted. With the static ratio it jumps; the others are those of its best value. Lag
-    and latency act alike along a curve; the others are interpolated between several lags.
+    and latency act alike along a curve; the others are interpolated between several lags. A log
+    without noise determines both, and the approximation is that of all quantities.
 
     Returns:
         Samples, shape (samples, shares), and the unknowns of the largest likelihood.
     """
-    name = next((each for each in PROFILED if each in problem.names), None)
-    if name is None:
-        unknowns, _ = problem.fit(unknowns, FINEST)
-        return laplace(problem, unknowns), unknowns
-    place = problem.names.index(name)
-    problems = [problem.at(name, node) for node in NODES]
-    found, costs = fit_nodes(problems, unknowns, place)
-    best = np.argmin(costs)
+    if "static_ratio" not in problem.names:
+        return sample_smooth(problem, unknowns)
+    place = problem.names.index("static_ratio")
+    low, high = 0.0, 1.0
+    while True:
+        nodes = np.linspace(low, high, NODES)
+        problems, found, costs = fit_nodes(problem, "static_ratio", nodes, unknowns)
+        best = int(costs.argmin())
+        unknowns = np.insert(found[best], place, nodes[best])
+        _, _, third, *_ = np.sort(costs)
+        if third < DECISIVE * costs[best] or high - low < NARROWEST:
+            break
+        problem.estimate_noise(unknowns)
+        low, high = nodes[[max(best - 1, 0), min(best + 1, NODES - 1)]]
     generator = np.random.default_rng(0)
-    drawn = draw_profiled(problem, place, costs, generator)
-    if name == "lag":
-        samples = sample_between(problems, found, drawn)
-        unknowns = np.insert(found[best], place, NODES[best])
-        unknowns, _ = problem.fit(unknowns, FINEST)
-    else:
-        samples, end = sample_posterior(problems[best], found[best])
-        # The other draws have the same seed: in their order all would rise with the static ratio.
-        samples = generator.permutation(samples)
-        unknowns = np.insert(end, place, NODES[best])
-    samples = np.clip(samples, 0.0, 1.0)
+    drawn = draw_profiled(problem, place, nodes, costs, generator)
+    samples, end = sample_smooth(problems[best], found[best])
+    # The other draws have the same seed: in their order all would rise with the static ratio.
+    samples = generator.permutation(samples)
+    return np.insert(samples, place, drawn, axis=1), np.insert(end, place, nodes[best])
+
+
+def sample_smooth(problem: ShootingProblem, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`sample_posterior` where the likelihood does not jump."""
+    unknowns, _ = problem.fit(unknowns, FINEST)
+    samples = laplace(problem, unknowns)
+    if "lag" not in problem.names:
+        return samples, unknowns
+    place = problem.names.index("lag")
+    if samples[:, place].std() < NARROW:
+        return samples, unknowns
+    nodes = np.linspace(0.0, 1.0, NODES)
+    problems, found, costs = fit_nodes(problem, "lag", nodes, unknowns)
+    drawn = draw_profiled(problem, place, nodes, costs, np.random.default_rng(0))
+    samples = np.clip(sample_between(problems, nodes, found, drawn), 0.0, 1.0)
+    best = np.argmin(costs)
+    unknowns, _ = problem.fit(np.insert(found[best], place, nodes[best]), FINEST)
     return np.insert(samples, place, drawn, axis=1), unknowns
 
 
 def draw_profiled(
-    problem: ShootingProblem, place: int, costs: np.ndarray, generator: np.random.Generator
+    problem: ShootingProblem,
+    place: int,
+    nodes: np.ndarray,
+    costs: np.ndarray,
+    generator: np.random.Generator,
 ) -> np.ndarray:
     """Samples of the share of a profiled quantity, from the sums of squares at the nodes."""
-    shares = (np.arange(1000) + 0.5) / 1000.0
+    places = (np.arange(1000) + 0.5) / 1000.0
+    shares = nodes[0] + places * (nodes[-1] - nodes[0])
     if problem.names[place] == "lag":
-        cost = Akima1DInterpolator(NODES, costs)(shares)
+        cost = Akima1DInterpolator(nodes, costs)(shares)
     else:
         # Where the likelihood jumps, it may be as large in between as at the better end.
-        intervals = (shares * (len(NODES) - 1)).astype(int)
+        intervals = (places * (NODES - 1)).astype(int)
         better = np.minimum(costs[:-1], costs[1:])
         cost = better[intervals]
     log_likelihood = -0.5 * (cost - cost.min())
@@ -98,23 +126,29 @@ def laplace(problem: ShootingProblem, unknowns: np.ndarray) -> np.ndarray:
 
 
 def fit_nodes(
-    problems: list[ShootingProblem], unknowns: np.ndarray, place: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """The unknowns and the sum of squares at each node, each fit from the nearest end."""
+    problem: ShootingProblem, name: str, nodes: np.ndarray, unknowns: np.ndarray
+) -> tuple[list[ShootingProblem], np.ndarray, np.ndarray]:
+    """The problem with a quantity at each node of its share, fitted from the nearest end.
+
+    Returns:
+        The problems, their unknowns, and their sums of squares.
+    """
+    place = problem.names.index(name)
+    problems = [problem.at(name, node) for node in nodes]
     ends = [(unknowns[place], np.delete(unknowns, place))]
-    found = np.empty((len(NODES), len(unknowns) - 1))
-    costs = np.empty(len(NODES))
-    for n in np.argsort(np.abs(NODES - unknowns[place])):
-        node = NODES[n]
+    found = np.empty((NODES, len(unknowns) - 1))
+    costs = np.empty(NODES)
+    for n in np.argsort(np.abs(nodes - unknowns[place])):
+        node = nodes[n]
         # The last of equally near ones: a fit at this very place.
         _, start = min(reversed(ends), key=lambda end: abs(end[0] - node))
         found[n], costs[n] = problems[n].fit(start, FINEST)
         ends.append((node, found[n]))
-    return found, costs
+    return problems, found, costs
 
 
 def sample_between(
-    problems: list[ShootingProblem], found: np.ndarray, drawn: np.ndarray
+    problems: list[ShootingProblem], nodes: np.ndarray, found: np.ndarray, drawn: np.ndarray
 ) -> np.ndarray:
     """Samples of the other shares at drawn shares of the lag, from the fits at the nodes.
 
@@ -123,6 +157,6 @@ def sample_between(
     parts = np.array([laplace(problem, end) for problem, end in zip(problems, found, strict=True)])
     middles = parts.mean(axis=1)
     deviations = parts - middles[:, None]
-    nearest = np.abs(np.subtract.outer(drawn, NODES)).argmin(axis=1)
-    mean = Akima1DInterpolator(NODES, middles)
+    nearest = np.abs(np.subtract.outer(drawn, nodes)).argmin(axis=1)
+    mean = Akima1DInterpolator(nodes, middles)
     return mean(drawn) + deviations[nearest, range(SAMPLES)]

@@ -41,6 +41,10 @@ DRIFT_TIME = 0.05
 DISTANCE = 0.8
 # Standard deviation of a gap over that of a reading.
 GAP = 0.02
+# Smallest size of noise, SI units: that of rounding errors in a log without noise.
+SMALLEST_NOISE = 1e-6
+# Mean delay of the motor's torque, s, below which there is no lag.
+SHORTEST_DELAY = 1e-6
 # Largest number of steps of a fit, and of attempts in each.
 MOST_STEPS = 15
 MOST_ATTEMPTS = 8
@@ -77,6 +81,9 @@ class ShootingProblem:
         self.moving = [n for n, name in enumerate(self.names) if name in PLANT or name == "lag"]
         limits = np.reshape(list(self.ranges.values()), (-1, 2))
         self.low, self.high = limits.T
+        if "lag" in self.names:
+            n = self.names.index("lag")
+            self.low[n], self.high[n] = map(self.delay, self.ranges["lag"])
         # Constants of the plant act by their products: on a logarithmic scale what a log leaves
         # open is straight.
         ratios = np.ones(len(self.names))
@@ -87,20 +94,40 @@ class ShootingProblem:
         # The density of a prior that is uniform in the quantity itself grows with it.
         uniform_in_log = [name == "mu" and self.log_mu for name in self.names]
         self.densities = np.where(uniform_in_log, 0.0, self.growths)
-        _, latest = self.ranges.get("latency") or (0.0, self.known["latency"])
+        longest = {**self.known, **{name: high for name, (_, high) in self.ranges.items()}}
+        latest = max(self.latency(name, longest) for name in self.sensors)
         # Readings before the first of a segment, which begins earlier by the longest latency.
         self.lead = math.ceil((latest + self.h) / self.period - 1e-9)
         self.commands = np.repeat(self.log["torque"], self.steps)
         if not self.noise:
             self.noise = {name: (*NOISE[name], DRIFT_TIME) for name in self.sensors}
 
+    def delay(self, lag: float) -> float:
+        """The mean delay, s, of a motor's torque with this lag in the integrator's steps."""
+        kept = math.exp(-self.h / lag) if lag > 0.0 else 0.0
+        return self.h * kept / (1.0 - kept)
+
+    @staticmethod
+    def latency(sensor: str, values: dict[str, float]) -> float:
+        """The age of a sensor's readings, s."""
+        return values["latency"] + values.get(f"{sensor}_latency", 0.0)
+
     def values(self, shares: np.ndarray) -> tuple[dict[str, float], np.ndarray]:
-        """The quantities in SI units, and the derivatives of the unknown ones by their shares."""
+        """The quantities in SI units, and the derivatives of the unknown ones by their shares.
+
+        That of the lag is the derivative of its mean delay, on which the motion depends as on a
+        latency; by the lag itself the derivative would be 0 at a lag of 0.
+        """
         logarithmic = self.growths > 0.0
         widths = self.high - self.low
         exponential = self.low * np.exp(self.growths * shares)
         found = np.where(logarithmic, exponential, self.low + shares * widths)
         slopes = np.where(logarithmic, found * self.growths, widths)
+        if "lag" in self.names:
+            n = self.names.index("lag")
+            delays = np.maximum(found[..., n], SHORTEST_DELAY)
+            lags = self.h / np.log1p(self.h / delays)
+            found[..., n] = np.where(found[..., n] > SHORTEST_DELAY, lags, 0.0)
         unknown = dict(zip(self.names, found.T.tolist(), strict=True))
         return {**self.known, **unknown}, slopes
 
@@ -129,6 +156,13 @@ class ShootingProblem:
                 columns.append(np.zeros(count))
         states = np.transpose(columns)[list(starts)]
         return states[:, self.components].ravel()
+
+    def extended(self, log: dict[str, np.ndarray]) -> "ShootingProblem":
+        """The problem of a longer log, whose further rows belong to the last segment."""
+        whole = replace(self, log=log)
+        first, _ = self.segments[-1]
+        whole.segments = [*self.segments[:-1], (first, len(log["t"]))]
+        return whole
 
     def rows(self, name: str) -> np.ndarray:
         """The rows within the segments in which a sensor has a reading."""
@@ -163,13 +197,12 @@ class ShootingProblem:
         return white / deviations[:, None], np.log(diagonal).sum()
 
     def motor_torque(self, lag: float) -> tuple[np.ndarray, np.ndarray]:
-        """The motor's torque at every step of the integrator, and its derivative by the lag.
+        """The motor's torque at every step of the integrator, and its derivative by the mean delay.
 
         The torque is that of `Disturbed::drive`; without a lag it is the command. The derivative is
-        the imaginary part after an imaginary step of the lag (Squire and Trapp, 1998).
+        the imaginary part after an imaginary step of the delay (Squire and Trapp, 1998).
         """
-        shifted = max(lag, 1e-9) + 1e-30j
-        share = 1.0 - np.exp(-self.h / shifted)
+        share = self.h / (self.h + self.delay(lag) + 1e-30j)
         torque = lfilter([share], [1.0, share - 1.0], self.commands)
         return torque.real, 1e30 * torque.imag
 
@@ -188,14 +221,14 @@ class ShootingProblem:
         weights = [cubics(place, order) / self.h**order for order in range(3)]
         return late, np.reshape(weights, (3, 2, 2))
 
-    def partials(self, scale: np.ndarray, torque_by_lag: np.ndarray) -> np.ndarray:
+    def partials(self, scale: np.ndarray, torque_by_delay: np.ndarray) -> np.ndarray:
         """The derivatives of a segment's inputs by `moving` shares, then by its unknown state."""
-        inputs = NUM_INPUTS + len(torque_by_lag)
+        inputs = NUM_INPUTS + len(torque_by_delay)
         moving = np.zeros((inputs, len(self.moving)))
         for column, n in enumerate(self.moving):
             name = self.names[n]
             if name == "lag":
-                moving[NUM_INPUTS:, column] = torque_by_lag * scale[n]
+                moving[NUM_INPUTS:, column] = torque_by_delay * scale[n]
             else:
                 moving[_core.TRAJECTORY.index(name), column] = scale[n]
         state = np.zeros((inputs, len(self.components)))
@@ -214,20 +247,20 @@ class ShootingProblem:
         values, scale = self.values(unknowns[:count])
         starts = unknowns[count:].reshape(-1, width)
         capsule = Capsule(**subset(values, PLANT))
-        torque, torque_by_lag = self.motor_torque(values["lag"])
-        late, weights = self.interpolation(values["latency"])
-        sensed = [STATE.index(name) for name in self.sensors]
+        torque, torque_by_delay = self.motor_torque(values["lag"])
         rows = len(self.log["t"])
         columns = 1 + len(unknowns) * slopes
-        readings = np.full((rows, len(sensed), columns), np.nan)
+        readings = np.full((rows, len(self.sensors), columns), np.nan)
         gaps = np.zeros((len(self.segments) - 1, width, columns))
+        speeds = np.zeros((rows, len(self.sensors)))
+        clocks = self.clocks(values)
         for n, (first, last) in enumerate(self.segments):
             begin = (first - self.lead) * self.steps
             end = (last - 1) * self.steps + 1
             state = np.zeros(4)
             state[self.components] = starts[n]
             inputs = trajectory_inputs(capsule, state, torque[begin:end])
-            partials = self.partials(scale, torque_by_lag[begin:end])
+            partials = self.partials(scale, torque_by_delay[begin:end])
             own = 1 + count + n * width + np.arange(width)
             filled = np.concatenate([[0], 1 + np.array(self.moving, int), own])
             if not slopes:
@@ -235,33 +268,58 @@ class ShootingProblem:
                 filled = filled[:1]
             grid, rates, _ = simulate(inputs, partials, 1, self.h)
             motion = np.concatenate([grid[:, :4, None], rates], axis=2)
-            places = np.arange(first, last) * self.steps - begin - late
-            states, speeds = interpolate(motion, places, weights)
+            places = np.arange(first, last) * self.steps - begin
             inside = readings[first:last]
             inside[...] = 0.0
-            inside[..., filled] = states[:, sensed]
-            if slopes and "latency" in self.names:
-                latency = self.names.index("latency")
-                by_latency = -speeds[:, sensed]
-                inside[..., 1 + latency] = by_latency * scale[latency]
+            for late, weights, sensors, sensed in clocks:
+                states, state_rates = interpolate(motion, places - late, weights)
+                inside[:, sensors[:, None], filled] = states[:, sensed]
+                speeds[first:last, sensors] = state_rates[:, sensed]
             if n < len(gaps) and self.segments[n + 1][0] == last:
                 met = motion[(last - self.lead) * self.steps - begin]
                 gaps[n][:, filled] = met[self.components]
                 gaps[n, :, 0] -= starts[n + 1]
                 if slopes:
                     gaps[n, np.arange(width), own + width] -= 1.0
-        self.add_biases(readings, values, scale)
+        for n, name in enumerate(self.sensors):
+            readings[:, n, 0] += values.get(f"{name}_bias", 0.0)
+        if slopes:
+            self.add_slopes_of_sensors(readings, speeds, scale)
         return readings, gaps
 
-    def add_biases(self, readings: np.ndarray, values: dict[str, float], scale: np.ndarray) -> None:
-        """Adds the sensors' biases to predicted readings, and their derivatives to slopes."""
-        slopes = readings[..., 1:]
+    def clocks(
+        self, values: dict[str, float]
+    ) -> list[tuple[int, np.ndarray, np.ndarray, list[int]]]:
+        """The sensors by their latency.
+
+        Returns:
+            For each latency the steps and weights of `interpolation`, its sensors by number, and
+            their components of the state.
+        """
+        latencies = np.array([self.latency(name, values) for name in self.sensors])
+        found = []
+        for latency in np.unique(latencies):
+            sensors = np.flatnonzero(latencies == latency)
+            sensed = [STATE.index(self.sensors[n]) for n in sensors]
+            found.append((*self.interpolation(latency), sensors, sensed))
+        return found
+
+    def add_slopes_of_sensors(
+        self, readings: np.ndarray, speeds: np.ndarray, scale: np.ndarray
+    ) -> None:
+        """Adds the derivatives of predicted readings by biases and latencies.
+
+        Args:
+            readings: those of `predict`.
+            speeds: their rates, shape (rows, sensors).
+            scale: derivatives of the quantities by their shares.
+        """
         for n, name in enumerate(self.sensors):
-            bias = f"{name}_bias"
-            readings[:, n, 0] += values.get(bias, 0.0)
-            if bias in self.names and slopes.size:
-                unknown = self.names.index(bias)
-                slopes[:, n, unknown] = scale[unknown]
+            slopes = {f"{name}_bias": 1.0, "latency": -speeds[:, n]}
+            slopes[f"{name}_latency"] = slopes["latency"]
+            for quantity in slopes.keys() & set(self.names):
+                unknown = self.names.index(quantity)
+                readings[:, n, 1 + unknown] = slopes[quantity] * scale[unknown]
 
     def errors(self, unknowns: np.ndarray, slopes: bool) -> tuple[np.ndarray, np.ndarray]:
         """Predicted minus measured readings, and the gaps, as `predict` returns them."""
@@ -333,8 +391,13 @@ class ShootingProblem:
                 break
         return unknowns, r @ r
 
-    def estimate_noise(self, unknowns: np.ndarray) -> None:
-        """Sets sizes of noise and drift, and the drift's time, to those of largest likelihood."""
+    def estimate_noise(self, unknowns: np.ndarray) -> bool:
+        """Sets sizes of noise and drift, and the drift's time, to those of largest likelihood.
+
+        Returns:
+            Whether the errors of a sensor fall by more than half.
+        """
+        before = np.array([*self.noise.values()])
         errors, _ = self.errors(unknowns, slopes=False)
 
         def set_noise(logarithms: np.ndarray) -> None:
@@ -350,12 +413,16 @@ class ShootingProblem:
             return np.sum(r**2) + determinant
 
         # Half of the variance is the noise's, half the drift's.
-        variances = np.nanvar(errors, axis=0) / 2.0
-        sizes = np.repeat(0.5 * np.log(variances), 2)
-        bounds = [(size - 7.0, size + 2.0) for size in sizes]
+        deviations = np.sqrt(np.nanvar(errors, axis=0).ravel() / 2.0)
+        smallest = math.log(SMALLEST_NOISE)
+        sizes = np.repeat(np.log(np.maximum(deviations, SMALLEST_NOISE)), 2)
+        bounds = [(max(size - 7.0, smallest), size + 2.0) for size in sizes]
         bounds.append((math.log(0.5 * self.period), 0.0))
         start = np.append(sizes, math.log(DRIFT_TIME))
         set_noise(minimize(likelihood, start, method="L-BFGS-B", bounds=bounds).x)
+        after = np.array([*self.noise.values()])
+        sizes_before, sizes_after = (np.hypot(*each[:, :2].T) for each in (before, after))
+        return bool((sizes_after < 0.5 * sizes_before).any())
 
     def at(self, name: str, share: float) -> "ShootingProblem":
         """The problem in which a quantity is known, with the value at this share of its range."""

@@ -15,8 +15,8 @@ from capsule_gym.evaluation.episodes import evaluate, summarise
 from capsule_gym.evaluation.sets import load_set, parse_set
 from capsule_gym.evaluation.statistics import estimate, paired_difference
 from capsule_gym.identification.excitation import Excitation
-from capsule_gym.identification.fit import OTHERS
 from capsule_gym.identification.log import read_log
+from capsule_gym.identification.ranges import OTHERS
 from capsule_gym.identification.recording import record
 from capsule_gym.identification.shooting import PLANT
 from capsule_gym.parameters import NOMINAL
@@ -42,6 +42,14 @@ REAL = CapsuleEnv(disturbances="real")
         ({"known": {"latency": -1.0}}, r"known\['latency'\] must be"),
         ({"known": {"c": 92.3}}, "physics_dt must be at most .* for this capsule"),
         ({"known": KNOWN, "prior": "none"}, "must leave a quantity to estimate"),
+        ({"ranges": {"latancy": (0.0, 0.01)}}, "ranges must have .*did you mean 'latency'"),
+        ({"ranges": {"lag": (0.2, 0.1)}}, r"ranges\['lag'\] must be a pair"),
+        ({"ranges": {"latency": (-0.1, 0.1)}}, r"ranges\['latency'\]\[0\] must be"),
+        (
+            {"ranges": {"k": (0.0, 0.1)}, "known": {"k": 0.3}},
+            r"ranges\['k'\] must be of .* not known",
+        ),
+        ({"ranges": {"M": (-1.0, 0.1)}}, "Randomization.M"),
         ({"prior": "reel"}, "^prior must be a Randomization or one of .*, got 'reel'"),
     ],
 )

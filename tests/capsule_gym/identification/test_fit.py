@@ -10,7 +10,8 @@ import pytest
 
 from capsule_gym import Capsule, CapsuleEnv, Randomization, identify
 from capsule_gym.identification import Fit
-from capsule_gym.identification.fit import RANGES
+from capsule_gym.identification.ranges import RANGES
+from capsule_gym.identification.result import FITTED
 from tests.capsule_gym.identification.rig import BIAS, CONSTANTS, MOTOR, TRUTH, WHITE, make_log
 from tests.figures import texts
 
@@ -32,7 +33,7 @@ def test_intervals_contain_the_truth(fit):
 
 
 def test_the_model_explains_the_log(fit, log):
-    readings = 3 * len(log["t"])
+    readings = 3 * FITTED * len(log["t"])
     assert 0.8 < fit.chi2 < 1.2
     assert fit.minima[0] == pytest.approx(readings, rel=0.05)
 
@@ -52,6 +53,13 @@ def test_sizes_of_noise_and_drift_are_found(fit):
     assert found.theta_dot_noise == pytest.approx(0.1, rel=0.1)
     assert found.x_dot_noise == pytest.approx(0.01, rel=0.1)
     assert found.theta_drift < 0.003
+
+
+def test_rows_that_are_not_fitted_are_predicted_within_their_noise(fit):
+    assert fit.held_out["theta"] == pytest.approx(0.01, rel=0.25)
+    assert fit.held_out["theta_dot"] == pytest.approx(0.1, rel=0.25)
+    assert fit.held_out["x_dot"] == pytest.approx(0.01, rel=0.25)
+    assert "not fitted: theta_dot is predicted with an error of 0.1" in fit.table()
 
 
 def test_the_environment_of_a_fit_draws_from_its_intervals(fit):
@@ -80,7 +88,7 @@ def test_the_interval_of_level_1_contains_all_samples(fit):
 
 def relative_variances(fit):
     """The variances of the estimates over those of their ranges."""
-    ranges = fit._problem.high - fit._problem.low
+    ranges = np.ptp([*fit.ranges.values()], axis=1)
     relative = 12.0 * fit.samples.var(axis=0, ddof=1) / ranges**2
     return dict(zip(fit.estimates, relative, strict=True))
 
@@ -152,6 +160,16 @@ def test_a_single_quantity_is_estimated_alone(short_log, tmp_path):
     fit.report(tmp_path / "fit.png")
 
 
+def test_the_last_fifth_is_not_fitted(short_log):
+    known = {name: value for name, value in KNOWN.items() if name != "c"}
+    last = np.arange(len(short_log["t"])) >= 400
+    wrong = {**short_log, "theta": short_log["theta"] + 0.1 * last}
+    before, after = (identify(log, known) for log in (short_log, wrong))
+    assert np.array_equal(before.samples, after.samples)
+    assert after.held_out["theta"] > 5.0 * before.held_out["theta"]
+    assert after.held_out["x"] == before.held_out["x"]
+
+
 @pytest.mark.parametrize(("limits", "end"), [((0.3, 0.5), 0.5), ((0.7, 0.9), 0.7)])
 def test_a_prior_without_the_truth_gives_its_end_and_a_warning(short_log, limits, end):
     log = {name: short_log[name] for name in ("t", "torque", "theta")}
@@ -177,14 +195,15 @@ def test_a_report_shows_readings_and_residuals(panels, log):
     assert texts(sensors[0].get_legend().texts) == ["measured", "predicted"]
     for left, right, name in zip(sensors[::2], sensors[1::2], list(log)[2:], strict=True):
         lines = [line.get_xydata().T for line in (*left.lines, *right.lines)]
-        (t, measured), (_, predicted), (_, error) = lines
+        (t, measured), (_, predicted), (_, error), (split, _) = lines
+        assert split[0] == t[1600]
         assert np.array_equal(t, log["t"])
         assert np.array_equal(measured, log[name])
         assert np.array_equal(error, measured - predicted, equal_nan=True)
         assert np.nanstd(error) < 0.5 * measured.std()
         assert left.get_ylabel().startswith(f"{name} (")
-        begin, end = left.get_xlim()
-        assert t[0] == begin < end <= t[-1]
+        # The rows that are not fitted.
+        assert left.get_xlim() == (t[1600], t[-1])
         assert left.get_subplotspec().is_first_col()
         assert right.get_subplotspec().is_last_col()
         assert right.get_ylabel()
@@ -205,11 +224,14 @@ def test_the_command_identifies_a_log_with_lost_readings(log, tmp_path):
     lost = np.random.default_rng(0).uniform(size=cells.shape) < 0.1
     lost[:, :2] = False
     cells[lost] = ""
+    # Two rows are lost.
+    cells = np.delete(cells, [500, 501], axis=0)
     path = tmp_path / "log.csv"
     path.write_text("\n".join(map(",".join, [log, *cells])), encoding="utf-8-sig")
     command = [sys.executable, "-m", "capsule_gym.identification", path, "--known", "lag", "0.004"]
+    command += ["--period", "0.01", "--ranges", "latency", "0", "0.03"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
-    words = [line.split() for line in done.stdout.splitlines()[1:]]
+    words = [line.split() for line in done.stdout.splitlines()[1:-4]]
     estimates = {name: value for name, value, *_ in words}
     assert "lag" not in estimates
     assert "theta_bias" in estimates

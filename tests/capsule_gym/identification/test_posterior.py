@@ -13,8 +13,9 @@ from tests.capsule_gym.identification.test_shooting import make_small_problem
 def replace_residuals(monkeypatch, name, limits, residuals):
     """A problem of a quantity, latency and one state, with residuals that a test defines.
 
-    They are functions of the share of the quantity within its limits (of a lag the linear one, of
-    all others the logarithmic one), of latency, and of the state, with a Jacobian of three columns.
+    They are functions of the share of the quantity within its limits (of a lag that of its delay,
+    of all others the logarithmic one), of latency, and of the state; their Jacobian has three
+    columns.
     The quantity may be known, and is no unknown then.
     """
 
@@ -24,6 +25,7 @@ def replace_residuals(monkeypatch, name, limits, residuals):
         if name in self.names:
             share = unknowns[0]
         elif name == "lag":
+            low, known, high = map(self.delay, (low, known, high))
             share = (known - low) / (high - low)
         else:
             share = np.log(known / low) / np.log(high / low)

@@ -1,10 +1,11 @@
-"""Sensors that repeat readings are found, and those that only have a resolution are not."""
+"""Uneven times, lost rows, and sensors that repeat readings or only have a resolution."""
 
 import numpy as np
 import pytest
 
 from capsule_gym import identify
-from capsule_gym.identification.sampling import drop_repeats
+from capsule_gym.identification.log import read_log
+from capsule_gym.identification.sampling import drop_repeats, on_grid
 from tests.capsule_gym.identification.rig import EXACT, make_log
 
 EVERY_THIRD = np.arange(2000) % 3 == 0
@@ -46,7 +47,6 @@ def test_a_resolution_repeats_readings(log, share):
 
 def test_a_log_without_noise_repeats_nothing():
     log = make_log(EXACT, 5.0)
-    log["x_dot"] = log["x_dot"] - 0.01
     log["torque"][:50] = 0.0
     log["theta"][:51] = 0.0
     assert np.sum(np.diff(log["x_dot"]) == 0.0) > 50
@@ -61,3 +61,34 @@ def test_a_sensor_that_repeats_is_named(log):
     messages = [str(warning.message) for warning in caught]
     assert "'x_dot' repeats 150 readings" in messages[0]
     assert "empty" in messages[0]
+
+
+def test_rows_with_uneven_times_are_put_on_a_grid(log):
+    rng = np.random.default_rng(3)
+    kept = rng.uniform(size=2000) > 0.1
+    kept[[0, -1]] = True
+    # A clock that is 0.1 % fast.
+    t = 5.0 + 1.001 * log["t"] + rng.uniform(-0.002, 0.002, 2000)
+    uneven = {name: column[kept] for name, column in {**log, "t": t}.items()}
+    with pytest.raises(ValueError, match=r"'t' must be in equal steps .*on_grid"):
+        read_log(uneven)
+    found = on_grid(uneven, 0.01)
+    np.testing.assert_allclose(found["t"], 5.0 + 1.001 * log["t"], rtol=0.0, atol=3e-4)
+    assert np.array_equal(found["theta"], np.where(kept, log["theta"], np.nan), equal_nan=True)
+    assert np.array_equal(found["torque"][kept], log["torque"][kept])
+    assert np.abs(found["torque"] - log["torque"]).max() < 0.4
+    read_log(found)
+
+
+@pytest.mark.parametrize(
+    ("change", "period", "message"),
+    [
+        ({}, 0.03, "'t' must be rising by about 0.03 s or more in each row"),
+        ({"t": np.zeros(2000)}, 0.01, "'t' must be rising"),
+        ({"t": 100.0 * np.arange(2000)}, 0.01, "'t' must be of at most 100000 periods"),
+        ({}, 1.0, "period must be a number of s from 0.0001 to 0.05"),
+    ],
+)
+def test_times_that_fit_no_grid_raise_an_error(log, change, period, message):
+    with pytest.raises(ValueError, match=message):
+        on_grid({**log, **change}, period)

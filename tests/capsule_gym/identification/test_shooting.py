@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from capsule_gym.identification.fit import OTHERS
 from capsule_gym.identification.log import read_log
+from capsule_gym.identification.ranges import OTHERS
 from capsule_gym.identification.shooting import PLANT, ShootingProblem
 from tests.capsule_gym.identification.rig import EXACT, TRUTH, make_log
 
@@ -25,7 +25,10 @@ def make_problem(log, physics_dt=2e-3):
     known = dict.fromkeys(OTHERS, 0.0)
     problem = ShootingProblem(read_log(log), ranges, False, known, physics_dt)
     logarithmic = [name in PLANT for name in ranges]
-    return problem, np.where(logarithmic, math.log(2.0) / math.log(3.0), 0.5)
+    shares = np.where(logarithmic, math.log(2.0) / math.log(3.0), 0.5)
+    low, truth, high = (problem.delay(factor * TRUTH["lag"]) for factor in (0.5, 1.0, 1.5))
+    shares[problem.names.index("lag")] = (truth - low) / (high - low)
+    return problem, shares
 
 
 def make_small_problem(count=ROWS, ranges=None, **columns):
