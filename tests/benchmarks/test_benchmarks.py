@@ -1,6 +1,7 @@
 """The benchmarks of identification and of the leaderboard, at small sizes."""
 
 import re
+import warnings
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -21,16 +22,21 @@ def test_errors_and_coverage_of_identified_plants(monkeypatch, capsys):
     chi2 = iter((1.0, 2.0, 3.0))
 
     def identify(_):
-        return SimpleNamespace(estimates=found, intervals={0.95: intervals}.get, chi2=next(chi2))
+        chi2_of_log = next(chi2)
+        if chi2_of_log > 2.0:
+            warnings.warn("column 'x_dot' is late", UserWarning, stacklevel=2)
+        return SimpleNamespace(estimates=found, intervals={0.95: intervals}.get, chi2=chi2_of_log)
 
     monkeypatch.setattr(identification, "make_logs", lambda count, *_: [(truth, truth)] * count)
     monkeypatch.setattr(identification, "identify", identify)
     identification.main(["--plants", "3"])
-    _, M, mu, latency, _, both, last = capsys.readouterr().out.splitlines()
+    _, M, mu, latency, _, both, pooled, warned, last = capsys.readouterr().out.splitlines()
     assert M.split() == ["M", "0.05", "10.0%", "100.0%"]
     assert mu.split() == ["mu", "0.01", "10.0%", "0.0%"]
     assert latency.split() == ["latency", "0.001", "0.0%"]
     assert both.split() == ["latency", "+", "lag", "0.0015"]
+    assert pooled.split() == ["all", "25.0%"]
+    assert warned == "a warning names a column in 1 of 3 logs"
     assert last == "chi2: 2.00, 90 % within 1.10 to 2.90; 0.0 s a fit"
 
 
