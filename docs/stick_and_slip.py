@@ -12,15 +12,16 @@ from capsule_gym.evaluation.sets import load_set
 from capsule_gym.rendering import Renderer, write_gif
 
 FILE = Path(__file__).parent / "media" / "stick_and_slip.gif"
-# Length of the controller's cycle, and time between frames, s.
+# Length of the controller's cycle, start of the last one of an episode, and time between frames, s.
 PERIOD = 6.6
+START = 26.4
 FRAME_SECONDS = 0.07
 # The paper's controller is above the agent.
 TITLES = {"adaptive": "the paper's controller", "residual-ppo": "a trained agent"}
 
 
 def frames() -> Iterator[np.ndarray]:
-    """The frames of both episodes on one plant during the second cycle of the controller."""
+    """The frames of both episodes on one plant during the last cycle of the controller."""
     nominal = load_set("nominal")
     lanes = []
     for name, title in TITLES.items():
@@ -33,7 +34,7 @@ def frames() -> Iterator[np.ndarray]:
     for n in range(round(PERIOD / FRAME_SECONDS)):
         drawn: list[Any] = []
         for episode, renderer in lanes:
-            present = PERIOD + n * FRAME_SECONDS
+            present = START + n * FRAME_SECONDS
             episode.advance(time=present)
             drawn.append(renderer.draw(**shown_state(episode.env.simulation, 0)))
         yield np.concatenate(drawn)
