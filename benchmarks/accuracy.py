@@ -64,6 +64,8 @@ LOAD = 0.5
 RTOL = 2e-13
 ATOL = 1e-15
 LONGEST = 0.002
+# A rate, rad/s, or acceleration, rad/s^2, of the pendulum that is rounding.
+REST = 1e-12
 
 
 class Trajectory(NamedTuple):
@@ -74,6 +76,8 @@ class Trajectory(NamedTuple):
         sums: since the start, distances moved forwards and backwards, m, time in stick, s, and the
             integral of |theta_dot|, rad.
         events: number of changes of phase within control intervals.
+        phases: start, s, and phase of each phase of contact, also of those that a change of the
+            torque begins.
         valid: number of control intervals before the one in which the ball meets the platform or
             contact is lost.
     """
@@ -81,6 +85,7 @@ class Trajectory(NamedTuple):
     states: np.ndarray
     sums: np.ndarray
     events: int
+    phases: list[tuple[float, float]]
     valid: int
 
 
@@ -153,14 +158,16 @@ def integrate_phase(t: float, y: np.ndarray, end: float, slip: float, u: float, 
     vars(margin).update(terminal=True, direction=-1.0)
     # After a turn, theta_dot is 0 up to rounding.
     omega = y[1]
-    if abs(omega) <= 1e-12:
+    if abs(omega) <= REST:
         _, omega, _, _ = derivative(t, y)
     vars(turn).update(terminal=True, direction=-omega)
+    # A pendulum at rest turns at every step.
+    events = (margin,) if abs(omega) <= REST else (margin, turn)
     solver: dict[str, Any] = {"method": "DOP853", "rtol": RTOL, "atol": ATOL}
     longest = min(LONGEST, end - t)
     for _ in range(20):
         steps = {"first_step": longest, "max_step": longest}
-        found = solve_ivp(derivative, (t, end), y, events=(margin, turn), **solver, **steps)
+        found = solve_ivp(derivative, (t, end), y, events=events, **solver, **steps)
         if found.t[-1] > t or slip == 0.0 or y[3] != 0.0:
             return found
         # The slip begins on its boundary, with velocity 0, and ends within one step.
@@ -169,16 +176,22 @@ def integrate_phase(t: float, y: np.ndarray, end: float, slip: float, u: float, 
 
 
 def solve(
-    torques: Sequence[float] | np.ndarray, p: Plant, hold: float = task.CONTROL_DT
+    torques: Sequence[float] | np.ndarray,
+    p: Plant,
+    hold: float = task.CONTROL_DT,
+    start: Sequence[float] = START,
 ) -> Trajectory:
-    """Integrates the plant from `START` under torques in N m, each held for `hold` seconds."""
-    y = np.array(START)
+    """Integrates the plant under torques in N m, each held for `hold` seconds."""
+    y = np.array(start)
     states, sums = [y], [np.zeros(4)]
     events, valid = 0, len(torques)
+    phases: list[tuple[float, float]] = []
     for i, u in enumerate(map(float, torques)):
         t, total = 0.0, sums[-1]
         slip = math.copysign(1.0, y[3]) if y[3] != 0.0 else phase_at_rest(y, u, p)
         while t < hold:
+            if not phases or phases[-1][1] != slip:
+                phases.append((i * hold + t, slip))
             found = integrate_phase(t, y, hold, slip, u, p)
             end = found.y[:, -1].copy()
             angle, _, moved, _ = end - y
@@ -195,7 +208,7 @@ def solve(
                 events += 1
         states.append(y)
         sums.append(total)
-    return Trajectory(np.array(states), np.array(sums), events, valid)
+    return Trajectory(np.array(states), np.array(sums), events, phases, valid)
 
 
 def phase_at_rest(y: np.ndarray, u: float, p: Plant) -> float:
