@@ -24,7 +24,7 @@ from capsule_gym.evaluation.episodes import (
     summarise,
 )
 from capsule_gym.evaluation.sets import EvaluationSet
-from capsule_gym.evaluation.statistics import paired_difference
+from capsule_gym.evaluation.statistics import paired_difference, share
 from capsule_gym.files import to_json
 
 # The content of leaderboard.json, and one of its rows.
@@ -60,6 +60,7 @@ METRICS = {
 SPEED = METRICS["mean_speed"]
 COST = METRICS["cost_of_transport"]
 RATIO = f"ratio to {REFERENCE}"
+FAILED = "failed [%, Wilson]"
 COLUMNS = ("policy", *MAIN_SETS, RATIO, COST.label, "senses", "told")
 # Columns and rows of the README's table.
 HEAD_COLUMNS = ("policy", RANKING_SET, REAL, COST.label, "senses", "told")
@@ -81,6 +82,7 @@ SECTIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
         (REAL, "real-wide"),
     ),
     "algorithms": (("direct-ppo", "direct-sac"), (RANKING_SET,)),
+    "recurrent": (("direct-ppo-wide", "direct-recurrent-ppo"), (RANKING_SET, "wide")),
     "energy": (("direct-ppo", "efficient"), (RANKING_SET,)),
     "distilled": (
         ("dp-oracle", "gait-guarded", "direct-ppo-wide", "dp-distilled-wide", "dp-distilled"),
@@ -249,7 +251,7 @@ def _detail_cells(row: Row, set_name: str, criteria: Criteria) -> dict[str, str]
             worst = max if weight < 0.0 else min
             worst_seed = worst(result[name]["seeds"]) if row["training_seeds"] else None
             cells |= _metric_cells(METRICS[name], result[name], worst_seed)
-    cells["failed"] = f"{result['failures']}/{result['episodes']}"
+    cells[FAILED] = failures_with_interval(result["failures"], result["episodes"])
     base = row.get("minus_base", {}).get(set_name)
     difference = criteria.metric.with_interval(base.values(), sign=True) if base else "-"
     cells[f"difference to base law on `{set_name}`"] = difference
@@ -258,6 +260,13 @@ def _detail_cells(row: Row, set_name: str, criteria: Criteria) -> dict[str, str]
     cells["seeds"] = str(len(row["training_seeds"]) or "-")
     cells["revision"] = row["revision"] or "-"
     return cells
+
+
+def failures_with_interval(failures: int, episodes: int) -> str:
+    """The failed episodes of all, and Wilson's interval of their share, %."""
+    found = share(failures, episodes)
+    low, high = (f"{100.0 * end:.1f}" for end in (found.low, found.high))
+    return f"{failures}/{episodes} [{low},\N{NO-BREAK SPACE}{high}]"
 
 
 def _metric_cells(

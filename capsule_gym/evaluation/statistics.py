@@ -173,3 +173,23 @@ def paired_difference(scores: ArrayLike, reference: ArrayLike, *, mean: bool = F
     # The difference of two infinite scores is NaN, without a warning.
     with np.errstate(invalid="ignore"):
         return _estimate(array[:, None, :] - other[None, :, :], mean)
+
+
+def share(count: int, total: int) -> Estimate:
+    """The share of episodes in which something happens, with Wilson's 95 % interval.
+
+    All episodes count as independent.
+
+    Args:
+        count: number of these episodes.
+        total: number of all episodes.
+
+    Raises:
+        ValueError: if `total` is not positive, or `count` is not in [0, total].
+    """
+    if total < 1 or not 0 <= count <= total:
+        raise ValueError(f"count must be in [0, total] and total >= 1, got {count} and {total}")
+    from scipy.stats import binomtest
+
+    interval = binomtest(count, total).proportion_ci(CONFIDENCE, method="wilson")
+    return Estimate(count / total, float(interval.low), float(interval.high), "mean")

@@ -108,7 +108,7 @@ def test_tables_show_failures_and_the_worst_seed(with_a_failure):
     text = (with_a_failure / "LEADERBOARD.md").read_text()
     assert [line[1] for line in table(text) if line[0] == "learnt"] == ["-2.50 (1/6)"]
     cells = columns_of(text, "On the set `paper`")["learnt"]
-    assert (cells["worst seed (cm/s)"], cells["failed"]) == ("-14.00", "1/6")
+    assert (cells["worst seed (cm/s)"], cells[page.FAILED]) == ("-14.00", "1/6 [3.0,\xa056.4]")
 
 
 def test_tables_show_the_difference_to_the_base_law(with_a_failure):

@@ -2,7 +2,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from capsule_gym.evaluation.statistics import estimate, interquartile_mean, paired_difference
+from capsule_gym.evaluation.statistics import (
+    estimate,
+    interquartile_mean,
+    paired_difference,
+    share,
+)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 100, 101])
@@ -151,3 +156,20 @@ def test_variation_over_the_seeds_of_the_reference_widens_the_interval():
 def test_the_paired_difference_of_infinite_scores_is_undefined_without_a_warning():
     with np.errstate(all="raise"):
         assert np.isnan(paired_difference([[np.inf] * 4], [[np.inf] * 4]).value)
+
+
+@pytest.mark.parametrize(
+    ("count", "total", "low", "high"),
+    [(0, 1000, 0.0, 0.003827), (5, 10, 0.236593, 0.763407), (400, 400, 0.990488, 1.0)],
+)
+def test_a_share_has_wilsons_interval(count, total, low, high):
+    # (p + z^2 / 2n +- z sqrt(p (1 - p) / n + z^2 / 4n^2)) / (1 + z^2 / n), z = 1.959964
+    found = share(count, total)
+    assert found.value == count / total
+    assert (found.low, found.high) == pytest.approx((low, high), abs=1e-6)
+
+
+@pytest.mark.parametrize(("count", "total"), [(-1, 5), (6, 5), (0, 0)])
+def test_a_share_of_other_counts_is_refused(count, total):
+    with pytest.raises(ValueError, match=f"got {count} and {total}"):
+        share(count, total)
