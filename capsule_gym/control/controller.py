@@ -86,7 +86,7 @@ class CoreLaw:
 
         Returns:
             The torques before their clip to the torque limit, N m, shape (n,), and the memories of
-            the next calls.
+            the next calls. A state that is not finite gives the torque 0 and the same memory.
         """
         states = np.ascontiguousarray(states, np.float64)
         rows = np.ascontiguousarray(rows, np.float64)

@@ -99,6 +99,7 @@ class Exported:
         entries = len(simulation.entries) // self.options.stack_size
         self.entries = [f"observation[{n}]" for n in range(entries)]
         self.reading = [*STATE, "action"]
+        self._computed = ("action", *SHOWN_OF_LAW) if self.law else ("action",)
         if self.controller:
             self.reading += SHOWN_OF_LAW
         if self.options.observe_parameters:
@@ -134,6 +135,8 @@ class Exported:
             single,
             code=partial(to_c, single=single),
             kept=kept,
+            # The rest of a reading is what the header itself computes.
+            given=[name for name in self.reading if name not in self._computed],
             task_inputs=task_inputs,
             task_outputs=task_outputs,
             observed=observed + estimates,
@@ -164,8 +167,7 @@ class Exported:
         chosen = self._test_set()
         periods = int(self.settings.law_steps) if self.law else 1
         readings, actions = self._record(chosen, periods)
-        computed = ("action", *SHOWN_OF_LAW) if self.law else ("action",)
-        columns = [name for name in self.reading if name not in computed]
+        columns = [name for name in self.reading if name not in self._computed]
         return self._render(
             "policy_test.c.jinja",
             single,

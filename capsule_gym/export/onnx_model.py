@@ -57,8 +57,8 @@ class Graph:
         return self.apply("Slice", value, start, end, axis)
 
 
-def _apply_cell(graph: Graph, cell: Cell, value: str, state: str, dtype: Any) -> str:
-    """Adds a step of the cell and `next_state`, the state after it; returns its output."""
+def _apply_cell(graph: Graph, cell: Cell, value: str, state: str, dtype: Any) -> tuple[str, str]:
+    """Adds a step of the cell; returns its output and its next state."""
     units = cell.units
     from_inputs = graph.layer(value, (cell.weight_ih, cell.bias_ih), dtype)
     h = graph.columns(state, 0, units)
@@ -78,7 +78,8 @@ def _apply_cell(graph: Graph, cell: Cell, value: str, state: str, dtype: Any) ->
         n = graph.apply("Tanh", graph.apply("Add", candidate_input, reset_h))
         # (1 - z) n + z h
         kept = graph.apply("Mul", z, graph.apply("Sub", h, n))
-        return graph.apply("Add", n, kept, result="next_state")
+        output = graph.apply("Add", n, kept)
+        return output, output
     i = gate(0)
     f = gate(1)
     g = gate(2, "Tanh")
@@ -86,8 +87,23 @@ def _apply_cell(graph: Graph, cell: Cell, value: str, state: str, dtype: Any) ->
     kept = graph.apply("Mul", f, graph.columns(state, units, units))
     c = graph.apply("Add", kept, graph.apply("Mul", i, g))
     output = graph.apply("Mul", o, graph.apply("Tanh", c))
-    graph.apply("Concat", output, c, result="next_state", axis=1)
-    return output
+    return output, graph.apply("Concat", output, c, axis=1)
+
+
+def _apply_check(graph: Graph) -> str:
+    """Adds whether every entry of an observation is finite: 1.0 or 0.0, shape (n, 1)."""
+    limit = graph.constant(np.inf, np.float32)
+    finite = graph.apply("Less", graph.apply("Abs", "observation"), limit)
+    return graph.apply("ReduceMin", graph.cast(finite, np.float32), axes=[1], keepdims=1)
+
+
+def _keep_finite(graph: Graph, state: str, after: str, finite: str, size: int, dtype: Any) -> None:
+    """Adds `next_state`: the state again, and one more dropped, where an entry is not finite."""
+    accepted = graph.cast(finite, np.bool_)
+    kept = graph.apply("Where", accepted, after, state)
+    missing = graph.apply("Sub", graph.constant(1.0, dtype), graph.cast(finite, dtype))
+    dropped = graph.apply("Add", graph.columns("state", size, 1), missing)
+    graph.apply("Concat", kept, dropped, result="next_state", axis=1)
 
 
 def _apply_network(graph: Graph, policy: Policy, scale: np.ndarray, *, single: bool) -> None:
@@ -101,10 +117,14 @@ def _apply_network(graph: Graph, policy: Policy, scale: np.ndarray, *, single: b
     limits = (graph.constant(end, hidden) for end in (-policy.clip, policy.clip))
     inputs = value = graph.apply("Clip", value, *limits)
     layers = policy.layers
+    finite = _apply_check(graph)
     if policy.cell is not None:
         for layer in policy.layers:
             value = graph.apply(activation, graph.layer(value, layer, hidden))
-        value = _apply_cell(graph, policy.cell, value, "state", hidden)
+        size = cell_state_size(policy.cell)
+        state = graph.columns("state", 0, size)
+        value, after = _apply_cell(graph, policy.cell, value, state, hidden)
+        _keep_finite(graph, state, after, finite, size, hidden)
         layers = policy.head
         if layers[0][0].shape[1] > policy.cell.units:
             value = graph.apply("Concat", value, inputs, axis=1)
@@ -115,7 +135,14 @@ def _apply_network(graph: Graph, policy: Policy, scale: np.ndarray, *, single: b
     if policy.squashing == "tanh":
         value = graph.apply("Tanh", value)
     ends = (graph.constant(end, real) for end in (-1.0, 1.0))
-    graph.cast(graph.apply("Clip", value, *ends), np.float32, result="action")
+    action = graph.cast(graph.apply("Clip", value, *ends), np.float32)
+    accepted = graph.cast(finite, np.bool_)
+    graph.apply("Where", accepted, action, graph.constant(0.0, np.float32), result="action")
+
+
+def cell_state_size(cell: Cell) -> int:
+    """Numbers in the state of a cell: h, and for an LSTM c."""
+    return cell.units * (1 if cell.kind == "gru" else 2)
 
 
 def hidden_type(policy: Policy, *, single: bool) -> Any:
@@ -145,7 +172,8 @@ def to_onnx(policy: Policy, scale: np.ndarray, metadata: dict[str, Any], *, sing
     inputs = [tensor("observation", shape=["n", policy.entries])]
     outputs = [tensor("action", shape=["n", 1])]
     if policy.cell is not None:
-        size = policy.cell.units * (1 if policy.cell.kind == "gru" else 2)
+        # The last one counts the observations that were not finite.
+        size = cell_state_size(policy.cell) + 1
         number = helper.np_dtype_to_tensor_dtype(np.dtype(hidden_type(policy, single=single)))
         state = partial(helper.make_tensor_value_info, elem_type=number, shape=["n", size])
         inputs.append(state("state"))

@@ -83,14 +83,19 @@ template <auto function> constexpr Function evaluated(const char* name) {
 inline Two<double> normals_from(double number) { return normals(scramble(bits_of(number))); }
 
 // The torques of n calls of a law of the core, from arrays of shape (n, numbers): the state, the
-// memory, which is replaced, and the row of the reference with the task's memory.
+// memory, which is replaced, and the row of the reference with the task's memory. A call with a
+// state that is not finite gives 0.0 and keeps the memory.
 inline void law_torques(long long number, const double* constants, const State<double>* states,
                         double* memory, const double* rows, double* torques, long long n) {
   with_type(Laws(), number, [=]<class Law>() {
     Law law(constants);
     auto* cells = (typename Law::template Cells<double>*)memory;
     auto* lines = (const typename Law::template Line<double>*)rows;
-    for (long long i = 0; i < n; i++) torques[i] = law.torque(states[i], cells[i], lines[i]);
+    for (long long i = 0; i < n; i++) {
+      auto [theta, theta_dot, x, x_dot] = states[i];
+      bool finite = abs(theta) + abs(theta_dot) + abs(x) + abs(x_dot) < INFINITE;
+      torques[i] = finite ? law.torque(states[i], cells[i], lines[i]) : 0.0;
+    }
   });
 }
 

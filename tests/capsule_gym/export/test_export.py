@@ -368,5 +368,5 @@ def test_size_and_time_on_a_cortex_m4(tmp_path):
     """A policy of 64 x 64 units with its law, in float."""
     exported = Exported("residual-real", True)
     size, instructions = measure_on_cortex_m4(tmp_path, exported, COUNT)
-    assert size <= 25_000
-    assert 10_000 < instructions <= 35_000
+    assert size <= 26_000
+    assert 10_000 < instructions <= 36_000
