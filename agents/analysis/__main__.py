@@ -4,25 +4,29 @@ import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from agents.analysis import curves, limit_cycle, sensitivity
+from agents.analysis import curves, information, limit_cycle, sensitivity
 from baselines.drawing import save, style
 from capsule_gym.command_line import Positional, arg, command
 from capsule_gym.files import write_atomically
 
 COMMAND = "python -m agents.analysis"
 ROOT = Path(__file__).resolve().parents[2]
+Document = Literal["limit_cycle", "curves", "sensitivity", "information"]
 # The function `document` of each returns Markdown by the name under which a page includes it, and
 # functions that draw figures of matplotlib by the names of their files.
-DOCUMENTS: dict[str, Any] = {
+DOCUMENTS: dict[Document, Any] = {
     "limit_cycle": limit_cycle,
     "curves": curves,
     "sensitivity": sensitivity,
+    "information": information,
 }
 
 
 @command(COMMAND, OSError)
 def main(
-    names: Positional[tuple[Literal["limit_cycle", "curves", "sensitivity"], ...]] = (),
+    names: Positional[
+        tuple[Literal["limit_cycle", "curves", "sensitivity", "information"], ...]
+    ] = (),
     check: bool = False,
     output: Annotated[Path, arg(metavar="DIR", aliases=["-o"])] = ROOT / "docs",
 ) -> int:

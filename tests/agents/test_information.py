@@ -1,0 +1,197 @@
+"""The cells of the table of information, their record, references, and regret."""
+
+import shutil
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from agents import information
+from agents.analysis import information as analysis
+from agents.distillation.dagger import FINISHED
+from agents.information import Cell, all_cells, main, read_record, train_cell
+from baselines.dynamic_programming.archive import optimal_speed
+from capsule_gym.evaluation.candidates import CHECKPOINTS
+from capsule_gym.evaluation.sets import EvaluationSet, PlantSpec, load_set
+from capsule_gym.files import to_json
+from capsule_gym.parameters import Disturbances
+from capsule_gym.policies.policy import POLICY
+from tests.agents.leaderboard.world import table
+from tests.agents.training.small import small
+from tests.figures import assert_lines, texts
+
+PAPER = optimal_speed(0.5, 0.01)
+
+
+@pytest.fixture(autouse=True)
+def short_wide(monkeypatch):
+    """Evaluates cells of `wide` on its first plants."""
+    whole = load_set("wide")
+    short = replace(whole, plants=whole.plants[:3])
+    evaluate = information.evaluate
+
+    def evaluate_short(policy, where):
+        return evaluate(policy, short if where == "wide" else where)
+
+    monkeypatch.setattr(information, "evaluate", evaluate_short)
+
+
+@pytest.fixture
+def record(tmp_path, monkeypatch):
+    """An empty record."""
+    path = tmp_path / "record.npz"
+    monkeypatch.setattr(information, "RECORD", path)
+    return path
+
+
+@pytest.fixture
+def quick_cell(monkeypatch):
+    """The only cell, which trains in seconds."""
+    cell = Cell("wide", "quick", small("direct", "ppo", total_steps=512, randomization="wide"))
+    monkeypatch.setattr(information, "all_cells", lambda: {"quick": cell})
+    return cell
+
+
+def test_cells_differ_in_nothing_but_what_they_observe():
+    cells = all_cells()
+    for set_name in information.SETS:
+        blind = cells[f"{set_name}-nothing-distilled"].settings
+        for observed, arguments in information.OBSERVATIONS.items():
+            settings = cells[f"{set_name}-{observed}-distilled"].settings
+            assert settings == replace(blind, observation=arguments)
+    blind = cells["wide-nothing-ppo"].settings
+    for observed in ("history", "plant"):
+        settings = cells[f"wide-{observed}-ppo"].settings
+        assert settings == replace(blind, **information.OBSERVATIONS[observed])
+    same_critic = cells["wide-history-ppo-same-critic"].settings
+    assert replace(same_critic, privileged=True) == cells["wide-history-ppo"].settings
+
+
+def test_a_memory_is_trained_on_the_plants_of_the_other_students():
+    cells = all_cells()
+    names = ("randomization", "disturbances", "groups", "plants", "severities", "change_rate")
+    for set_name in information.SETS:
+        memory = cells[f"{set_name}-memory-distilled"].settings
+        blind = cells[f"{set_name}-nothing-distilled"].settings
+        assert memory.units > 0
+        assert memory.observation == {}
+        for name in names:
+            assert getattr(memory, name) == getattr(blind, name), name
+
+
+def test_a_finished_cell_is_evaluated_again_without_a_training(quick_cell, tmp_path, monkeypatch):
+    first = train_cell(quick_cell, (0, 1), tmp_path, 1)
+    assert first["mean_speed"].shape == (2, 3)
+    assert (first["core_seconds"] > 0.0).all()
+    monkeypatch.setattr("agents.training.loop.train", None)
+    again = train_cell(quick_cell, (0, 1), tmp_path, 1)
+    for name, values in first.items():
+        np.testing.assert_array_equal(again[name], values, err_msg=name)
+
+
+def test_a_finished_student_is_not_trained_again(tmp_path):
+    cell = all_cells()["wide-estimates-distilled"]
+    run = tmp_path / "wide" / f"{cell.name}-0"
+    run.mkdir(parents=True)
+    shutil.copy(CHECKPOINTS / "dp-distilled-wide" / "seed-0" / POLICY, run)
+    (run / FINISHED).write_text(to_json({"core_seconds": 12.5}))
+    found = train_cell(cell, (0,), tmp_path, 1)
+    assert found["core_seconds"] == [12.5]
+    assert found["mean_speed"].min() > 10.0
+
+
+@pytest.mark.usefixtures("quick_cell")
+def test_a_cell_is_added_to_those_in_the_record(record, tmp_path, capsys):
+    before = {"other": {"mean_speed": np.array([[1.0, 2.0]])}}
+    information._write_record(before)
+    arguments = ["quick", "--seeds", "3", "--jobs", "1", "--runs", str(tmp_path / "runs")]
+    assert main(arguments) == 0
+    assert "quick: " in capsys.readouterr().out
+    found = read_record()
+    assert found.keys() == {"other", "quick"}
+    np.testing.assert_array_equal(found["other"]["mean_speed"], [[1.0, 2.0]])
+    assert found["quick"]["failed"].shape == (1, 3)
+    assert record.is_file()
+
+
+@pytest.mark.usefixtures("quick_cell")
+def test_an_unknown_cell_is_named(capsys):
+    with pytest.raises(SystemExit):
+        main(["slow"])
+    error = capsys.readouterr().err
+    assert "'slow'" in error
+    assert "quick, real-wide-optimum" in error
+
+
+def drawn(name, disturbances, **plant):
+    plants = (PlantSpec(M=0.5, mu=0.01, seed=0, **plant),)
+    return EvaluationSet(name, plants, disturbances=disturbances)
+
+
+def test_the_reference_ignores_pendulum_and_disturbances(monkeypatch):
+    disturbed = drawn("real-wide", "real", capsule={"m": 0.14, "l": 0.27})
+    monkeypatch.setattr(information, "load_set", lambda name: disturbed)
+    found = information.evaluate_reference()
+    assert found["mean_speed"] == pytest.approx(np.array([[PAPER]]), rel=0.03)
+    assert not found["failed"].any()
+
+
+def test_the_ceiling_is_the_optimum_whatever_the_sensors_are(monkeypatch, tmp_path):
+    blurred = Disturbances(theta_noise=0.1, x_dot_noise=0.1)
+    monkeypatch.setattr(information, "load_set", lambda name: drawn(name, blurred))
+    found = information.evaluate_ceiling("real", tmp_path)
+    assert found["mean_speed"] == pytest.approx(np.array([[PAPER]]), rel=0.03)
+    assert not found["failed"].any()
+
+
+def results(speeds, failed=0.0):
+    speeds = np.array(speeds)
+    return {"mean_speed": speeds, "failed": np.full(speeds.shape, failed)}
+
+
+@pytest.fixture
+def small_record():
+    """A record of two cells: the plants' optimum is 20, 10 and 15 cm/s."""
+    found = {"real-wide-optimum": results([[20.0, 10.0, 15.0]])}
+    seeds = [[16.0, 6.0, 12.0], [15.0, 7.0, 10.0], [15.5, 6.5, 11.0]]
+    found["real-wide-nothing-distilled"] = results(seeds, 1.0)
+    found["real-wide-memory-distilled"] = results([[19.0, 9.0, 14.0]] * 3)
+    return found
+
+
+def test_regret_is_what_the_optimum_gains_on_the_same_episode(small_record):
+    _, _, blind, memory, optimum = table(analysis.table(small_record, "real-wide"))
+    assert blind[:2] == ["nothing more", "distilled"]
+    assert blind[2].startswith("11.00 [")
+    assert blind[3].startswith("4.00 [")
+    # Mean speed of each plant: 15.5, 6.5, 11.
+    assert blind[4] == "7.40"
+    assert memory[3] == "1.00 [1.00,\xa01.00]"
+    assert optimum[:2] == ["M and mu", "dp-oracle"]
+    assert optimum[3] == "0"
+
+
+def test_the_failures_of_a_cell_are_those_of_all_seeds():
+    assert analysis.failures({"failed": np.zeros((2, 500))}) == "0/1000 [0.0,\xa00.4]"
+
+
+def test_the_figures_show_every_learner_and_the_optimum(small_record, monkeypatch):
+    for name, found in list(small_record.items()):
+        small_record[name.replace("real-wide", "wide")] = found
+    figure = analysis.draw_speeds(small_record)
+    (legend,) = figure.legends
+    assert texts(legend.get_texts()) == ["distilled", "dp-oracle"]
+    for axes in figure.axes:
+        assert_lines(
+            axes,
+            ([0, 0, 0], [34 / 3, 32 / 3, 11], analysis.BLUE),
+            ([2, 2, 2], [14, 14, 14], analysis.BLUE),
+            ([0, 2], [11, 14], analysis.BLUE),
+            ([0, 1], [15, 15], analysis.GREEN),
+        )
+    plants = [SimpleNamespace(M=0.5, mu=mu) for mu in (0.01, 0.1, 0.3)]
+    monkeypatch.setattr(analysis, "load_set", lambda name: SimpleNamespace(plants=plants))
+    blind, memory, _ = analysis.draw_regrets(small_record).axes
+    np.testing.assert_allclose(blind.collections[0].get_array(), [4.5, 3.5, 4.0])
+    np.testing.assert_allclose(memory.collections[0].get_array(), [1.0, 1.0, 1.0])
