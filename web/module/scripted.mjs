@@ -126,7 +126,8 @@ function startPlanner({step, valueOf, failure}, {amplitudes, intervals, state, i
     const plans = amplitudes.map((amplitude, n) => {
       const first = ends[n];
       const last = ends[amplitudes.length + n];
-      return plan.map((torque, m) => clip(torque + amplitude * (first + share[m] * (last - first))));
+      return plan.map(
+        (torque, m) => clip(torque + amplitude * (first + share[m] * (last - first))));
     });
     const best = plans[argmax(plans.map((each) => score(observed, each)))];
     return [best[0], {plan: [...best.slice(1), best.at(-1)], random: following}];
