@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from joblib import Parallel, delayed
 from tqdm import tqdm
 
 from agents.distillation.config import RIG, Student
@@ -146,6 +145,9 @@ def solve_groups(groups: Sequence[Group], folder: Path, jobs: int = -1) -> list[
 
 def solve_problems(problems: Sequence[Problem], folder: Path, jobs: int = -1) -> list[Solution]:
     """The solutions of problems, from files of a folder where they have been solved before."""
+    # Imported here, since --help does not need it.
+    from joblib import Parallel, delayed
+
     paths = [folder / f"{n:04}.npz" for n in range(len(problems))]
     found = [_read(path, problem) for path, problem in zip(paths, problems, strict=True)]
     missing = [n for n, solution in enumerate(found) if solution is None]

@@ -1,5 +1,6 @@
 """The benchmarks of identification and of the leaderboard, at small sizes."""
 
+import math
 import re
 import warnings
 from dataclasses import replace
@@ -9,8 +10,6 @@ import numpy as np
 import pytest
 
 from benchmarks import fresh_draws, identification, rig, sensitivity
-from capsule_gym import load_policy
-from tests.agents.fakes import Sine
 
 
 def test_errors_and_coverage_of_identified_plants(monkeypatch, capsys):
@@ -53,52 +52,34 @@ def test_logs_are_of_plants_that_the_prior_contains():
     assert abs(steps % 1.0 - 0.5) > 0.5 - 1e-9
 
 
-@pytest.fixture
-def rig_trainings(monkeypatch):
-    """The arguments of the trainings of `rig`.
+class Swings:
+    """Stands for a compiled program: a sine torque that swings across the upright."""
 
-    The agent of the paper's ranges fails, and that of wide ranges stands still.
-    """
-    trainings = []
+    def __init__(self, library):
+        self.calls = 0
 
-    def train(seed, total_steps, **env_kwargs):
-        trainings.append((seed, total_steps, env_kwargs))
-        if "found" in env_kwargs:
-            return load_policy("residual-real")
-        return Sine(0.0) if env_kwargs else Sine(1.5)
-
-    def identify(log):
-        return SimpleNamespace(env_kwargs=lambda level: {"found": len(log["t"])})
-
-    monkeypatch.setattr(rig, "train", train)
-    monkeypatch.setattr(rig, "identify", identify)
-    return trainings
+    def torque(self, reading, *, begins):
+        self.calls = 0 if begins else self.calls + 1
+        return 0.2 * math.sin(0.1 * self.calls)
 
 
-def test_the_agent_of_the_identified_plant_is_compared_with_the_others(rig_trainings, capsys):
-    rig.main(["--plants", "2", "--total-steps", "64"])
-    seeds, steps, env_kwargs = zip(*rig_trainings, strict=True)
-    assert seeds == (0, 0, rig.SEED, rig.SEED + 1)
-    assert set(steps) == {64}
-    assert env_kwargs[2] == {"found": 2000}
-    lines = [line for line in capsys.readouterr().out.splitlines() if line[0] != "7"]
-    speeds = {}
-    for line in lines[::2]:
-        mean, lowest = re.findall(r"-?\d+\.\d+", line)
-        speeds[line.split()[0]] = float(mean), float(lowest)
-    mean, lowest = speeds["identified"]
-    assert mean > 5.0
-    assert mean >= lowest
-    assert abs(speeds["real-wide"][0]) < 0.5
-    assert "2 of 2 fail" in lines[2]
-    assert [line.split()[-1] for line in lines[1::2]] == ["0", "2", "2"]
-
-
-def test_an_agent_is_trained_on_the_plants_that_it_is_given(monkeypatch):
-    small = replace(rig.CONFIG, num_envs=8, n_steps=32, batch_size=64, n_epochs=1)
-    monkeypatch.setattr(rig, "CONFIG", small)
-    act = rig.train(0, 64, randomization="wide").start([0])
-    assert act(np.zeros((1, 20), np.float32)).shape == (1, 1)
+def test_the_programs_of_hidden_plants_are_compared_with_other_policies(monkeypatch, capsys):
+    logs = []
+    monkeypatch.setattr(rig, "make_program", lambda folder, _: logs.append(folder / "log.csv"))
+    monkeypatch.setattr(rig, "record_log", lambda seed, path: path.touch())
+    monkeypatch.setattr(rig, "Program", Swings)
+    monkeypatch.setattr(rig, "OTHERS", ("pd",))
+    rig.main(["--plants", "2"])
+    _, head, _, *plants, mean, failed = capsys.readouterr().out.splitlines()
+    assert head.split() == ["plant", "identified,", "in", "C", "pd"]
+    assert len(logs) == 2
+    speeds = np.array([line.split() for line in plants], float)
+    assert speeds[:, 0].tolist() == [rig.SEED, rig.SEED + 1]
+    assert mean.split()[0] == "mean"
+    found = np.array(mean.split()[1:], float)
+    np.testing.assert_allclose(found, speeds[:, 1:].mean(axis=0), atol=0.006)
+    assert (speeds[:, 2] != speeds[:, 1]).all()
+    assert failed.split()[0] == "failed"
 
 
 def test_the_derivatives_of_one_trajectory(capsys):

@@ -130,6 +130,7 @@ def test_every_command_is_listed_as_one_that_reads_a_path_or_only_writes():
     only_written = {
         "agents.analysis",
         "agents.distillation",
+        "agents.information",
         "agents.leaderboard",
         "baselines.paper",
         "baselines.paper.optimal_profiles",

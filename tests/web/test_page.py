@@ -178,7 +178,8 @@ def test_a_held_key_turns_the_motor_until_it_is_released(open_page):
     page.keyboard.up("ArrowLeft")
     shows(page, "torque-value", "0.00")
     pause(page)
-    assert link(page)["hand"]
+    # The address is written twice a second.
+    page.wait_for_function("location.hash.includes('hand=')")
 
 
 def test_a_drag_across_the_stage_turns_the_motor(open_page):

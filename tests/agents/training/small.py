@@ -16,7 +16,7 @@ from agents.training.config import ALGORITHMS, PPOConfig
 from agents.training.loop import begin, train
 from agents.training.presets import PRESETS
 from capsule_gym import load_policy
-from capsule_gym.policies.policy import POLICY
+from capsule_gym.policies.policy import POLICY, TRAINING_STARTS
 
 SMALL = dict(
     num_envs=8,
@@ -35,6 +35,11 @@ def small(action_mode, algo, **changes):
     on_policy = issubclass(ALGORITHMS[algo], PPOConfig)
     settings = SMALL_PPO if on_policy else SMALL_OFF_POLICY
     return dataclasses.replace(PRESETS[action_mode, algo], **settings | changes)
+
+
+def evaluated(env_kwargs):
+    """The arguments of a training without its random starts, as those of its policy."""
+    return {name: value for name, value in env_kwargs.items() if name not in TRAINING_STARTS}
 
 
 def finished(folder, config):

@@ -22,7 +22,7 @@ from agents.training.export import export, save
 from agents.training.presets import PRESETS
 from capsule_gym import load_policy
 from capsule_gym.sb3 import CapsuleSB3VecEnv
-from tests.agents.training.small import finished, small
+from tests.agents.training.small import evaluated, finished, small
 from tests.agents.training.wrappers import Swing
 
 LABELS = {
@@ -87,7 +87,7 @@ def test_a_policy_file_holds_the_policy(agent, policy, config, tmp_path):
     loaded = load_policy(tmp_path)
     assert loaded(OBSERVATIONS).tobytes() == policy(OBSERVATIONS).tobytes()
     assert (loaded.algorithm, loaded.activation, loaded.squashing) == LABELS[type(agent)]
-    assert loaded.env_kwargs == config.env_kwargs()
+    assert loaded.env_kwargs == evaluated(config.env_kwargs())
     assert (loaded.training_seed, loaded.revision) == (4, "abc")
 
 

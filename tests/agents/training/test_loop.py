@@ -22,6 +22,7 @@ from capsule_gym.parameters import RANDOMIZATIONS
 from tests.agents.training.small import (
     SMALL_PPO,
     differences,
+    evaluated,
     finished,
     log,
     parameters,
@@ -108,7 +109,7 @@ def test_a_run_logs_a_table_and_for_tensorboard(run):
 
 def test_the_policy_of_a_run_has_its_settings(run, content):
     policy = load_policy(run)
-    assert json.loads(json.dumps(policy.env_kwargs)) == content["env"]
+    assert json.loads(json.dumps(policy.env_kwargs)) == evaluated(content["env"])
     assert (policy.training_seed, policy.revision) == (0, content["revision"])
 
 

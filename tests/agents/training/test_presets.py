@@ -17,6 +17,7 @@ from agents.training.presets import PRESETS, TRAINED_ROWS
 from capsule_gym.evaluation.candidates import CHECKPOINTS, checkpoint_names, find_candidate
 from capsule_gym.files import to_json
 from capsule_gym.policies.policy import IMITATION
+from tests.agents.training.small import evaluated
 
 
 def config_with(name, value):
@@ -55,7 +56,7 @@ def record_of(name):
 def assert_policies(name, env_kwargs, algorithm, hidden):
     revision = record_of(name)["revision"]
     for policy in find_candidate(name).policies:
-        assert policy.env_kwargs == env_kwargs
+        assert policy.env_kwargs == evaluated(env_kwargs)
         assert policy.algorithm == algorithm
         assert policy.revision == revision
         assert [bias.size for _, bias in (*policy.layers, *policy.head)] == hidden

@@ -154,6 +154,8 @@ def test_a_pretrained_run_says_how_it_was_trained(run):
     algorithm = IMITATION if name in STUDENTS else "ppo"
     if "sac" in name:
         algorithm = "sac"
+    if "recurrent" in name:
+        algorithm = "recurrentppo"
     assert (policy.name, policy.training_seed) == (run, int(seed))
     assert policy.algorithm == algorithm
     assert policy.revision not in ("", "unknown")
