@@ -20,6 +20,7 @@ from capsule_gym.command_line import Count, PositiveCount, command
 from capsule_gym.identification import on_grid
 from capsule_gym.identification.ranges import OTHERS, RANGES
 from capsule_gym.parameters import RANDOMIZATIONS, REAL, Capsule, Disturbances
+from capsule_gym.tasks.task import THETA_LIMIT
 
 CONTROL_DT = 0.01
 PHYSICS_DT = 2e-3
@@ -47,7 +48,7 @@ def make_logs(
 ) -> Iterator[tuple[dict[str, np.ndarray], dict[str, float]]]:
     """Logs of random plants, and their quantities.
 
-    Plants on which the excitation ends the episode are left out.
+    Plants on which the excitation ends the episode, or brings a reading to the stop, are left out.
     """
     env = CapsuleEnv(
         randomization=DRAWN, disturbances=disturbances, control_dt=CONTROL_DT, physics_dt=PHYSICS_DT
@@ -56,7 +57,8 @@ def make_logs(
         _, info = env.reset(seed=seed)
         log = record(env, Excitation(seed=seed, amplitude=amplitude), seed=seed)
         seed += 1
-        if len(log["t"]) * CONTROL_DT > WHOLE:
+        stopped = np.nanmax(np.abs(log["theta"])) >= THETA_LIMIT
+        if len(log["t"]) * CONTROL_DT > WHOLE and not stopped:
             count -= 1
             truth = {**info["disturbances"], **info["capsule"], "M": info["M"], "mu": info["mu"]}
             truth["latency"] = round(truth["latency"] / PHYSICS_DT) * PHYSICS_DT
