@@ -33,12 +33,17 @@ def check_known(known: Mapping[str, float]) -> dict[str, float]:
     found = {}
     check_names("known", known, "a dict of numbers by name")
     for name, value in known.items():
-        low, high = -math.inf, math.inf
-        if name not in PLANT:
-            low, high = Disturbances.limits(name)
+        low, high = limits_of(name)
         accepted = f"a finite number from {low:g} to {high:g}"
         found[name] = check_number(f"known[{name!r}]", value, accepted, low, high)
     return found
+
+
+def limits_of(name: str) -> tuple[float, float]:
+    """The limits of a quantity; those of a plant's constants are checked together, by the plant."""
+    if name in PLANT:
+        return -math.inf, math.inf
+    return Disturbances.limits(name)
 
 
 def check_plants(known: Mapping[str, float], prior: Randomization, physics_dt: float) -> None:
@@ -61,9 +66,7 @@ def check_ranges(
     for name, value in ranges.items():
         whose = f"ranges[{name!r}]"
         require(name not in known, whose, "of a quantity that is not known", value)
-        low, high = -math.inf, math.inf
-        if name not in PLANT:
-            low, high = Disturbances.limits(name)
+        low, high = limits_of(name)
         accepted = f"a pair (low, high) of numbers from {low:g} to {high:g} with low <= high"
         found[name] = check_pair(whose, value, accepted, low=low, high=high)
     return found
