@@ -62,11 +62,9 @@ def doubts_of_ranges(problem: ShootingProblem, found: np.ndarray) -> Iterator[st
 
 def drawn_beyond(problem: ShootingProblem, found: np.ndarray) -> list[int]:
     """The unknowns behind whose ends the sum of squares would be far smaller."""
-    r, jacobian = problem.residuals(found)
-    gradient = jacobian.T @ r
-    normal = jacobian.T @ jacobian
+    gradient, normal = _derivatives(problem, found)
     free = problem.free(found, gradient)
-    inverse = np.linalg.pinv(normal[np.ix_(free, free)], hermitian=True)
+    inverse = _inverse(normal, free)
     beyond = []
     for n in np.flatnonzero(~free):
         others = normal[free, n]
@@ -74,6 +72,17 @@ def drawn_beyond(problem: ShootingProblem, found: np.ndarray) -> list[int]:
         if gradient[n] ** 2 > PUSH * curvature:
             beyond.append(int(n))
     return beyond
+
+
+def _derivatives(problem: ShootingProblem, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The gradient of half the sum of squares, and Gauss and Newton's matrix of its curvature."""
+    r, jacobian = problem.residuals(unknowns)
+    return jacobian.T @ r, jacobian.T @ jacobian
+
+
+def _inverse(normal: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """The inverse of this matrix among the unknowns that are not at an end of their range."""
+    return np.linalg.pinv(normal[np.ix_(free, free)], hermitian=True)
 
 
 def doubts_of_clocks(problem: ShootingProblem, found: np.ndarray) -> Iterator[str]:
@@ -88,13 +97,11 @@ def doubts_of_clocks(problem: ShootingProblem, found: np.ndarray) -> Iterator[st
     apart.lead = problem.lead
     states = found[len(problem.names) :]
     unknowns = np.concatenate([found[kept], np.zeros(len(own)), states])
-    r, jacobian = apart.residuals(unknowns)
-    gradient = jacobian.T @ r
+    gradient, normal = _derivatives(apart, unknowns)
     free = apart.free(unknowns, gradient)
     places = len(kept) + np.arange(len(own))
     free[places] = True
-    normal = jacobian.T @ jacobian
-    inverse = np.linalg.pinv(normal[np.ix_(free, free)], hermitian=True)
+    inverse = _inverse(normal, free)
     places = np.cumsum(free)[places] - 1
     delays = -SEARCHED * (inverse @ gradient[free])[places]
     covariance = SEARCHED**2 * inverse[np.ix_(places, places)]
