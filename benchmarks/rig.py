@@ -17,6 +17,7 @@ import numpy as np
 from tqdm import tqdm
 
 from baselines.tables import text_table
+from benchmarks.identification import CONTROL_DT, WHOLE
 from capsule_gym import CapsuleEnv, Excitation, record
 from capsule_gym.command_line import PositiveCount, command
 from capsule_gym.evaluation.candidates import find_candidate
@@ -29,9 +30,6 @@ HIDDEN: dict[str, Any] = {"randomization": "real-wide", "disturbances": "real"}
 AGENT = ("--task", "direct", "--stack-size", "4")
 # Seed of the first hidden plant.
 SEED = 7000
-# Period of the log, and the duration that it must have, s: `record` ends after 20 s.
-LOGGED_DT = 0.01
-WHOLE = 19.9
 # Amplitudes, N m, of which smaller ones follow where the excitation ends the episode.
 AMPLITUDES = (0.45, 0.35, 0.25)
 # Policies that drive the same plants without having been trained for them.
@@ -60,10 +58,10 @@ double step(int begins, double theta, double theta_dot, double x, double x_dot) 
 
 def record_log(seed: int, path: Path) -> None:
     """Records a hidden plant, with the largest excitation that it withstands."""
-    env = CapsuleEnv(**HIDDEN, control_dt=LOGGED_DT)
+    env = CapsuleEnv(**HIDDEN, control_dt=CONTROL_DT)
     for amplitude in AMPLITUDES:
         log = record(env, Excitation(seed=seed, amplitude=amplitude), path, seed=seed)
-        if len(log["t"]) * LOGGED_DT > WHOLE:
+        if len(log["t"]) * CONTROL_DT > WHOLE:
             break
 
 

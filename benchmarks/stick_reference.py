@@ -162,9 +162,10 @@ def main() -> None:
     Examples:
       python -m benchmarks.stick_reference
     """
+    listed = cases()
     found = []
     lines = [["trajectory", "phases", "time in stick, s", "difference of the package"]]
-    for case in tqdm(cases(), "trajectories", file=sys.stderr, disable=None):
+    for case in tqdm(listed, "trajectories", file=sys.stderr, disable=None):
         solved = case.solve()
         found.append(solved)
         stuck = solved.sums[-1, 2]
@@ -178,9 +179,9 @@ def main() -> None:
     with replacing(FILE) as temporary:
         np.savez_compressed(
             temporary,
-            name=[case.name for case in cases()],
-            plant=[json.dumps(vars(case.capsule)) for case in cases()],
-            torque=np.array([case.torque for case in cases()]),
+            name=[case.name for case in listed],
+            plant=[json.dumps(vars(case.capsule)) for case in listed],
+            torque=np.array([case.torque for case in listed]),
             state=np.array([solved.states for solved in found]),
             phase_trajectory=trajectories.astype(int),
             phase_start=starts,
