@@ -85,15 +85,20 @@ def readings():
     return np.column_stack([*columns, np.full(CALLS, 0.3)])
 
 
-@pytest.mark.parametrize(("column", "value"), [(0, np.inf), (1, np.nan), (2, np.nan), (3, -np.inf)])
-def test_the_last_finite_reading_replaces_a_lost_one(drive, column, value):
+@pytest.mark.parametrize("value", [np.nan, -np.inf, -1e308, 2e6])
+def test_the_last_valid_reading_replaces_a_lost_one(drive, value):
+    """As in the environment, whose disturbances lose single readings of each sensor."""
+    lost = np.random.default_rng(22).random((CALLS, 4)) < 0.2
+    lost[0] = False
     held = readings()
-    held[DROPPED, column] = held[DROPPED - 1, column]
+    for call in range(1, CALLS):
+        held[call, :4] = np.where(lost[call], held[call - 1, :4], held[call, :4])
     expected, none = drive(held)
-    lost = readings()
-    lost[DROPPED, column] = value
-    torques, dropped = drive(lost)
-    assert (none, dropped) == (0, 1)
+    given = readings()
+    given[:, :4][lost] = value
+    torques, dropped = drive(given)
+    assert none == 0
+    assert dropped == lost.any(axis=1).sum()
     np.testing.assert_array_equal(torques, expected)
 
 
@@ -105,7 +110,7 @@ def test_a_first_reading_may_be_lost(drive):
     assert dropped >= 1
 
 
-@pytest.mark.parametrize("size", [1e200, -1e160])
+@pytest.mark.parametrize("size", [1e6, -1e6])
 def test_a_reading_that_overflows_leaves_no_trace(drive, size):
     spike = readings()
     spike[DROPPED, :4] = size

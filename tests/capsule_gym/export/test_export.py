@@ -321,7 +321,7 @@ def test_program_of_a_law_that_observes_a_moving_target(tmp_path):
         "task": "velocity",
         "controller": "baselines:velocity_pulses",
         "control_dt": 0.1,
-        "disturbances": Disturbances(controls="law"),
+        "disturbances": Disturbances(controls="law", lost=0.2, hold=(1, 3)),
     }
     arrays = {"layers": (layer,), "mean": np.zeros(14), "variance": np.ones(14)}
     policy = replace(load_policy("velocity"), **arrays, env_kwargs=env_kwargs)
