@@ -77,7 +77,7 @@ def main(
     Prints interquartile means with 95 % intervals, and the paired difference to the reference.
 
     Examples:
-      python -m agents.evaluate adaptive --set paper
+      python -m agents.evaluate pd --set paper
       python -m agents.evaluate residual-ppo/seed-0 --set drift --against residual-ppo
       python -m agents.evaluate runs/my-run --set wide --json result.json
       python -m agents.evaluate goal
