@@ -257,3 +257,4 @@ def test_a_value_of_a_wrong_type_is_named(call, message):
 def test_the_first_cause_of_an_error_is_one_line():
     assert first_cause(ValueError("one\ntwo")) == "one"
     assert first_cause(ValueError("because of:\n\n two\nthree")) == "because of: two"
+    assert first_cause(ValueError()) == ""
