@@ -384,7 +384,7 @@ SCENES = [
     "#driver=yourself&rival=epc&M=0.5&mu=0.01&t=0.8&hand=10uK20z9u",
     "#driver=dp-nominal&rival=pd&set=paper&plant=9&t=2",
     "#driver=gait-predictive&rival=gait-guarded&M=0.5&mu=0.01&seed=3&disturbances=real&t=0.5",
-    "#driver=gait-predictive&M=0.5&mu=0.01&latency=0.005&noise=0.5&motor=0.05&slope=-2&t=0.5",
+    "#driver=gait-predictive&M=0.5&mu=0.01&latency=0.005&noise=0.5&lost=0.2&motor=0.05&slope=-2&t=0.5",
     "#driver=gait-predictive&set=real&plant=7&t=0.5",
     "#driver=goal-pulses&set=goal&plant=3&t=1",
     "#driver=yourself&task=velocity&rival=velocity-pulses&M=0.5&mu=0.2&seed=4&t=0.4&hand=10uK9u",

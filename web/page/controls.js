@@ -163,7 +163,8 @@ function jump({M, mu}) {
 function bindDisturbances() {
   on("disturbances", "change", () => {
     const {value} = element("disturbances");
-    const own = value === "own" ? {latency: 0.01, noise: 1} : {latency: 0, noise: 0};
+    const own = {latency: 0, noise: 0, lost: 0};
+    if (value === "own") Object.assign(own, {latency: 0.01, noise: 1});
     disturb({disturbances: value, ...own});
   });
   for (const name of Object.keys(SLIDER_RANGES)) {

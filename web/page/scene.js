@@ -16,22 +16,24 @@ const SPEED_LIMITS = [0.1, 20];
 export let END = constants.horizons.speed;
 /**
  * Lowest and highest values of the sliders of disturbances: latency in s, noise relative to the
- * real noise.
+ * real noise, the probability that a reading is lost.
  */
 export const SLIDER_RANGES = {
   latency: [0, 0.03],
   noise: [0, 2],
+  lost: [0, 0.9],
   motor: [0, 0.2],
   slope: [-3, 3]
 };
 /** Those of sensors, which `disturbances` selects, too. */
-export const SENSED = ["latency", "noise"];
+export const SENSED = ["latency", "noise", "lost"];
 /** Number of seeds. */
 export const SEEDS = 100;
 const IDEAL = {
   disturbances: "none",
   latency: 0,
   noise: 0,
+  lost: 0,
   motor: 0,
   slope: 0
 };
@@ -40,10 +42,10 @@ const IDEAL = {
 export function useTask(task) { END = constants.horizons[task]; }
 
 /** Returns a scene's disturbances for `drive` and `load`. */
-export function disturbancesOf({disturbances, latency, noise, motor, slope}) {
+export function disturbancesOf({disturbances, latency, noise, lost, motor, slope}) {
   if (disturbances === "real") return "real";
   if (disturbances === "none") return motor || slope ? {stick_threshold: 0} : "none";
-  const own = {latency};
+  const own = {latency, lost};
   for (const [name, size] of Object.entries(constants.real)) {
     const ofSensor = /_(noise|bias|drift)$/.test(name);
     if (!ofSensor || size === null) continue;

@@ -28,6 +28,7 @@ export const SCALES = {
 export const DISTURBANCE_TEXTS = {
   latency: (value) => `${written(1000 * value, 0)} ms`,
   noise: (value) => `${written(value, 1)} × real`,
+  lost: (value) => `${written(100 * value, 0)} %`,
   motor: (value) => `${written(value, 2)} N m`,
   slope: (value) => `${written(value, 1)} °`
 };
