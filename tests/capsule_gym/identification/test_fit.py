@@ -12,6 +12,7 @@ from capsule_gym import Capsule, CapsuleEnv, Randomization, identify
 from capsule_gym.identification import Fit
 from capsule_gym.identification.ranges import RANGES
 from capsule_gym.identification.result import FITTED
+from capsule_gym.parameters.disturbances import SAMPLING
 from tests.capsule_gym.identification.rig import BIAS, CONSTANTS, MOTOR, TRUTH, WHITE, make_log
 from tests.figures import texts
 
@@ -255,6 +256,16 @@ def test_a_saved_result_is_the_same(fit, tmp_path):
     assert loaded.env_kwargs(0.9) == fit.env_kwargs(0.9)
     assert loaded.identified == fit.identified
     assert loaded.table() == fit.table()
+
+
+def test_an_older_file_has_no_sampling(fit, tmp_path):
+    path = tmp_path / "fit.json"
+    fit.save(path)
+    content = json.loads(path.read_text(encoding="utf-8"))
+    for name in SAMPLING:
+        del content["disturbances"][name]
+    path.write_text(json.dumps(content), encoding="utf-8")
+    assert Fit.load(path).env_kwargs(0.9) == fit.env_kwargs(0.9)
 
 
 def test_a_result_from_a_file_draws_no_report(fit, tmp_path):
