@@ -124,7 +124,8 @@ def main(
     runs = "other training runs and " if len(candidate.policies) > 1 else ""
     print("\nInterquartile means unless stated, of shares means; the intervals of 95 % are")
     print(f"for {runs}other plants.")
-    print(f"Differences to {reference.name} are taken episode by episode.")
+    print(f"Differences to {reference.name} are taken episode by episode; their intervals are not")
+    print("adjusted for the number of metrics.")
     return 0
 
 

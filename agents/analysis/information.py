@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -22,21 +23,29 @@ from baselines.drawing import BLUE, GREEN, VERMILION, add_note, new_figure
 from baselines.tables import markdown_table
 from capsule_gym.evaluation.episodes import TABLE_METRICS
 from capsule_gym.evaluation.sets import load_set
-from capsule_gym.evaluation.statistics import Estimate, estimate, paired_difference
+from capsule_gym.evaluation.statistics import (
+    Estimate,
+    adjust,
+    estimate,
+    lowest_decile,
+    paired_difference,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 SPEED = TABLE_METRICS["mean_speed"]
+BLIND = "nothing"
 INFORMATION = {
-    "nothing": "nothing more",
+    BLIND: "nothing more",
     "history": "16 readings",
     MEMORY: "a memory",
     "estimates": "estimates",
     "plant": "M and mu",
 }
+SAME_CRITIC = "-same-critic"
 LEARNERS = {
     "ppo": ("PPO", VERMILION, "s--"),
     "distilled": ("distilled", BLUE, "o-"),
-    "ppo-same-critic": ("PPO, critic without M and mu", VERMILION, "x"),
+    f"ppo{SAME_CRITIC}": ("PPO, critic without M and mu", VERMILION, "x"),
 }
 # The row without a learner on each set, against which regret is measured.
 OPTIMUM = "optimum"
@@ -63,23 +72,49 @@ def document() -> tuple[dict[str, str], dict[str, Callable[[], Any]]]:
 
 def table(record: dict[str, Results], set_name: str) -> str:
     """Speed, regret, lowest decile and failures of the cells of a set."""
-    lines = [["observed", "learnt by", SPEED.label, "regret (cm/s)", "lowest decile", FAILED]]
+    p_values = compare(record)
+    p_label = f"p of {len(p_values)} [Holm]"
+    columns = ["observed", "learnt by", SPEED.label, "regret (cm/s)", "lowest decile"]
+    lines = [[*columns, p_label, FAILED]]
     optimum = record[f"{set_name}-{OPTIMUM}"]
     for information, label in INFORMATION.items():
         for learner, (title, _, _) in LEARNERS.items():
-            results = record.get(f"{set_name}-{information}-{learner}")
-            if results is not None:
-                lines.append([label, title, *_cells(results, optimum)])
+            name = f"{set_name}-{information}-{learner}"
+            if name in record:
+                cells = _cells(record[name], optimum, p_values.get(name))
+                lines.append([label, title, *cells])
     lines.append(["M and mu", "dp-oracle", *_cells(optimum, optimum)])
     return markdown_table(lines)
 
 
-def _cells(results: Results, optimum: Results) -> list[str]:
+def compare(record: dict[str, Results]) -> dict[str, float]:
+    """The adjusted p-values of differences in speed to the policies that observe nothing more.
+
+    A cell is compared with that of the same set and learner; all comparisons are one family.
+    """
+    found = {}
+    for set_name, information, learner in product(SETS, INFORMATION, LEARNERS):
+        name = f"{set_name}-{information}-{learner}"
+        blind = f"{set_name}-{BLIND}-{learner.removesuffix(SAME_CRITIC)}"
+        if name != blind and {name, blind} <= record.keys():
+            speeds = [record[each][SPEED.name] for each in (name, blind)]
+            found[name] = paired_difference(*speeds, mean=True).p_value
+    adjusted = adjust(list(found.values())).tolist()
+    return dict(zip(found, adjusted, strict=True))
+
+
+def _cells(results: Results, optimum: Results, p_value: float | None = None) -> list[str]:
     """The numbers of a line."""
     regret = paired_difference(optimum[SPEED.name], results[SPEED.name], mean=True)
-    decile = np.quantile(results[SPEED.name].mean(axis=0), 0.1)
+    decile = lowest_decile(results[SPEED.name])
     shown = "0" if results is optimum else _interval(regret)
-    return [_speed(results), shown, SPEED.format(decile), failures(results)]
+    return [_speed(results), shown, SPEED.format(decile), _p_text(p_value), failures(results)]
+
+
+def _p_text(p_value: float | None) -> str:
+    if p_value is None:
+        return "-"
+    return "<0.001" if p_value < 0.001 else f"{p_value:.3f}"
 
 
 def _speed(results: Results) -> str:

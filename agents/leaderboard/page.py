@@ -6,6 +6,7 @@ simulation.
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import combinations
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -24,7 +25,13 @@ from capsule_gym.evaluation.episodes import (
     summarise,
 )
 from capsule_gym.evaluation.sets import EvaluationSet
-from capsule_gym.evaluation.statistics import paired_difference, share
+from capsule_gym.evaluation.statistics import (
+    CONFIDENCE,
+    adjust,
+    lowest_decile,
+    paired_difference,
+    share,
+)
 from capsule_gym.files import to_json
 
 # The content of leaderboard.json, and one of its rows.
@@ -52,6 +59,7 @@ GROUPS = {
 OTHER_LAWS = ("adaptive-as-published", "adaptive-optimal-profile", "epc", "feedback-linearising")
 RANKING_SET = "paper"
 REAL = "real"
+DETAILED_SETS = (RANKING_SET, REAL)
 MAIN_SETS = (RANKING_SET, "wide", REAL, "real-wide", "sticky")
 REFERENCE = "open-loop"
 METRICS = {
@@ -61,6 +69,7 @@ SPEED = METRICS["mean_speed"]
 COST = METRICS["cost_of_transport"]
 RATIO = f"ratio to {REFERENCE}"
 FAILED = "failed [%, Wilson]"
+DECILE = "lowest_decile"
 COLUMNS = ("policy", *MAIN_SETS, RATIO, COST.label, "senses", "told")
 # Columns and rows of the README's table.
 HEAD_COLUMNS = ("policy", RANKING_SET, REAL, COST.label, "senses", "told")
@@ -113,10 +122,27 @@ def build(rows: Sequence[LeaderboardRow], sets: Sequence[EvaluationSet]) -> dict
         }
     board = tasks.pop("speed", {"sets": {}, "rows": []})
     board["tasks"] = tasks
+    board["comparisons"] = _comparisons(rows)
     # Infinities become null.
     text = to_json(board)
     content: dict[str, Any] = json.loads(text, parse_float=_six_digits)
     return content
+
+
+def _comparisons(rows: Sequence[LeaderboardRow]) -> dict[str, Any]:
+    """The number of pairs of rows of the main table, and those that do not differ in mean speed."""
+    names = {name for group in GROUPS.values() for name in group}
+    pairs = list(combinations([row for row in rows if row.name in names], 2))
+    compared = [(set_name, *pair) for set_name in DETAILED_SETS for pair in pairs]
+    p_values = []
+    for set_name, first, second in compared:
+        both = [row.score(set_name, SPEED.name) for row in (first, second)]
+        p_values.append(paired_difference(*both, mean=True).p_value)
+    undecided: dict[str, dict[str, list[str]]] = {set_name: {} for set_name in DETAILED_SETS}
+    for (set_name, first, second), p_value in zip(compared, adjust(p_values), strict=True):
+        if p_value >= 1.0 - CONFIDENCE:
+            undecided[set_name].setdefault(first.name, []).append(second.name)
+    return {"pairs": len(compared), "undecided": undecided}
 
 
 def _six_digits(text: str) -> float:
@@ -145,7 +171,10 @@ def _entry(
 ) -> dict[str, Any]:
     """A row in leaderboard.json, with the difference in the metric to the row of its base law."""
     entry = {name: row.header[name] for name in ENTRIES}
-    entry["results"] = {each.name: _summary(row.episodes(each)) for each in sets}
+    entry["results"] = results = {each.name: _summary(row.episodes(each)) for each in sets}
+    if metric == SPEED.name:
+        for each in sets:
+            results[each.name][metric][DECILE] = lowest_decile(row.score(each.name, metric))
     entry["senses"], entry["told"] = find_candidate(row.name).inputs
     if base is not None:
         entry["minus_base"] = differences = {}
@@ -229,7 +258,7 @@ def _main_cells(row: Row, reference: float) -> dict[str, str]:
 
 
 def _details(rows: Sequence[Row], sets: Iterable[str], criteria: Criteria) -> str:
-    """A table for each set: means, worst seeds, interquartile means, differences to base laws.
+    """A table for each set: means, worst seeds and plants, differences to base laws.
 
     Columns without any value are omitted.
     """
@@ -269,6 +298,21 @@ def failures_with_interval(failures: int, episodes: int) -> str:
     return f"{failures}/{episodes} [{low},\N{NO-BREAK SPACE}{high}]"
 
 
+def comparisons(board: Board) -> str:
+    """What the comparisons of the rows of the main table say."""
+    found = board["comparisons"]
+    text = (
+        f"All rows of the table above are compared with each other on `{RANKING_SET}` and on "
+        f"`{REAL}`, on the same plants: {found['pairs']} comparisons of mean speeds at a "
+        "family-wise level of 5 % (Holm). All differ but these:"
+    )
+    lines = [text, ""]
+    for set_name, undecided in found["undecided"].items():
+        pairs = [f"{first} from {', '.join(others)}" for first, others in undecided.items()]
+        lines.append(f"- on `{set_name}`: {'; '.join(pairs) or 'none'}.")
+    return "\n".join(lines)
+
+
 def _metric_cells(
     metric: TableMetric, values: Mapping[str, Any], worst_seed: float | None
 ) -> dict[str, str]:
@@ -277,9 +321,10 @@ def _metric_cells(
     unit = metric.label.partition(" (")[2].removesuffix(")") or "share"
     means = metric.with_interval([values["mean"], values["mean_low"], values["mean_high"]])
     cells = {metric.label: means, f"worst seed ({unit})": metric.format(worst_seed)}
+    if DECILE in values:
+        cells["lowest decile"] = metric.format(values[DECILE])
     if not metric.share:
-        interval = [values["iqm"], values["low"], values["high"]]
-        cells["interquartile mean"] = metric.with_interval(interval)
+        cells["interquartile mean"] = metric.format(values["iqm"])
     return cells
 
 
@@ -318,7 +363,8 @@ def files(root: Path, board: Board) -> dict[str, str]:
     parts = {
         "message": _section("message", message(board)),
         "main": _main_table(board, COLUMNS),
-        "details": _details(rows, (RANKING_SET, REAL), speed),
+        "comparisons": comparisons(board),
+        "details": _details(rows, DETAILED_SETS, speed),
         "policies": "\n".join(f"- `{row['policy']}`: {row['description']}" for row in rows),
     }
     template = Template(Path(__file__).with_suffix(".md").read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""Interquartile means and means, with 95 % intervals.
+"""Interquartile means and means, with 95 % intervals and p-values.
 
 Scores have the shape (training seeds, episodes): every seed is evaluated on the same episodes,
 those of a set of plants. A scripted policy has one row.
@@ -35,12 +35,14 @@ class Estimate:
             value is not finite.
         high: upper end.
         kind: kind of the summary, "iqm" or "mean".
+        p_value: two-sided p-value of the value 0, NaN where the ends are.
     """
 
     value: float
     low: float
     high: float
     kind: str = "iqm"
+    p_value: float = np.nan
 
     def to_dict(self) -> dict[str, float]:
         """The numbers as in results."""
@@ -106,7 +108,7 @@ def _estimate(scores: np.ndarray, mean: bool) -> Estimate:
     """Computes `estimate` for scores with any number of axes of training runs before the last."""
     # Imported here, since the import takes a tenth of a second.
     try:
-        from scipy.special import stdtrit
+        from scipy.special import stdtr, stdtrit
     except ImportError as error:
         raise ImportError('intervals need scipy: pip install "capsule-gym[paper]"') from error
 
@@ -125,17 +127,20 @@ def _estimate(scores: np.ndarray, mean: bool) -> Estimate:
             variance += part
             squares += part * part / (count - 1)
     half = 0.0
+    p_value = float(value == 0.0)
     if variance != 0.0:
         if 2 in scores.shape[:-1]:
             return Estimate(value, np.nan, np.nan, kind)
         degrees = variance**2 / squares
+        deviation = variance**0.5
         quantile = float(stdtrit(degrees, 0.5 + 0.5 * CONFIDENCE))
-        half = quantile * variance**0.5
+        half = quantile * deviation
+        p_value = 2.0 * float(stdtr(degrees, -abs(value) / deviation))
     low, high = value - half, value + half
     if mean:
         low = max(low, float(scores.min()))
         high = min(high, float(scores.max()))
-    return Estimate(value, low, high, kind)
+    return Estimate(value, low, high, kind, p_value)
 
 
 def _influence_on_interquartile_mean(scores: np.ndarray) -> np.ndarray:
@@ -173,6 +178,35 @@ def paired_difference(scores: ArrayLike, reference: ArrayLike, *, mean: bool = F
     # The difference of two infinite scores is NaN, without a warning.
     with np.errstate(invalid="ignore"):
         return _estimate(array[:, None, :] - other[None, :, :], mean)
+
+
+def adjust(p_values: ArrayLike) -> np.ndarray:
+    """Adjusts the p-values of several comparisons by Holm's method.
+
+    If the comparisons with an adjusted p-value below 0.05 are said to differ, all statements are
+    true with a probability of at least 95 %, however many comparisons there are.
+
+    Args:
+        p_values: one for each comparison; NaN counts as 1.
+
+    >>> adjust([0.01, 0.04, 0.03]).tolist()
+    [0.03, 0.06, 0.06]
+    """
+    values = np.nan_to_num(as_floats(p_values), nan=1.0)
+    order = np.argsort(values)
+    multiples = values[order] * np.arange(len(values), 0, -1)
+    adjusted = np.empty_like(values)
+    adjusted[order] = np.minimum(np.maximum.accumulate(multiples), 1.0)
+    return adjusted
+
+
+def lowest_decile(scores: ArrayLike) -> float:
+    """The value below which the means over training seeds of a tenth of the episodes are.
+
+    Args:
+        scores: shape (training seeds, episodes).
+    """
+    return float(np.quantile(as_floats(scores).mean(axis=0), 0.1))
 
 
 def share(count: int, total: int) -> Estimate:

@@ -14,6 +14,7 @@ from agents.information import Cell, all_cells, main, read_record, train_cell
 from baselines.dynamic_programming.archive import optimal_speed
 from capsule_gym.evaluation.candidates import CHECKPOINTS
 from capsule_gym.evaluation.sets import EvaluationSet, PlantSpec, load_set
+from capsule_gym.evaluation.statistics import paired_difference
 from capsule_gym.files import to_json
 from capsule_gym.parameters import Disturbances
 from capsule_gym.policies.policy import POLICY
@@ -170,6 +171,28 @@ def test_regret_is_what_the_optimum_gains_on_the_same_episode(small_record):
     assert memory[3] == "1.00 [1.00,\xa01.00]"
     assert optimum[:2] == ["M and mu", "dp-oracle"]
     assert optimum[3] == "0"
+
+
+def test_cells_are_compared_with_those_that_observe_nothing_more(small_record):
+    small_record["real-wide-plant-distilled"] = results([[16.0, 6.0, 11.0]] * 3)
+    small_record["real-wide-plant-ppo"] = results([[1.0, 2.0, 3.0]] * 3)
+    blind = small_record["real-wide-nothing-distilled"]["mean_speed"]
+    expected = {}
+    for name in ("memory", "plant"):
+        speeds = small_record[f"real-wide-{name}-distilled"]["mean_speed"]
+        expected[name] = paired_difference(speeds, blind, mean=True).p_value
+    assert 2.0 * expected["memory"] < expected["plant"]
+    assert analysis.compare(small_record) == {
+        "real-wide-memory-distilled": 2.0 * expected["memory"],
+        "real-wide-plant-distilled": expected["plant"],
+    }
+
+
+def test_the_table_shows_adjusted_p_values(small_record):
+    header, _, blind, memory, optimum = table(analysis.table(small_record, "real-wide"))
+    column = header.index("p of 1 [Holm]")
+    (p_value,) = analysis.compare(small_record).values()
+    assert [each[column] for each in (blind, memory, optimum)] == ["-", f"{p_value:.3f}", "-"]
 
 
 def test_the_failures_of_a_cell_are_those_of_all_seeds():

@@ -21,11 +21,15 @@ def speed_of(board, name, set_name):
     return row_of(board, name)["results"][set_name]["mean_speed"]
 
 
+def undecided(board, first, second, set_name):
+    found = board["comparisons"]["undecided"][set_name]
+    return second in found.get(first, ()) or first in found.get(second, ())
+
+
 def clearly(board, faster, slower, set_name):
-    """Whether a mean exceeds another one by twice the half widths of both intervals."""
-    speeds = [speed_of(board, name, set_name) for name in (faster, slower)]
-    widths = sum(each["mean_high"] - each["mean_low"] for each in speeds)
-    return speeds[0]["mean"] - speeds[1]["mean"] >= widths
+    """Whether a mean exceeds another one, and the comparison of all rows decides so."""
+    speeds = [speed_of(board, name, set_name)["mean"] for name in (faster, slower)]
+    return speeds[0] > speeds[1] and not undecided(board, faster, slower, set_name)
 
 
 @pytest.fixture(scope="module")
@@ -119,6 +123,44 @@ def test_tables_show_the_difference_to_the_base_law(with_a_failure):
     lines = columns_of((with_a_failure / "LEADERBOARD.md").read_text(), "On the set `real`")
     column = "difference to base law on `real`"
     assert [name for name, cells in lines.items() if cells[column] != "-"] == ["learnt"]
+
+
+def test_tables_show_the_lowest_decile_beside_the_worst_seed(with_a_failure):
+    text = (with_a_failure / "LEADERBOARD.md").read_text()
+    cells = columns_of(text, "On the set `paper`")["learnt"]
+    # Means of both seeds on the three plants: 9, 9 and (9 - 60) / 2.
+    assert cells["lowest decile"] == f"{-25.5 + 0.2 * 34.5:.2f}"
+    assert list(cells).index("lowest decile") == list(cells).index("worst seed (cm/s)") + 1
+
+
+def edited(written, **speeds):
+    """The board after rows got these speeds on the three plants of `paper`."""
+    for name, speed in speeds.items():
+
+        def change(row, speed=speed):
+            row.scores["paper"][0] = speed
+
+        edit_row(written, name, change)
+    return read(written)
+
+
+def test_pairs_that_differ_on_every_plant_are_decided(written):
+    board = edited(written, pd=[5.0, 5.1, 5.2], lqr=[6.0, 6.1, 6.2], mpc=[5.0, 9.0, 1.0])
+    assert clearly(board, "lqr", "pd", "paper")
+    assert undecided(board, "pd", "mpc", "paper")
+
+
+def test_a_difference_that_a_single_test_would_find_is_not_decided_among_many(written):
+    board = edited(written, pd=[5.0, 5.0, 5.0], lqr=[6.0, 6.1, 6.2])
+    both = [row_of(board, name)["results"]["paper"]["mean_speed"] for name in ("pd", "lqr")]
+    assert both[0]["mean_high"] < both[1]["mean_low"]
+    assert undecided(board, "pd", "lqr", "paper")
+
+
+def test_comparisons_are_those_of_all_pairs_on_both_sets(committed):
+    rows = sum(len(names) for names in page.GROUPS.values())
+    assert committed["comparisons"]["pairs"] == rows * (rows - 1)
+    assert page.comparisons(committed) in (ROOT / "LEADERBOARD.md").read_text()
 
 
 def test_rows_without_a_group_are_shown_as_others(written):

@@ -3,8 +3,10 @@ import pytest
 from scipy import stats
 
 from capsule_gym.evaluation.statistics import (
+    adjust,
     estimate,
     interquartile_mean,
+    lowest_decile,
     paired_difference,
     share,
 )
@@ -156,6 +158,52 @@ def test_variation_over_the_seeds_of_the_reference_widens_the_interval():
 def test_the_paired_difference_of_infinite_scores_is_undefined_without_a_warning():
     with np.errstate(all="raise"):
         assert np.isnan(paired_difference([[np.inf] * 4], [[np.inf] * 4]).value)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_p_value_of_one_run_is_that_of_students_t(seed):
+    scores = np.random.default_rng(seed).normal(0.2, size=(1, 30))
+    expected = stats.ttest_1samp(scores[0], 0.0).pvalue
+    assert estimate(scores, mean=True).p_value == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_p_value_is_below_5_percent_where_the_interval_excludes_zero(seed):
+    scores = np.random.default_rng(seed).normal(0.3, size=(5, 12))
+    found = estimate(scores)
+    assert (found.p_value < 0.05) == (found.low > 0.0 or found.high < 0.0)
+
+
+def test_equal_scores_differ_from_zero_for_certain_or_not_at_all():
+    assert paired_difference(REFERENCE + 2.0, REFERENCE).p_value == 0.0
+    assert paired_difference(REFERENCE, REFERENCE).p_value == 1.0
+
+
+def test_holms_method_rejects_step_by_step():
+    # Level / 4, / 3, / 2, / 1: the third smallest exceeds 0.05 / 2, so the fourth is not rejected.
+    adjusted = adjust([0.03, 0.012, 0.02, 0.026])
+    assert (adjusted < 0.05).tolist() == [False, True, False, False]
+    np.testing.assert_allclose(adjusted, [0.06, 0.048, 0.06, 0.06])
+
+
+def test_a_comparison_without_a_p_value_counts_and_is_not_rejected():
+    assert adjust([0.02, np.nan]).tolist() == [0.04, 1.0]
+    assert adjust([0.8, 0.9]).tolist() == [1.0, 1.0]
+
+
+def test_holms_method_holds_the_level_of_the_family():
+    rng = np.random.default_rng(8)
+    families = rng.uniform(size=(4000, 20))
+    wrong = np.mean([(adjust(family) < 0.05).any() for family in families])
+    assert wrong == pytest.approx(0.05, abs=0.01)
+
+
+def test_the_lowest_decile_is_of_plants_and_not_of_episodes():
+    # Eleven plants; each seed is bad on one of the others.
+    scores = np.tile(np.arange(11.0), (2, 1))
+    scores[0, 5] -= 20.0
+    scores[1, 5] += 20.0
+    assert lowest_decile(scores) == 1.0
 
 
 @pytest.mark.parametrize(
