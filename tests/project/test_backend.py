@@ -1,6 +1,7 @@
 import os
 import runpy
 import sys
+import sysconfig
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -81,6 +82,16 @@ def test_a_build_asks_for_zig_where_it_finds_no_compiler(kind, backend, programs
     cache = seen["ZIG_GLOBAL_CACHE_DIR"]
     assert seen["ZIG_LOCAL_CACHE_DIR"] == cache
     assert not os.path.exists(cache)
+
+
+@pytest.mark.usefixtures("backend")
+@pytest.mark.parametrize(
+    ("module", "error"), [("backend.py", SystemExit), ("__init__.py", ImportError)]
+)
+def test_a_free_threaded_python_is_refused(module, error, monkeypatch):
+    monkeypatch.setattr(sysconfig, "get_config_var", {"Py_GIL_DISABLED": 1}.get)
+    with pytest.raises(error, match="needs CPython with its global lock"):
+        runpy.run_path(str(ROOT / "capsule_gym" / "core" / module))
 
 
 @pytest.mark.parametrize(
