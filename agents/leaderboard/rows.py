@@ -33,6 +33,8 @@ from capsule_gym.tasks.task import METRICS
 
 # Relative to the project's folder.
 RESULTS = Path("agents", "leaderboard", "results")
+# Of the arrays in a file: little-endian on every machine.
+DTYPE = np.dtype("<f8")
 COLUMNS = tuple(name for name in METRICS if name not in ("distance", "energy"))
 
 
@@ -166,7 +168,8 @@ def save_row(folder: Path, row: LeaderboardRow) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     header: Any = np.frombuffer(json.dumps(row.header).encode(), np.uint8)
     content = io.BytesIO()
-    np.savez_compressed(content, header=header, **row.scores)  # type: ignore[arg-type]
+    scores: dict[str, Any] = {name: values.astype(DTYPE) for name, values in row.scores.items()}
+    np.savez_compressed(content, header=header, **scores)
     write_atomically(folder / f"{row.name}.npz", content.getvalue())
 
 
@@ -185,7 +188,7 @@ def load_row(path: Path) -> LeaderboardRow:
             header = json.loads(archive["header"].tobytes().decode())
             scores = {name: archive[name] for name in header["sets"]}
         runs = max(1, len(header["training_seeds"]))
-        expected = (np.float64, (len(header["metrics"]), runs))
+        expected = (DTYPE, (len(header["metrics"]), runs))
         fits = all((each.dtype, each.shape[:2]) == expected for each in scores.values())
         if header["policy"] != path.stem or not fits:
             raise ValueError("its header does not match its name or arrays")

@@ -117,7 +117,7 @@ def check_array(
     """Raises an error for arrays of another dtype or shape, and for numbers that are not finite."""
     if array.dtype != dtype or array.shape != shape:
         wanted = f"{np.dtype(dtype).name} of shape {shape}, {accepted}"
-        got = f"{array.dtype.name} of shape {array.shape}"
+        got = f"{array.dtype} of shape {array.shape}"
         raise ValueError(f"{name} must be {wanted}, got {got}")
     require(bool(np.isfinite(array).all()), name, "finite", array)
 

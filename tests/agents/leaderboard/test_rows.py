@@ -1,5 +1,6 @@
 import io
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -28,6 +29,12 @@ def test_a_file_holds_the_header_of_a_row(path, row):
     assert found.header == row.header
     assert found.trained
     assert set(found.header["versions"]) >= {"capsule_gym", "python", "numpy"}
+
+
+def test_a_file_does_not_depend_on_the_byte_order(path, row, tmp_path):
+    swapped = {name: values.astype(">f8") for name, values in row.scores.items()}
+    save_row(tmp_path, replace(row, scores=swapped))
+    assert (tmp_path / path.name).read_bytes() == path.read_bytes()
 
 
 @pytest.mark.parametrize("evaluation_set", SETS, ids=lambda each: each.name)

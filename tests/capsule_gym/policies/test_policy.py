@@ -318,6 +318,11 @@ def refused_message(path, tensors, metadata):
 ones = partial(np.ones, dtype=np.float32)
 
 
+def test_arrays_of_another_byte_order_are_refused(policy):
+    with pytest.raises(ValueError, match=r"inputs\.mean must be float64 .*, got >f8 of shape"):
+        replace(policy, mean=policy.mean.astype(">f8"))
+
+
 @pytest.mark.parametrize(
     ("tensors", "message"),
     [
