@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
@@ -21,7 +21,8 @@ from gymnasium.vector import AutoresetMode
 import capsule_gym
 from baselines.policies import SCRIPTED
 from capsule_gym import Capsule, CapsuleVectorEnv, Disturbances, policy_names
-from capsule_gym.command_line import command
+from capsule_gym.checks import check_choice
+from capsule_gym.command_line import Positional, arg, command
 from capsule_gym.control.laws import LAWS
 from capsule_gym.files import write_atomically
 from capsule_gym.policies.network import Cell
@@ -188,15 +189,20 @@ def compare(subjects, committed):
             yield f"{subject.name}: {found} here, {wanted} committed"
 
 
-@command("python -m tests.bits")
-def main(write: bool = False, first_seeds: bool = False) -> int:
+@command("python -m tests.bits", ValueError)
+def main(
+    names: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME")] = (),
+    write: bool = False,
+    first_seeds: bool = False,
+) -> int:
     """Computes the bits of whole episodes; the exit status is 1 if they differ.
 
     Examples:
       python -m tests.bits
-      CAPSULE_GYM_LEVEL=portable python -m tests.bits
+      CAPSULE_GYM_LEVEL=portable python -m tests.bits plant "law pd"
 
     Args:
+        names: Subjects to compare; all by default.
         write: Write them to tests/bits.json.
         first_seeds: Compare one training seed of each trained policy: `agents.leaderboard --check`
             evaluates all of them.
@@ -208,6 +214,10 @@ def main(write: bool = False, first_seeds: bool = False) -> int:
     committed = json.loads(FILE.read_text(encoding="utf-8"))
     known = {subject.name for subject in chosen}
     wrong = [f"{name}: unknown subject" for name in committed if name not in known]
+    for name in names:
+        check_choice("NAME", name, list(committed), f"one of {list(committed)}")
+    if names:
+        chosen = [subject for subject in chosen if subject.name in names]
     if first_seeds:
         chosen = [subject for subject in chosen if not re.search(r"/seed-[1-9]", subject.name)]
     wrong += compare(chosen, committed)
