@@ -53,6 +53,18 @@ def test_a_constant_out_of_range_is_named(field, value):
     refuses(ValueError, field, value)
 
 
+@pytest.mark.parametrize("kind", [Capsule, Disturbances, EnvConfig, Randomization])
+def test_settings_cannot_be_changed(kind):
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        setattr(kind(), dataclasses.fields(kind)[0].name, 1.0)
+
+
+@pytest.mark.parametrize("kind", [Capsule, Disturbances, Randomization])
+def test_settings_have_names(kind):
+    with pytest.raises(TypeError, match="positional argument"):
+        kind(0.1)
+
+
 @EACH_CONSTANT
 def test_a_constant_below_its_lowest_value_is_named(field):
     refuses(ValueError, field, BELOW[LOWEST[field]])
