@@ -11,10 +11,10 @@ STAMP := .venv/.installed
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help train test distil examples notebooks coverage venv lint types docs web leaderboard leaderboard-check reproduce regression fuzz bits bits-check sanitize core-coverage install-check oldest check clean
+.PHONY: help train test distil examples notebooks coverage venv lint types docs web leaderboard leaderboard-check reproduce regression fuzz bits bits-check arm64 sanitize core-coverage install-check oldest check clean
 
 help:  ## List the targets
-	@grep -hE '^[a-z-]+:.*  ## ' $(MAKEFILE_LIST) | sed -E 's/:.*  ## /\t/' | awk -F '\t' '{printf "%-18s %s\n", $$1, $$2}'
+	@grep -hE '^[a-z0-9-]+:.*  ## ' $(MAKEFILE_LIST) | sed -E 's/:.*  ## /\t/' | awk -F '\t' '{printf "%-18s %s\n", $$1, $$2}'
 
 train: $(STAMP)  ## Install everything and train the default agent (TRAIN_ARGS="--help" for more)
 	$(BIN)/python train.py $(TRAIN_ARGS)
@@ -118,6 +118,11 @@ bits: $(STAMP)  ## The same for all seeds, as other processors compute, and for 
 		GLIBC_TUNABLES=glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX512F,-AVX2_Usable,-FMA_Usable,-FMA4_Usable,-AVX512F_Usable \
 		$(BIN)/python -m tests.bits
 	$(BIN)/python -m web.episodes
+
+# All first seeds take twenty minutes.
+arm64: SUBJECTS ?= --first-seeds
+arm64: $(STAMP)  ## Compare the hashes on an emulated arm64 (SUBJECTS="plant 'law pd'" compares some)
+	.ci/arm64 $(SUBJECTS)
 
 # In environments of their own, whose core is compiled otherwise. Python does not free everything at its end. The library
 # of C++ must be there from the start, or the first exception in any module ends Python.
