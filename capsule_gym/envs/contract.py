@@ -157,10 +157,24 @@ def check_options(options: EnvConfig, settings: Settings, *, law: bool) -> None:
     disturbances = Disturbances.named(options.disturbances) or Disturbances()
     _, largest_friction = ends(disturbances.motor_friction)
     randomization = Randomization.named(options.randomization)
+    capsule = options.capsule or NOMINAL
+    for plant in stiffest_plants(randomization, capsule, largest_friction):
+        check_step(plant, plant.M, plant.mu, settings)
+
+
+@lru_cache(maxsize=16)
+def stiffest_plants(
+    randomization: Randomization, capsule: Capsule, motor_friction: float
+) -> list[Capsule]:
+    """The plants among which the stiffest is, with a friction of the motor in N m added.
+
+    They are thousands where all constants are drawn, and the same for many environments.
+    """
+    plants = []
     # The lightest platform on the roughest floor is the stiffest plant.
-    for corner in randomization.corners(options.capsule or NOMINAL):
-        stiffest = replace(corner, motor_friction=corner.motor_friction + largest_friction)
-        check_step(stiffest, corner.M, corner.mu, settings)
+    for corner in randomization.corners(capsule):
+        plants.append(replace(corner, motor_friction=corner.motor_friction + motor_friction))
+    return plants
 
 
 def check_effects(options: EnvConfig, *, law: bool) -> None:
