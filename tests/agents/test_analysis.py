@@ -108,10 +108,6 @@ def test_a_cycle_is_drawn_in_its_units_above_the_phases_of_its_contact(cycle, co
     assert portrait.get_xlabel() == "θ (deg)"
 
 
-def test_current_tables_are_found():
-    assert analysis.main(["limit_cycle", "curves", "--check"]) == 0
-
-
 def test_a_stale_table_is_found(tmp_path, capsys):
     assert analysis.main(["curves", "--check", "--output", str(tmp_path)]) == 1
     message = r"curves_tables\.md is not up to date: run `python -m"
