@@ -94,7 +94,7 @@ def test_a_change_of_the_plant_changes_its_values(nodes):
 
 @pytest.fixture(scope="module")
 def own_solution():
-    return solve_near(OWN, known_results(), room=0.15)
+    return solve_near(OWN, known_results(), shape=(13, 18, 7), room=0.15)
 
 
 def mean_speed(solution, seconds=12.0):

@@ -201,8 +201,8 @@ def test_results_survive_the_file(written, solution, fast, tmp_path):
 
 
 @pytest.fixture
-def problems(monkeypatch):
-    """Three problems, the computation of the third is interrupted once, and two quick plants."""
+def problems(monkeypatch, solution):
+    """Three problems, of which the first is solved and the third interrupted once; two plants."""
     chosen = [SPEED, Problem(energy_weight=2.0), Problem(mu=0.3)]
     solved = []
 
@@ -210,7 +210,9 @@ def problems(monkeypatch):
         solved.append(problem)
         if len(solved) == 3:
             raise KeyboardInterrupt
-        return solve_on_grids(problem, [SMALL])
+        if problem == SPEED:
+            return solve_on_grids(problem, [SMALL])
+        return [(solution, constant(problem, SMALL))]
 
     def constant(problem, _):
         return repeat(problem, np.full(1650, 60, np.uint8))

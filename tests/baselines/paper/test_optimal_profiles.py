@@ -79,14 +79,10 @@ def short_search(problem):
     return search(problem, seed=3, generations=1, members=1)
 
 
-def test_a_search_is_seeded():
+def test_a_search_is_seeded_and_starts_from_the_published_profile():
     found = short_search(EASY)
     assert found == short_search(EASY)
     assert found.found_by == "1.5 N m, nominal, seed 3"
-
-
-def test_a_search_starts_from_the_published_profile():
-    found = short_search(EASY)
     assert found.feasible
     assert found.mean_speed >= assess(EASY, *PUBLISHED).mean_speed * 0.999
 
