@@ -215,12 +215,14 @@ def reads_error(theta, theta_dot, x, x_dot, memory, reference):
     return 0.1 * reference[3] + 0.01 * reference[5] + 0.001 * (reference[2] - x), memory
 
 
+READS_ERROR = Controller("reads_error", reads_error, np.zeros((1, 2)), task="goal")
+
+
 @pytest.mark.parametrize("x_noise", [None, 0.001])
 @CONTROLS
 def test_goals_are_seen_through_the_sensors(controls, law, agent, x_noise):
     disturbances = replace(REAL, controls=controls, x_noise=x_noise, stick_threshold=0.05)
-    controller = Controller("reads_error", reads_error, np.zeros((1, 2)), task="goal")
-    env = CapsuleEnv(task="goal", controller=controller, disturbances=disturbances)
+    env = CapsuleEnv(task="goal", controller=READS_ERROR, disturbances=disturbances)
     # The start is close to the goal and at rest, so that the truth and the readings both hold it
     # for some time.
     latency = {"latency": 0.007}

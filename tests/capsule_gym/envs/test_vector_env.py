@@ -39,8 +39,10 @@ VELOCITY = {
     "disturbances": "real",
     "observe_parameters": True,
 }
-HORIZON = 40
+HORIZON = 20
 IDLE = np.zeros((3, 1), np.float32)
+# A law is compiled once per controller.
+PICKY = picky_controller()
 
 
 class WithMetrics(gym.Wrapper):
@@ -347,8 +349,8 @@ def test_one_environment_that_diverges_ends_alone(mode):
     # No step resolves a million N m, which a law may request if the limit allows it.
     limits = {"torque_limit": 1e6, "residual_limit": 0.5}
     make = partial(CapsuleVectorEnv, n, autoreset_mode=mode, threads=2, **limits)
-    calm = make(controller=picky_controller)
-    env = make(controller=picky_controller)
+    calm = make(controller=PICKY)
+    env = make(controller=PICKY)
     states = np.tile([-1.0, 0.0, 0.0, 0.0], (n, 1))
     calm.reset(seed=0, options={"state": states})
     states[lost, 2] = 55.0
