@@ -73,7 +73,7 @@ def test_intervals_cover_another_training_run_on_other_plants():
             # A single run says nothing about other runs.
             spreads = (spread_of_seeds if seeds > 1 else 0.0, spread_of_plants, rest)
             # Many runs, each on other plants.
-            many = [simulated(rng, 1, 100, spreads, failing) for _ in range(20_000)]
+            many = [simulated(rng, 1, 100, spreads, failing) for _ in range(4000)]
             truth = interquartile_mean(np.hstack(many))
             found = [estimate(simulated(rng, seeds, plants, spreads, failing)) for _ in range(250)]
             shares.append(np.mean([each.low <= truth <= each.high for each in found]))
