@@ -91,11 +91,11 @@ SECTIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
         (REAL, "real-wide"),
     ),
     "algorithms": (("direct-ppo", "direct-sac"), (RANKING_SET,)),
-    "recurrent": (("direct-ppo-wide", "direct-recurrent-ppo"), (RANKING_SET, "wide")),
+    "recurrent": (("direct-ppo-wide", "direct-recurrent-ppo"), ("wide",)),
     "energy": (("direct-ppo", "efficient"), (RANKING_SET,)),
     "distilled": (
         ("dp-oracle", "gait-guarded", "direct-ppo-wide", "dp-distilled-wide", "dp-distilled"),
-        (RANKING_SET, "wide", "sticky"),
+        (RANKING_SET, "sticky"),
     ),
     "paper": ((*GROUPS["The paper"], *OTHER_LAWS), (RANKING_SET,)),
 }
