@@ -1,8 +1,6 @@
 """Identification: the intervals contain the truth, and warnings name what is open."""
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +8,7 @@ import pytest
 
 from capsule_gym import Capsule, CapsuleEnv, Randomization, identify
 from capsule_gym.identification import Fit
+from capsule_gym.identification.__main__ import main
 from capsule_gym.identification.ranges import RANGES
 from capsule_gym.identification.result import FITTED
 from capsule_gym.parameters.disturbances import SAMPLING
@@ -221,7 +220,7 @@ def test_a_report_shows_correlations(panels, fit):
     assert bar.get_ylabel() == "correlation"
 
 
-def test_the_command_identifies_a_log_with_lost_readings(log, tmp_path):
+def test_the_command_identifies_a_log_with_lost_readings(log, tmp_path, capsys):
     cells = np.transpose([*log.values()])[:1000].astype(str)
     lost = np.random.default_rng(0).uniform(size=cells.shape) < 0.1
     lost[:, :2] = False
@@ -230,10 +229,9 @@ def test_the_command_identifies_a_log_with_lost_readings(log, tmp_path):
     cells = np.delete(cells, [500, 501], axis=0)
     path = tmp_path / "log.csv"
     path.write_text("\n".join(map(",".join, [log, *cells])), encoding="utf-8-sig")
-    command = [sys.executable, "-m", "capsule_gym.identification", path, "--known", "lag", "0.004"]
-    command += ["--period", "0.01", "--ranges", "latency", "0", "0.03"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    words = [line.split() for line in done.stdout.splitlines()[1:-4]]
+    options = "--known lag 0.004 --period 0.01 --ranges latency 0 0.03"
+    main([str(path), *options.split()])
+    words = [line.split() for line in capsys.readouterr().out.splitlines()[1:-4]]
     estimates = {name: value for name, value, *_ in words}
     assert "lag" not in estimates
     assert "theta_bias" in estimates
