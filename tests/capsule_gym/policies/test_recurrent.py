@@ -132,8 +132,8 @@ def vectors(state, policy):
     return by_part[:, :, : policy.cell.units].transpose(1, 0, 2)
 
 
-@pytest.mark.parametrize("first", range(0, 3000, 300))
-def test_3000_random_networks_are_those_of_torch(first):
+@pytest.mark.parametrize("first", [0, 300])
+def test_600_random_networks_are_those_of_torch(first):
     for seed in range(first, first + 300):
         rng = np.random.default_rng(seed)
         torch.manual_seed(seed)

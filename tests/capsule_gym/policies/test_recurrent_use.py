@@ -46,16 +46,6 @@ def test_evaluate_gives_the_episodes_of_a_loop(kind):
     assert distances(episodes) == expected_distances(load_policy(TRAINED))
 
 
-def test_evaluate_passes_the_state_of_predict():
-    policy = load_policy(TRAINED)
-
-    class WithPredict:
-        predict = policy.predict
-
-    episodes = capsule_gym.evaluate(WithPredict(), PLANTS, horizon=SECONDS)
-    assert distances(episodes) == expected_distances(policy)
-
-
 def test_evaluate_takes_an_agent_of_sb3_contrib():
     model = RecurrentPPO("MlpLstmPolicy", CapsuleSB3VecEnv(1), seed=1, device="cpu")
     # Without training the actions are almost 0.
@@ -91,13 +81,6 @@ def test_the_demo_shows_the_episode(plant):
         episode.advance(time)
     expected = played(policy, plant).episode_metrics(STEPS)
     assert episode.env.episode_metrics(STEPS) == expected
-
-
-def test_the_demo_takes_a_file(tmp_path, capsys):
-    pytest.importorskip("pygame")
-    words = [str(TRAINED), "--rival", str(TRAINED), "--seconds", "0.2"]
-    assert demo.main([*words, "-o", str(tmp_path / "out.gif")]) == 0
-    assert "recurrent-ppo" in capsys.readouterr().out
 
 
 def test_a_log_contains_the_torques_of_the_episode():
