@@ -234,7 +234,8 @@ ALL = {
         ("all", Capsule(mu=0.3, **ALL), periodic_torque()),
     ],
 )
-def test_agreement_with_the_reference_after_ten_seconds(name, capsule, torques):
+def test_agreement_with_the_reference_after_five_seconds(name, capsule, torques):
+    torques = torques[:250]
     expected = solve(torques, capsule.plant())
 
     result = run(torques, capsule.plant(), HOLD, 20)
