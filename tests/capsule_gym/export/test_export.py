@@ -234,7 +234,7 @@ def test_c_law(library, name):
         assert found[i] == min(max(torque, -1.5), 1.5), i
 
 
-@pytest.mark.parametrize("target", ["-O0", "-O2", "-O3", "cortex-m4"])
+@pytest.mark.parametrize("target", ["-O0", "-O3", "cortex-m4"])
 @pytest.mark.parametrize(
     "arguments",
     [
