@@ -106,3 +106,10 @@ def test_another_folder_and_cache_give_the_same_bytes(wasm, tmp_path, monkeypatc
     monkeypatch.chdir(tmp_path)
     source = tmp_path / "core" / "bindings" / "web.cpp"
     assert build.compile_wasm(source) == wasm
+
+
+def test_an_error_of_the_compiler_is_shown(tmp_path):
+    source = tmp_path / "broken.cpp"
+    source.write_text("int broken = nothing;")
+    with pytest.raises(RuntimeError, match="undeclared identifier 'nothing'"):
+        build.compile_wasm(source)
