@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 
 from agents import evaluate as command
-from agents import report
 from agents.analysis import limit_cycle, sensitivity
 from agents.leaderboard.rows import evaluate, load_row, save_row
 from capsule_gym import CapsuleEnv, load_policy
 from capsule_gym.evaluation import candidates
 from capsule_gym.evaluation.candidates import find_candidate
 from capsule_gym.evaluation.episodes import evaluate as evaluate_policy
-from capsule_gym.evaluation.sets import EvaluationSet
 from capsule_gym.files import to_json
 from capsule_gym.policies.policy import POLICY
 from tests.capsule_gym.policies.test_recurrent import TRAINED
@@ -90,10 +88,3 @@ def test_samples_of_a_limit_cycle_are_those_of_the_episode(policy, monkeypatch):
 def test_a_policy_has_a_limit_cycle(policy):
     cycle = limit_cycle.find_cycle(limit_cycle.sample_episode(policy))
     assert cycle[-1, limit_cycle.X] > cycle[0, limit_cycle.X]
-
-
-@pytest.mark.parametrize("plant", PLANTS.plants, ids=lambda plant: str(plant.seed))
-def test_a_recording_is_the_episode(policy, plant):
-    recorded = report.run_episode(policy, plant, EvaluationSet("one", (plant,)))
-    distance = played(policy, plant).episode_metrics(STEPS)["distance"]
-    assert recorded["x"][STEPS] - recorded["x"][0] == distance

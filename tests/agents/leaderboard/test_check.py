@@ -1,5 +1,4 @@
 import shutil
-import zipfile
 from dataclasses import replace
 from functools import partial
 
@@ -188,10 +187,3 @@ def test_finished_rows_survive_an_interruption(main, world, monkeypatch, capsys)
 @pytest.mark.parametrize(("words", "message"), WRONG.items())
 def test_wrong_options_are_named(main, words, message, refused):
     assert message in refused(main, *words.split())
-
-
-def test_an_archive_of_an_agent_names_the_conversion(main, tmp_path, refused):
-    path = tmp_path / "model.zip"
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("data", "{}")
-    assert "Policy.from_sb3(PPO.load(..), env)" in refused(main, str(path))

@@ -215,13 +215,6 @@ def test_a_validation_set_has_the_plants_of_its_capsule():
 
 
 @pytest.mark.parametrize(
-    ("name", "base"), [("residual-ppo", "adaptive"), ("direct-ppo", None), ("adaptive", None)]
-)
-def test_the_base_of_trained_policies_is_their_law_alone(name, base):
-    assert find_candidate(name).base == base
-
-
-@pytest.mark.parametrize(
     ("name", "senses", "told"),
     [
         ("direct-ppo", "state, stick", "nothing"),
