@@ -85,6 +85,19 @@ def test_the_posterior_follows_a_curve_of_lag_and_latency(monkeypatch):
     assert beside.std() == pytest.approx(0.01, rel=0.1)
 
 
+def test_the_posterior_of_an_unknown_lag_ends_where_the_range_of_latency_does(monkeypatch):
+    def residuals(lag, latency, state):
+        r = [2.0 * lag - 1.0, 10.0 * latency, 5.0 * state]
+        return np.array(r), np.diag([2.0, 10.0, 5.0])
+
+    problem = replace_residuals(monkeypatch, "lag", (1e-3, 0.01), residuals)
+    samples, _ = sample_posterior(problem, np.array([0.5, 0.1, 0.0]))
+    latencies = samples[:, 1]
+    assert (latencies > 0.0).mean() > 0.99
+    # Half of a normal distribution.
+    assert latencies.mean() == pytest.approx(0.1 * math.sqrt(2.0 / math.pi), rel=0.1)
+
+
 def test_the_posterior_of_a_likelihood_that_jumps_begins_where_it_may_jump(monkeypatch):
     def residuals(share, latency, state):
         r = [10.0 * (share < 0.45), 40.0 * (latency - 0.6), 5.0 * state]
