@@ -28,7 +28,7 @@ from capsule_gym import CapsuleVectorEnv, load_policy
 from capsule_gym.command_line import Count, Positional, arg, command
 from capsule_gym.evaluation.candidates import find_candidate
 from capsule_gym.evaluation.episodes import evaluate, scores
-from capsule_gym.evaluation.sets import load_set
+from capsule_gym.evaluation.sets import batch_options, load_set
 from capsule_gym.files import replacing
 from capsule_gym.policies.policy import POLICY
 from capsule_gym.tasks.registry import TASKS
@@ -187,9 +187,7 @@ def evaluate_ceiling(set_name: str, folder: Path) -> Results:
         controller=None,
         disturbances=evaluation_set.disturbances,
     )
-    resets = [plant.reset_options() for plant in plants]
-    options = {key: [reset[key] for reset in resets] for key in resets[0]}
-    _, info = env.reset(seed=[plant.seed for plant in plants], options=options)
+    _, info = env.reset(seed=[plant.seed for plant in plants], options=batch_options(plants))
     problems = []
     for plant, friction in zip(plants, info["disturbances"]["motor_friction"], strict=True):
         constants = {"M": plant.M, "mu": plant.mu, **(plant.capsule or {})}

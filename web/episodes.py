@@ -26,7 +26,7 @@ from baselines.dynamic_programming.policy import TORQUES
 from baselines.policies import ALL_SCRIPTED
 from capsule_gym.command_line import command
 from capsule_gym.core.layout import Row
-from capsule_gym.evaluation.sets import SET_NAMES, PlantSpec, load_set
+from capsule_gym.evaluation.sets import SET_NAMES, PlantSpec, batch_options, load_set
 from capsule_gym.files import replacing, write_atomically
 from capsule_gym.policies.loading import policy_names
 from capsule_gym.tasks.task import EPISODE_STEPS
@@ -101,9 +101,7 @@ def record_actions(name: str, plants: Sequence[PlantSpec]) -> np.ndarray:
     policy = ALL_SCRIPTED[name]
     count = len(plants)
     env = capsule_gym.CapsuleVectorEnv(count, autoreset_mode="DISABLED", **policy.env_kwargs)
-    starts = [plant.reset_options() for plant in plants]
-    options = {key: [start[key] for start in starts] for key in starts[0]}
-    observations, _ = env.reset(options=options)
+    observations, _ = env.reset(options=batch_options(plants))
     act = policy.start([plant.seed for plant in plants])
     running = np.ones(count, bool)
     recorded = np.full((count, EPISODE_STEPS), OVER, np.uint8)

@@ -19,7 +19,7 @@ from capsule_gym.envs.resets import random_stream
 from capsule_gym.envs.vector_env import CapsuleVectorEnv
 from capsule_gym.evaluation.candidates import AnyPolicy, Candidate, find_candidate, wrap_policy
 from capsule_gym.evaluation.optimum import PlantGrid, find_grid, optimal_speed
-from capsule_gym.evaluation.sets import EvaluationSet, PlantSpec, load_set
+from capsule_gym.evaluation.sets import EvaluationSet, PlantSpec, batch_options, load_set
 from capsule_gym.evaluation.statistics import estimate
 from capsule_gym.parameters import CONSTANTS, NOMINAL, Capsule, Disturbances, Randomization
 from capsule_gym.parameters.limits import LONGEST_STEP
@@ -255,12 +255,8 @@ def _run(
     env: CapsuleVectorEnv, policy: AnyPolicy, plants: Sequence[PlantSpec], steps: int
 ) -> dict[str, np.ndarray]:
     """The metrics of an episode on each plant."""
-    resets = [plant.reset_options() for plant in plants]
-    options: dict[str, Any] = {key: [reset[key] for reset in resets] for key in resets[0]}
-    for key in ("M", "mu", "state"):
-        options[key] = np.array(options[key])
     seeds = [plant.seed for plant in plants]
-    observations, _ = env.reset(seed=seeds, options=options)
+    observations, _ = env.reset(seed=seeds, options=batch_options(plants))
     if isinstance(policy, Policy):
         return rollout(env.simulation, policy, steps)
     act = policy.start(seeds)

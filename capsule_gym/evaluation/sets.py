@@ -87,6 +87,12 @@ class PlantSpec:
         return content | {"changes": list(self.changes)}
 
 
+def batch_options(plants: Sequence[PlantSpec]) -> dict[str, list[Any]]:
+    """The options of `reset` for a batch with an episode on each plant."""
+    resets = [plant.reset_options() for plant in plants]
+    return {key: [reset[key] for reset in resets] for key in resets[0]}
+
+
 NOMINAL_PLANT = PlantSpec(M=NOMINAL.M, mu=NOMINAL.mu, seed=0)
 
 
