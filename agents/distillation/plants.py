@@ -22,7 +22,7 @@ from baselines.dynamic_programming.archive import known_results, solve_near
 from baselines.dynamic_programming.grid import Grid
 from baselines.dynamic_programming.problem import CONSTANTS, PENDULUM, Problem
 from baselines.dynamic_programming.solver import Solution
-from capsule_gym.envs.contract import draw_plant
+from capsule_gym.envs.contract import draw_plant, ends
 from capsule_gym.files import replacing
 from capsule_gym.parameters import (
     DISTURBANCES,
@@ -75,7 +75,7 @@ def draw_groups(student: Student) -> list[Group]:
             constants[name] = usual + size * (rng.uniform(low, high) - usual)
         sticky = rng.random() < student.sticky_share
         constants["static_ratio"] = STATIC_RATIO if sticky else capsule.static_ratio
-        _, friction = _ends(disturbances, "motor_friction")
+        _, friction = ends(disturbances.motor_friction)
         constants["motor_friction"] = capsule.motor_friction + size * friction
         for name in ("static_ratio", "motor_friction"):
             if getattr(ranges, name) is not None:
@@ -107,22 +107,16 @@ def draw_disturbances(group: Group, rng: np.random.Generator) -> dict[str, float
     """The disturbances of an episode; the motor's friction is that of the group's plants."""
     drawn: dict[str, float] = {}
     for name in DISTURBANCES:
-        if name in SAMPLING and _ends(group.disturbances, name) == (0.0, 0.0):
+        low, high = ends(getattr(group.disturbances, name))
+        if name in SAMPLING and low == high == 0.0:
             # No draw, so that those of older students stay the same.
             drawn[name] = 0.0
             continue
         size = rng.random() if group.severity is None else group.severity
-        drawn[name] = size * rng.uniform(*_ends(group.disturbances, name))
-    drawn["drift_time"] = rng.uniform(*_ends(group.disturbances, "drift_time"))
+        drawn[name] = size * rng.uniform(low, high)
+    drawn["drift_time"] = rng.uniform(*ends(group.disturbances.drift_time))
     drawn["motor_friction"] = group.problems[0].motor_friction
     return drawn
-
-
-def _ends(disturbances: Disturbances, name: str) -> tuple[float, float]:
-    """The smallest and the largest value of a disturbance."""
-    value = getattr(disturbances, name)
-    low, high = value if isinstance(value, tuple) else (value, value)
-    return low, high
 
 
 def draw_changes(
