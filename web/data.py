@@ -29,6 +29,7 @@ from capsule_gym.control.controller import CoreLaw
 from capsule_gym.control.laws import LAWS
 from capsule_gym.control.lookup import find_controller
 from capsule_gym.core import _core
+from capsule_gym.core.layout import STATE
 from capsule_gym.envs.config import LARGEST_STACK, EnvConfig
 from capsule_gym.envs.contract import (
     NO_CONTROLLER,
@@ -169,8 +170,7 @@ def option_limits() -> dict[str, tuple[float, float]]:
 
 def describe_tasks() -> dict[str, Any]:
     """Numbers of the tasks, in SI units."""
-    state = _core.ROW_NAMES[: len(task.LARGEST_STATE)]
-    start = dict.fromkeys(state, 0.0)
+    start = dict.fromkeys(STATE, 0.0)
     start["theta"] = task.START_THETA
     steps = {name: each.episode_steps for name, each in TASKS.items()}
     return {
@@ -180,7 +180,7 @@ def describe_tasks() -> dict[str, Any]:
         "torque_limit": task.TORQUE_LIMIT,
         "theta_limit": task.THETA_LIMIT,
         "start": start,
-        "largest_state": dict(zip(state, task.LARGEST_STATE, strict=True)),
+        "largest_state": dict(zip(STATE, task.LARGEST_STATE, strict=True)),
     }
 
 

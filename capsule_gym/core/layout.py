@@ -16,5 +16,7 @@ Description = _core.Description
 Layout = _core.Layout
 Settings = _core.Settings
 
+STATE = tuple(ROW_NAMES[: Row.M])
+"""theta, theta_dot, x and x_dot, the first rows."""
 NUM_ROWS = len(ROW_NAMES)
 """Number of rows before the law's memory."""

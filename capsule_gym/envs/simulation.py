@@ -13,7 +13,7 @@ from capsule_gym.control.controller import CoreLaw
 from capsule_gym.control.lookup import find_controller
 from capsule_gym.control.user_law import bind_user_law
 from capsule_gym.core import _core, native
-from capsule_gym.core.layout import LANES, NUM_ROWS, Row
+from capsule_gym.core.layout import LANES, NUM_ROWS, STATE, Row
 from capsule_gym.envs import contract, resets
 from capsule_gym.envs.config import EnvConfig
 from capsule_gym.envs.threads import Threads
@@ -330,8 +330,7 @@ class Simulation:
         if raised:
             raise raised[0]
         prefix = "read_" if self.settings.law_reads else ""
-        names = ("theta", "theta_dot", "x", "x_dot")
-        state = {name: float(column[getattr(Row, prefix + name)]) for name in names}
+        state = {name: float(column[getattr(Row, prefix + name)]) for name in STATE}
         assert self.controller is not None
         law = self.controller.law
         if not isinstance(law, CoreLaw):

@@ -17,7 +17,7 @@ import numpy as np
 from capsule_gym.control.controller import Controller, CoreLaw
 from capsule_gym.control.lookup import find_controller
 from capsule_gym.core import _core
-from capsule_gym.core.layout import Row
+from capsule_gym.core.layout import STATE, Row
 from capsule_gym.envs.config import EnvConfig
 from capsule_gym.envs.env import CapsuleEnv
 from capsule_gym.envs.simulation import Simulation
@@ -32,7 +32,6 @@ from capsule_gym.tasks.registry import find_task
 # core.
 FOLDERS = (Path(__file__).parent, Path(__file__).parents[1])
 LAW_REFERENCE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
-STATE = ("theta", "theta_dot", "x", "x_dot")
 # What a header's law writes to the reading.
 SHOWN_OF_LAW = ("theta_d", "theta_d_dot", "phase", "law_torque")
 # What a task adds to the reading.

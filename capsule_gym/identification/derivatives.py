@@ -7,6 +7,7 @@ import numpy as np
 
 from capsule_gym.checks import nearest, require, short_repr
 from capsule_gym.core import _core
+from capsule_gym.core.layout import STATE
 from capsule_gym.core.native import call, ordered
 from capsule_gym.envs.config import DIRECT_PHYSICS_DT, LARGEST_TORQUE, EnvConfig
 from capsule_gym.envs.contract import check_periods, check_step, describe
@@ -14,7 +15,6 @@ from capsule_gym.envs.resets import check_state
 from capsule_gym.parameters import CONSTANTS, NOMINAL, Capsule
 from capsule_gym.tasks.task import CONTROL_DT
 
-STATE = ("theta", "theta_dot", "x", "x_dot")
 # The constants by which a trajectory can be differentiated.
 PLANT = ("M", "mu", *CONSTANTS)
 KNOWN = (*PLANT, "torque", "torques", "state")

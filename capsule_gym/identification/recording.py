@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 
 from capsule_gym.checks import check_number, require
-from capsule_gym.core.layout import Row
+from capsule_gym.core.layout import STATE, Row
 from capsule_gym.envs.env import CapsuleEnv
 from capsule_gym.envs.simulation import Simulation
 from capsule_gym.files import write_atomically
-from capsule_gym.identification.derivatives import STATE
 from capsule_gym.identification.excitation import Excitation
 from capsule_gym.parameters import Disturbances
 

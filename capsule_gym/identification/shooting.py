@@ -12,10 +12,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from capsule_gym.core import _core
+from capsule_gym.core.layout import STATE
 from capsule_gym.identification.derivatives import (
     NUM_INPUTS,
     PLANT,
-    STATE,
     simulate,
     subset,
     trajectory_inputs,
