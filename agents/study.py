@@ -224,7 +224,7 @@ def check_committed(job: Job) -> None:
     from agents.training.checkpoint import git_revision
 
     path = job.run / CONFIG
-    revision = git_revision(Path(__file__).parent)
+    revision = git_revision()
     if path.exists():
         revision = json.loads(path.read_text(encoding="utf-8")).get("revision")
     if not re.fullmatch(r"[0-9a-f]+", str(revision)):

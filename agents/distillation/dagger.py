@@ -96,7 +96,7 @@ class Run:
         self.student = student
         self.seed = seed
         self.folder = folder
-        self.revision = git_revision(Path(__file__).parent)
+        self.revision = git_revision()
         self.rng = np.random.default_rng(seed)
         self.datasets: list[Dataset] = []
         self.network: Network | None = None

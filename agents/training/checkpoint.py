@@ -79,12 +79,13 @@ def locked(run: Path) -> Iterator[None]:
         lock.release()
 
 
-def git_revision(folder: Path) -> str:
-    """The short git revision of a checkout, with "+" for uncommitted changes.
+def git_revision() -> str:
+    """The short git revision of this checkout, with "+" for uncommitted changes.
 
     "unknown" outside a checkout.
     """
     command = "git describe --always --exclude=* --abbrev=12 --dirty=+".split()
+    folder = Path(__file__).parent
     try:
         result = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True)
         return result.stdout.strip()

@@ -47,7 +47,7 @@ def begin(run: Path, config: Config) -> None:
         "env": json.loads(env_kwargs),
         "hyperparameters": config.to_dict(),
         "versions": versions(),
-        "revision": git_revision(Path(__file__).parent),
+        "revision": git_revision(),
     }
     run.mkdir(parents=True, exist_ok=True)
     with locked(run):

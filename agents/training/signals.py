@@ -53,16 +53,13 @@ class Stop:
     context. Outside the main thread, which alone may handle signals, a context has no effect.
     """
 
-    def __init__(self, *signals: signal.Signals) -> None:
+    def __init__(self) -> None:
         self.requested = False
-        self._signals = signals or SIGNALS
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> "Stop":
         if threading.current_thread() is threading.main_thread():
-            self._before = {
-                number: signal.signal(number, self._request) for number in self._signals
-            }
+            self._before = {number: signal.signal(number, self._request) for number in SIGNALS}
         return self
 
     def __exit__(self, *exception: object) -> None:

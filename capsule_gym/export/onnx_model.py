@@ -39,10 +39,10 @@ class Graph:
         self.nodes.append(node)
         return result
 
-    def cast(self, value: str, dtype: Any, result: str = "") -> str:
+    def cast(self, value: str, dtype: Any) -> str:
         """Adds the conversion of a value to a number type."""
         number = self._onnx.helper.np_dtype_to_tensor_dtype(np.dtype(dtype))
-        return self.apply("Cast", value, result=result, to=number)
+        return self.apply("Cast", value, to=number)
 
     def layer(self, value: str, layer: Layer, dtype: Any) -> str:
         """Adds a linear layer."""

@@ -180,14 +180,14 @@ def optimal(torque_limit: float, dropped: int = 0) -> Profile:
     return seven_phases(found["times"], found["V1"], found["P2"], "optimal")
 
 
-def six_phases(times: Sequence[float], V1: float, P2: float, name: str = "EPC") -> Profile:
+def six_phases(times: Sequence[float], V1: float, P2: float) -> Profile:
     """The profile of the EPC system, with which the paper compares.
 
     The arguments are those of `seven_phases`, with t1 to t6 and P2 at t2.
     """
     rise, fall, brake, *returning = _durations(times, 6, V1, P2)
     progressive = [_rise(rise, V1), _ramp(fall, V1, P2), _ramp(brake, P2, 0.0)]
-    return _closed(name, progressive, returning)
+    return _closed("EPC", progressive, returning)
 
 
 # Table 1: t1 to t7, and t1 to t6 of EPC, s.
