@@ -24,9 +24,7 @@ DOCUMENTS: dict[Document, Any] = {
 
 @command(COMMAND, OSError)
 def main(
-    names: Positional[
-        tuple[Literal["limit_cycle", "curves", "sensitivity", "information"], ...]
-    ] = (),
+    names: Positional[tuple[Document, ...]] = (),
     check: bool = False,
     output: Annotated[Path, arg(metavar="DIR", aliases=["-o"])] = ROOT / "docs",
 ) -> int:

@@ -217,10 +217,3 @@ def read_env_kwargs(env: Any) -> dict[str, Any]:
         if option.name not in NO_ARGUMENTS and value != getattr(usual, option.name):
             given[option.name] = value
     return given
-
-
-def sb3_revision() -> str:
-    """The version of Stable-Baselines3, as the revision of a policy."""
-    import stable_baselines3
-
-    return f"stable-baselines3 {stable_baselines3.__version__}"

@@ -19,6 +19,7 @@ fields of `Policy` by name, as text or JSON.
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -43,7 +44,6 @@ from capsule_gym.policies.conversion import (
     read_agent,
     read_env_kwargs,
     read_modules,
-    sb3_revision,
     without_normalisation,
 )
 from capsule_gym.policies.network import Cell, Layer, check_array, check_cell, pack
@@ -226,7 +226,7 @@ class Policy:
             algorithm=algorithm,
             env_kwargs=read_env_kwargs(env),
             training_seed=model.seed or 0,
-            revision=sb3_revision(),
+            revision=f"stable-baselines3 {version('stable-baselines3')}",
             **found,
         )
 

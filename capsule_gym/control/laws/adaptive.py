@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from capsule_gym.checks import check_count, check_number
+from capsule_gym.checks import check_count, check_flag, check_number
 from capsule_gym.control.controller import LAW_DT, Controller, CoreLaw
 from capsule_gym.control.laws.gains import (
     PUBLISHED,
@@ -162,9 +162,7 @@ def adaptive(
     """
     gains = Gains(Lambda_theta, Lambda_x, K1, K2, K3, Gamma_1, Gamma_2)
     gains = Gains(**check_gains(**gains._asdict()))
-    if not isinstance(regularised, bool):
-        raise TypeError(f"regularised must be True or False, got {regularised!r}")
-    choices = REGULARISED if regularised else UNREGULARISED
+    choices = REGULARISED if check_flag("regularised", regularised) else UNREGULARISED
     if beta is not None:
         accepted = "a finite number > 0 (rad^2/s^2)"
         beta = check_number("beta", beta, accepted, 0.0, open_low=True)
