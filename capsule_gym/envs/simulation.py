@@ -16,7 +16,7 @@ from capsule_gym.core import _core, native
 from capsule_gym.core.layout import LANES, NUM_ROWS, STATE, Row
 from capsule_gym.envs import contract, resets
 from capsule_gym.envs.config import EnvConfig
-from capsule_gym.envs.threads import Threads
+from capsule_gym.envs.threads import SingleUse, Threads, single_use
 from capsule_gym.parameters import CONSTANTS, DISTURBANCES, NOMINAL, Capsule, Randomization
 from capsule_gym.parameters.limits import LARGEST
 from capsule_gym.tasks import task
@@ -63,6 +63,7 @@ class Simulation:
         observations: shape (num_envs, entries), float32, of the present state.
         entries: the bounds of the observation's entries by name, in order.
         fields: the numbers and arrays of the core's `Batch` by name.
+        in_use: the context of the methods that change the episodes, for one thread at a time.
 
     Raises:
         TypeError: if an option is of the wrong type.
@@ -88,12 +89,15 @@ class Simulation:
         self._everyone = False
         self.resets = 0
         self._threads = Threads(self.num_envs, self.lanes, options.threads)
+        self.in_use = SingleUse()
         self._bind()
 
     def __getstate__(self) -> dict[str, Any]:
         """The state of the episodes, without code and threads."""
-        names = ("num_envs", "options", "_changes", *COPIED_ATTRIBUTES)
-        return {"rows": NUM_ROWS, **{name: getattr(self, name) for name in names}}
+        with self.in_use:
+            arrays = {name: getattr(self, name).copy() for name in COPIED_ATTRIBUTES}
+        names = ("num_envs", "options", "_changes")
+        return {"rows": NUM_ROWS, **{name: getattr(self, name) for name in names}, **arrays}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         options = state["options"]
@@ -204,6 +208,7 @@ class Simulation:
         self._keys[i] = resets.make_key(seed)
         self._episodes[i] = 0
 
+    @single_use
     def reset(
         self,
         rows: np.ndarray,
@@ -283,6 +288,7 @@ class Simulation:
             )
         return self._drawn[:, :count]
 
+    @single_use
     def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> None:
         """One agent step.
 
@@ -303,6 +309,7 @@ class Simulation:
         self._everyone = active is None
         self.run(lambda first, last: self._advance(first, last, False))
 
+    @single_use
     def run(self, work: Callable[[int, int], int]) -> None:
         """Runs the core on all environments, distributed over the threads.
 
@@ -355,6 +362,7 @@ class Simulation:
         self.world[lost // self.lanes, Row.law_torque, lost % self.lanes] = 0.0
         self.observations[lost] = np.nan_to_num(self.observations[lost])
 
+    @single_use
     def metrics(self, rows: np.ndarray, horizon: int | None = None) -> dict[str, np.ndarray]:
         """The metrics of running episodes: those of `METRICS`, and those of the task.
 
@@ -390,6 +398,7 @@ class Simulation:
             "desired_goal": np.clip(desired, -GOAL_BOUND, GOAL_BOUND),
         }
 
+    @single_use
     def close(self) -> None:
         """Ends the threads."""
         self._threads.close()

@@ -1,9 +1,16 @@
-"""Threads that work on parts of a batch."""
+"""Threads that work on parts of a batch, and the guard against a second one that uses it."""
 
 import os
+import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from functools import wraps
 from itertools import pairwise
+from typing import Any, Concatenate, ParamSpec, TypeVar
+
+Parameters = ParamSpec("Parameters")
+Result = TypeVar("Result")
+Method = Callable[Concatenate[Any, Parameters], Result]
 
 
 class Threads:
@@ -34,14 +41,20 @@ class Threads:
         if self._pool is None or self._owner != os.getpid():
             self._owner = os.getpid()
             self._pool = ThreadPoolExecutor(len(others), thread_name_prefix="capsule")
-        futures = [self._pool.submit(work, *bounds) for bounds in others]
+        futures: list[Future[int]] = []
         try:
+            for bounds in others:
+                futures.append(self._pool.submit(work, *bounds))
             # The calling thread takes a part too, so one thread less has to be woken up.
             own = work(first, last)
             return [own, *(future.result() for future in futures)]
         except BaseException:
             # The caller may change what the other threads still write.
             wait(futures)
+            if len(futures) < len(others):
+                # Work whose thread could not start would wait for the next one.
+                self._pool.shutdown(cancel_futures=True)
+                self._pool = None
             raise
 
     def close(self) -> None:
@@ -49,3 +62,33 @@ class Threads:
         if self._pool is not None and self._owner == os.getpid():
             self._pool.shutdown()
         self._pool = None
+
+
+class SingleUse:
+    """A context that one thread at a time enters: a batch in use must not change.
+
+    Raises:
+        RuntimeError: if another thread is in it.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()
+
+    def __enter__(self) -> None:
+        # Waiting would mix the steps of both threads, and in a forked process last for ever.
+        if not self._lock.acquire(blocking=False):
+            raise RuntimeError("another thread is using this batch: each needs its own, or a lock")
+
+    def __exit__(self, *error: object) -> None:
+        self._lock.release()
+
+
+def single_use(method: Method[Parameters, Result]) -> Method[Parameters, Result]:
+    """Runs a method in the context `in_use` of its object."""
+
+    @wraps(method)
+    def guarded(self: Any, *args: Parameters.args, **kwargs: Parameters.kwargs) -> Result:
+        with self.in_use:
+            return method(self, *args, **kwargs)
+
+    return guarded

@@ -19,6 +19,7 @@ from capsule_gym.envs import env, resets
 from capsule_gym.envs.config import EnvConfig, EnvOptions
 from capsule_gym.envs.contract import SPEED
 from capsule_gym.envs.simulation import check_seed
+from capsule_gym.envs.threads import SingleUse, single_use
 from capsule_gym.rendering import Renderer
 
 
@@ -123,6 +124,11 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         self._drawn_at = -1
 
     @property
+    def in_use(self) -> SingleUse:
+        """The context of the methods that change the episodes, for one thread at a time."""
+        return self.simulation.in_use
+
+    @property
     def spec(self) -> EnvSpec | None:
         """The spec with which `gym.make_vec` created the batch."""
         return self._spec
@@ -133,6 +139,7 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         # set another one.
         self._spec = spec and replace(spec, max_episode_steps=self.max_episode_steps)
 
+    @single_use
     def reset(
         self,
         *,
@@ -181,6 +188,7 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         require(selects, name, accepted, mask)
         return mask
 
+    @single_use
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
