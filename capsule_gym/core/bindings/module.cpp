@@ -109,6 +109,7 @@ PyObject* trace(PyObject*, PyObject* const* args, Py_ssize_t count) {
   Argument arguments[MOST_ARGUMENTS];
   if (!read_arguments(TRACE, args, count, arguments)) return nullptr;
   portable::recording = PyList_New(0);
+  if (!portable::recording) return nullptr;
   portable::branch = {-1};
   bool known = TRACE.invoke(arguments);
   if (!known)
@@ -116,6 +117,18 @@ PyObject* trace(PyObject*, PyObject* const* args, Py_ssize_t count) {
                  args[1]);
   if (PyErr_Occurred()) Py_CLEAR(portable::recording);
   return portable::recording;
+}
+
+// A tuple of `count` new objects, each from its place; a null, with an exception, where one is
+// missing.
+PyObject* tuple_of(long long count, auto item) {
+  PyObject* tuple = PyTuple_New(count);
+  for (long long n = 0; tuple && n < count; n++) {
+    PyObject* value = item(n);
+    if (value) PyTuple_SetItem(tuple, n, value);
+    else Py_CLEAR(tuple);
+  }
+  return tuple;
 }
 
 // A law that Python calls: a function of theta, theta_dot, x, x_dot, the cells of the memory, and
@@ -136,13 +149,11 @@ void call_plain(void* data, double* block, double* torques, long long n) {
     if (halt[j] == HALTED) continue;
     const double* observed = block + state * lanes + j;
     double* memory = block + NUM_ROWS * lanes + j;
-    PyObject* given = PyTuple_New(4 + numbers);
-    for (long long r = 0; r < 4; r++)
-      PyTuple_SetItem(given, r, PyFloat_FromDouble(observed[r * lanes]));
-    for (long long r = 0; r < numbers; r++)
-      PyTuple_SetItem(given, 4 + r, PyFloat_FromDouble(memory[r * lanes]));
-    PyObject* found = PyObject_CallObject(function, given);
-    Py_DecRef(given);
+    PyObject* given = tuple_of(4 + numbers, [=](long long r) {
+      return PyFloat_FromDouble(r < 4 ? observed[r * lanes] : memory[(r - 4) * lanes]);
+    });
+    PyObject* found = given ? PyObject_CallObject(function, given) : nullptr;
+    Py_XDECREF(given);
     if (!found) continue;
     for (long long r = 0; r < cells; r++)
       memory[r * lanes] = PyFloat_AsDouble(PyTuple_GetItem(found, 1 + r));
@@ -165,14 +176,14 @@ PyObject* names_in(const char* text) {
 
 // Puts a new object into a dict; returns whether that has failed.
 bool put_item(PyObject* entries, const char* name, PyObject* value) {
-  bool failed = !value || PyDict_SetItemString(entries, name, value) < 0;
+  bool failed = !entries || !value || PyDict_SetItemString(entries, name, value) < 0;
   Py_XDECREF(value);
   return failed;
 }
 
-// Appends a new object to a list; where it is missing, the exception stays for the end.
+// Appends a new object to a list; where one of both is missing, the exception stays for the end.
 void append(PyObject* list, PyObject* value) {
-  if (value) PyList_Append(list, value);
+  if (list && value) PyList_Append(list, value);
   Py_XDECREF(value);
 }
 
@@ -197,9 +208,8 @@ PyObject* as_object(long long number) { return PyLong_FromLongLong(number); }
 // A tuple of this type from a struct of numbers.
 template <class Number, class Struct> PyObject* named_tuple(PyObject* type, const Struct& numbers) {
   constexpr int COUNT = sizeof(Struct) / sizeof(Number);
-  PyObject* values = PyTuple_New(COUNT);
-  for (int n = 0; values && n < COUNT; n++)
-    PyTuple_SetItem(values, n, as_object(((const Number*)&numbers)[n]));
+  auto value = [&](long long n) { return as_object(((const Number*)&numbers)[n]); };
+  PyObject* values = tuple_of(COUNT, value);
   PyObject* found = values ? PyObject_CallObject(type, values) : nullptr;
   Py_XDECREF(values);
   return found;
@@ -246,12 +256,11 @@ PyObject* describe(PyObject*, PyObject* options) {
     append(draws, Py_BuildValue("dddddd", row, stream, place, low, range, distribution));
   }
   PyMem_Free(d.entries);
-  PyObject* settings = named_tuple<double>(settings_type, d.settings);
-  PyObject* layout = named_tuple<long long>(layout_type, d.layout);
-  PyObject* description =
-      PyObject_CallFunction(description_type, "NNNN", settings, layout, entries, draws);
-  if (PyErr_Occurred()) Py_CLEAR(description);
-  return description;
+  // With an exception, calls would report that instead.
+  bool failed = PyErr_Occurred() != nullptr;
+  PyObject* settings = failed ? nullptr : named_tuple<double>(settings_type, d.settings);
+  PyObject* layout = settings ? named_tuple<long long>(layout_type, d.layout) : nullptr;
+  return PyObject_CallFunction(description_type, "NNNN", settings, layout, entries, draws);
 }
 
 // What Python knows of a task: a tuple of type `TaskDescription`.
@@ -362,6 +371,7 @@ int fill(PyObject* module) {
   task_type = put_type("TaskDescription", "fields shown term steps draws metrics");
   if (failed) return -1;
   PyObject* metrics = describe_shared_metrics();
+  if (!metrics) return -1;
   put("TASKS", describe_tasks(metrics));
   put("METRICS", metrics);
   put("LAWS", describe_laws());
