@@ -11,7 +11,7 @@ STAMP := .venv/.installed
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help train test distil examples notebooks coverage venv lint types docs web leaderboard leaderboard-check reproduce regression fuzz bits bits-check arm64 sanitize core-coverage install-check oldest check clean
+.PHONY: help train test distil examples notebooks coverage venv lint types docs web leaderboard leaderboard-check reproduce regression fuzz fuzz-core bits bits-check arm64 sanitize core-coverage install-check oldest check clean
 
 help:  ## List the targets
 	@grep -hE '^[a-z0-9-]+:.*  ## ' $(MAKEFILE_LIST) | sed -E 's/:.*  ## /\t/' | awk -F '\t' '{printf "%-18s %s\n", $$1, $$2}'
@@ -105,6 +105,21 @@ regression: $(STAMP)  ## Fail if a ratio of speeds is below its floor
 FUZZ := tests/capsule_gym/test_arguments.py tests/capsule_gym/policies/test_fuzz.py
 fuzz: $(STAMP)  ## Try random arguments of the environments and random policy files; fail on an unexpected error
 	$(BIN)/python -m pytest -n 2 --hypothesis-profile fuzz $(FUZZ)
+
+# Guided by coverage: clang's libFuzzer. What fails, and what has been reached, stays in runs/fuzz.
+FUZZED := runs/fuzz
+FUZZ_FLAGS := -g1 -O1 -march=native -fsanitize=fuzzer,address,undefined -fno-sanitize-recover=all -I$(FUZZED)
+fuzz-core: FUZZ_SECONDS ?= 120
+fuzz-core: $(STAMP)  ## Fuzz the core and exported C by clang for FUZZ_SECONDS (120) after their compilation
+	mkdir -p $(FUZZED)
+	$(BIN)/python -m capsule_gym.export residual-real --law --c $(FUZZED)/law.h --overwrite
+	$(BIN)/python -m capsule_gym.export direct-recurrent-ppo --c $(FUZZED)/recurrent.h --overwrite
+	clang -std=c99 $(FUZZ_FLAGS) tests/fuzz/exported.c -o $(FUZZED)/exported -lm
+	for name in functions step; do clang++ -std=c++20 $(FUZZ_FLAGS) -DLEVEL=fuzz -DCAPSULE_INSTRUMENTED \
+		-DCAPSULE_FP_CONTRACT_OFF -ffp-contract=off -Wno-psabi tests/fuzz/$$name.cpp -o $(FUZZED)/$$name || exit 1; done
+	for name in exported functions step; do mkdir -p $(FUZZED)/$$name.reached && $(FUZZED)/$$name \
+		$(FUZZED)/$$name.reached -max_total_time=$$(($(FUZZ_SECONDS) / 3)) -max_len=1500 -len_control=0 \
+		-artifact_prefix=$(FUZZED)/$$name- || exit 1; done
 
 bits-check: $(STAMP)  ## Compare whole episodes with the committed hashes, one seed of each trained policy
 	$(BIN)/python -m tests.bits --first-seeds
