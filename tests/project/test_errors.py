@@ -193,6 +193,7 @@ def test_an_invalid_parameter_is_named(kind, fields, message):
         ),
         (lambda: CoreLaw("none")(*ORIGIN, (0.0, 0.0), (0.0, 0.0)), "must have the shapes"),
         (lambda: adaptive(K1=-1.0), "K1 must be"),
+        (lambda: adaptive(n=1001), "n must be an integer from 1 to 1000, got 1001"),
         (lambda: adaptive(eta_0=10.1), "eta_0 must be a number > 0 and <= 10, got 10.1"),
         (lambda: adaptive(dt=7e-4), "multiple of dt"),
         (lambda: gait([1.0]), r"parameters must be 23 numbers, phi_000, .*, got \[1.0\]"),

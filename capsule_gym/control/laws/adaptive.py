@@ -148,7 +148,7 @@ def adaptive(
         Gamma_2: rate of adaptation of alpha_x.
         regularised: False for the corrected law without regularisation.
         beta: beta of (39c) and (39d), rad^2/s^2, > 0; None for the form's `Choices.beta`.
-        n: n of the exponent in (39d), at least 1; None for the form's value.
+        n: n of the exponent in (39d), 1 to 1000; None for the form's value.
         eta_0: initial auxiliary variable, > 0 and at most `Choices.eta_bound`; None for the form's
             value.
         dt: period of the law and of its Euler steps, s. It divides the period of the profile, and
@@ -168,7 +168,7 @@ def adaptive(
         beta = check_number("beta", beta, accepted, 0.0, open_low=True)
         choices = choices._replace(beta=beta)
     if n is not None:
-        choices = choices._replace(n=check_count("n", n))
+        choices = choices._replace(n=check_count("n", n, 1000))
     if eta_0 is not None:
         bound = choices.eta_bound
         accepted = f"a number > 0 and <= {bound:g}"

@@ -73,6 +73,8 @@ struct Adaptive {
   }
 
  private:
+  static constexpr double MOST_N = 1000.0;
+
   template <class T> static INLINE T clamp(T value, double low, double high) {
     return min(T(high), max(T(low), value));
   }
@@ -86,7 +88,8 @@ struct Adaptive {
   // T_n of Eq. (39c), from Y_x alpha_x; advances the root of eta.
   template <class T> INLINE T robust_torque(T delta_theta, T delta_x, T load, T& root) const {
     T eta = root;
-    for (int i = 0; i < (int)n; i++) eta = eta * (root * root);
+    // `CoreLaw` accepts any number.
+    for (double i = 0.0; i < n && i < MOST_N; i += 1.0) eta = eta * (root * root);
     T sgn = select(abs(delta_theta) < saturation_width, delta_theta / saturation_width,
                    sign_of(delta_theta));
     T share = delta_theta / (delta_theta * delta_theta + beta);

@@ -254,3 +254,11 @@ def test_choices_reach_the_law(form, dt, given):
     assert controller.law == CoreLaw("adaptive", **constants)
     assert controller.dt == dt
     assert eta_of(np.array(controller.memory), choices.n) == pytest.approx(choices.eta_0)
+
+
+@pytest.mark.parametrize("n", [-1e300, 1e300, math.inf])
+def test_any_number_is_an_exponent_of_the_core(n):
+    _, constants = some_constants()
+    state, memory, reference = draw(np.random.default_rng(0))
+    torque, _ = CoreLaw("adaptive", **{**constants, "n": n})(*state, memory, reference)
+    assert math.isfinite(torque)
