@@ -32,6 +32,8 @@ constexpr Range ABSENT = {__builtin_nan(""), __builtin_nan("")};
 constexpr long long MOST_ROWS = 4000;
 constexpr int MOST_STEPS = 12;
 constexpr int USER_LAW = 9;
+// Of capsule_gym/envs/contract.py.
+constexpr double STABLE = 2.6;
 
 // 0 or at least SMALLEST.
 double divisor(double number) { return number < SMALLEST ? 0.0 : number; }
@@ -68,6 +70,33 @@ bool solvable(const Options& o, double M, double mu) {
   double backward = range_of(o.backward_ratio_range, o.backward_ratio).high;
   double most = mu * std::fmax(1.0, backward) * range_of(o.static_ratio_range, o.static_ratio).high;
   return (M + m) / m > (1.0 + std::sqrt(1.0 + most * most)) / 2.0;
+}
+
+// `Capsule.fastest_rate`.
+double fastest_root(double damping, double stiffness) {
+  double square = damping * damping / 4.0 - stiffness;
+  return square >= 0.0 ? damping / 2.0 + std::sqrt(square) : std::sqrt(stiffness);
+}
+double fastest_rate(const Constants<double>& p, double M, double mu, bool paper) {
+  mu *= std::fmax(1.0, p.backward_ratio);
+  double share = p.m / (M + p.m);
+  double secant = std::sqrt(1.0 + mu * mu);
+  double remains = 1.0 - share * (1.0 + secant) / 2.0;
+  if (!(remains > 0.0)) return INFINITY;
+  double inertia = p.m * p.l * p.l * remains;
+  double pivot = paper ? 0.5 * mu * share * p.l : 0.0;
+  double motor = MOTOR_SLOPE * p.motor_friction / MOTOR_WIDTH;
+  double damping = (1.0 + pivot) * (p.c + motor) / inertia;
+  double weight = p.m * p.g * p.l;
+  double spring = (1.0 + M_PI) * pivot;
+  double lowest = (1.0 - spring) * p.k - weight * secant;
+  double highest = (1.0 + spring) * p.k + weight * mu;
+  double root =
+      std::fmax(fastest_root(damping, lowest / inertia), fastest_root(damping, highest / inertia));
+  double viscous = p.viscous / ((M + p.m) * remains);
+  double falling =
+      p.stribeck_speed > 0.0 ? 0.65 * mu * (p.static_ratio - 1.0) * p.g / p.stribeck_speed : 0.0;
+  return root + (viscous + falling * (M + p.m) / M);
 }
 
 void choose_disturbances(Input& in, Options& o) {
@@ -254,12 +283,28 @@ struct Simulation {
 
   double& at(long long row, long long i) { return world[row * lanes + i]; }
 
+  // Whether the step resolves the motion of a plant, as `check_step` of contract.py.
+  bool resolves(long long i, double M, double mu) {
+    const auto& [settings, layout, entries, draws] = setup.description;
+    const Options& o = setup.options;
+    Constants<double> p;
+    for (int n = 0; n < NUM_CONSTANTS; n++)
+      (&p.m)[n] =
+          settings.varied != 0.0 ? drawn[(layout.constant_draws + n) * count + i] : (&o.m)[n];
+    p.motor_friction += o.disturbances_motor_friction.high;
+    return fastest_rate(p, M, mu, o.paper_normal_force) * settings.physics_dt <= STABLE;
+  }
+
   bool begin() {
     CHECK(draw_episodes(batch, count) == -1);
     for (size_t k = 0; k < setup.state.size(); k++)
       for (long long i = 0; i < count; i++) drawn[k * count + i] = setup.state[k];
     if (lanes == 1) begin_episodes<1>(batch, count);
     else begin_episodes<LANES>(batch, count);
+    for (long long i = 0; i < count; i++)
+      if (!resolves(i, at(ROW_OF(M), i), at(ROW_OF(mu), i))) return false;
+    for (const Change& change : changes)
+      if (!resolves((long long)change.environment, change.M, change.mu)) return false;
     return works(advance(batch, 0, count, true));
   }
 
