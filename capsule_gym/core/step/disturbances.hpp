@@ -94,9 +94,11 @@ INLINE Coordinate<T> interpolate(Coordinate<T> from, Coordinate<T> to, T share, 
 }
 
 // The motor's torque after one period, in which it covers the fraction `share` of its distance to
-// the rounded command.
-template <class T> INLINE T follow_command(const Disturbances<T>& d, T motor, T command, T share) {
-  return motor + share * (rounded(command, d.torque_resolution) - motor);
+// the rounded command. Neither rounding takes it beyond its limit.
+template <class T>
+INLINE T follow_command(const Disturbances<T>& d, T motor, T command, T share, T limit) {
+  T rounded_command = clip(rounded(command, d.torque_resolution), limit);
+  return clip(motor + share * (rounded_command - motor), limit);
 }
 
 // The force on the platform at this time of the episode: in every second one of random size, at a

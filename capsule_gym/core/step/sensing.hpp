@@ -72,7 +72,7 @@ template <class T, int N> struct Disturbed {
   INLINE T drive(int j, T command, auto going) {
     auto d = disturbances(j);
     T share = select(going, GET(motor_share), T(0.0));
-    T motor = follow_command(d, GET(motor), command, share);
+    T motor = follow_command(d, GET(motor), command, share, T(settings.torque_limit));
     PUT(motor, motor);
     if (any(d.push != 0.0)) PUT(plant_push, pushing_force(d, GET(key), GET(duration)));
     return motor;

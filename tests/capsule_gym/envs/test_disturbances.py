@@ -307,6 +307,11 @@ def test_the_motor_follows_the_command_in_steps_of_its_resolution():
     assert_allclose(steps, np.round(steps), atol=1e-9)
 
 
+def test_rounding_does_not_take_the_command_beyond_its_limit():
+    torques = motor_torques(rest(3) + np.float32(1.0), torque_resolution=0.4)
+    assert torques.tolist() == [1.5] * 3
+
+
 def test_a_push_changes_the_momentum_by_its_impulse():
     smooth = Randomization(M=(0.5, 0.5), mu=(0.0, 0.0))
     env = CapsuleEnv(disturbances=Disturbances(push=0.4), randomization=smooth, physics_dt=5e-4)
