@@ -42,6 +42,9 @@ def test_law_reproduces_exact_tracking(profile, speed, torque, energy, transport
     assert run["energy"] == pytest.approx(energy, rel=4e-3)
     assert run["cost_of_transport"] == pytest.approx(transport, rel=4e-3)
     assert speed_map(profile, h=2e-5)[0, 0] == pytest.approx(speed, abs=0.5e-3)
+    forward = run["backward"] / run["backward_ratio"]
+    advance = run["mean_speed"] * profile.period
+    assert forward - run["backward"] == pytest.approx(advance, rel=1e-9)
 
 
 @pytest.mark.parametrize("profile", [PROPOSED, EPC])
