@@ -65,7 +65,11 @@ from train import main as train
             "excitation --c policy.h --duration -1",
             "seconds must be a finite number >= 0.02",
         ),
-        (export, "direct-ppo --law --c policy.h", "--law needs a control law of the core"),
+        (
+            export,
+            "direct-ppo --law --c policy.h",
+            "as baselines:adaptive, got a policy without a control law",
+        ),
         (
             export,
             "tests.capsule_gym.fakes:picky_controller --c policy.h",
