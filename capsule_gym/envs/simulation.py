@@ -1,6 +1,7 @@
 """The simulation of N environments, which `CapsuleEnv` and `CapsuleVectorEnv` share."""
 
 import math
+import threading
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -16,7 +17,7 @@ from capsule_gym.core import _core, native
 from capsule_gym.core.layout import LANES, NUM_ROWS, STATE, Row
 from capsule_gym.envs import contract, resets
 from capsule_gym.envs.config import EnvConfig
-from capsule_gym.envs.threads import SingleUse, Threads, single_use
+from capsule_gym.envs.threads import Threads, single_use
 from capsule_gym.parameters import CONSTANTS, DISTURBANCES, NOMINAL, Capsule, Randomization
 from capsule_gym.parameters.limits import LARGEST
 from capsule_gym.tasks import task
@@ -63,7 +64,7 @@ class Simulation:
         observations: shape (num_envs, entries), float32, of the present state.
         entries: the bounds of the observation's entries by name, in order.
         fields: the numbers and arrays of the core's `Batch` by name.
-        in_use: the context of the methods that change the episodes, for one thread at a time.
+        in_use: the lock of the methods that change the episodes, for one thread at a time.
 
     Raises:
         TypeError: if an option is of the wrong type.
@@ -89,15 +90,18 @@ class Simulation:
         self._everyone = False
         self.resets = 0
         self._threads = Threads(self.num_envs, self.lanes, options.threads)
-        self.in_use = SingleUse()
+        self.in_use = threading.RLock()
         self._bind()
 
+    @single_use
     def __getstate__(self) -> dict[str, Any]:
         """The state of the episodes, without code and threads."""
-        with self.in_use:
-            arrays = {name: getattr(self, name).copy() for name in COPIED_ATTRIBUTES}
-        names = ("num_envs", "options", "_changes")
-        return {"rows": NUM_ROWS, **{name: getattr(self, name) for name in names}, **arrays}
+        state: dict[str, Any] = {"rows": NUM_ROWS}
+        for name in ("num_envs", "options", "_changes"):
+            state[name] = getattr(self, name)
+        for name in COPIED_ATTRIBUTES:
+            state[name] = getattr(self, name).copy()
+        return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         options = state["options"]

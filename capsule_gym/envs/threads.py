@@ -1,7 +1,6 @@
 """Threads that work on parts of a batch, and the guard against a second one that uses it."""
 
 import os
-import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from functools import wraps
@@ -64,31 +63,22 @@ class Threads:
         self._pool = None
 
 
-class SingleUse:
-    """A context that one thread at a time enters: a batch in use must not change.
+def single_use(method: Method[Parameters, Result]) -> Method[Parameters, Result]:
+    """Lets one thread at a time into the methods of an object, which has the lock `in_use`.
 
     Raises:
-        RuntimeError: if another thread is in it.
+        RuntimeError: if another thread is in one of them.
     """
-
-    def __init__(self) -> None:
-        self._lock = threading.RLock()
-
-    def __enter__(self) -> None:
-        # Waiting would mix the steps of both threads, and in a forked process last for ever.
-        if not self._lock.acquire(blocking=False):
-            raise RuntimeError("another thread is using this batch: each needs its own, or a lock")
-
-    def __exit__(self, *error: object) -> None:
-        self._lock.release()
-
-
-def single_use(method: Method[Parameters, Result]) -> Method[Parameters, Result]:
-    """Runs a method in the context `in_use` of its object."""
 
     @wraps(method)
     def guarded(self: Any, *args: Parameters.args, **kwargs: Parameters.kwargs) -> Result:
-        with self.in_use:
+        lock = self.in_use
+        # Waiting would mix the steps of both threads, and in a forked process last for ever.
+        if not lock.acquire(blocking=False):
+            raise RuntimeError("another thread is using this batch: each needs its own, or a lock")
+        try:
             return method(self, *args, **kwargs)
+        finally:
+            lock.release()
 
     return guarded

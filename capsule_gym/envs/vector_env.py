@@ -19,7 +19,7 @@ from capsule_gym.envs import env, resets
 from capsule_gym.envs.config import EnvConfig, EnvOptions
 from capsule_gym.envs.contract import SPEED
 from capsule_gym.envs.simulation import check_seed
-from capsule_gym.envs.threads import SingleUse, single_use
+from capsule_gym.envs.threads import single_use
 from capsule_gym.rendering import Renderer
 
 
@@ -124,8 +124,8 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         self._drawn_at = -1
 
     @property
-    def in_use(self) -> SingleUse:
-        """The context of the methods that change the episodes, for one thread at a time."""
+    def in_use(self) -> Any:
+        """The lock of the methods that change the episodes, for one thread at a time."""
         return self.simulation.in_use
 
     @property
