@@ -19,6 +19,7 @@ from capsule_gym.control.laws.gains import (
     plant_constants,
 )
 from capsule_gym.control.laws.profiles import COLUMNS, PROPOSED, Profile, optimal, reference_table
+from capsule_gym.core import _core
 from capsule_gym.parameters import NOMINAL, Capsule, Plant
 
 # The cells of the memory: the estimates, the (2n + 1)-th root of eta, and the start of x_d, m.
@@ -148,7 +149,7 @@ def adaptive(
         Gamma_2: rate of adaptation of alpha_x.
         regularised: False for the corrected law without regularisation.
         beta: beta of (39c) and (39d), rad^2/s^2, > 0; None for the form's `Choices.beta`.
-        n: n of the exponent in (39d), 1 to 1000; None for the form's value.
+        n: n of the exponent in (39d), at least 1; None for the form's value.
         eta_0: initial auxiliary variable, > 0 and at most `Choices.eta_bound`; None for the form's
             value.
         dt: period of the law and of its Euler steps, s. It divides the period of the profile, and
@@ -168,7 +169,7 @@ def adaptive(
         beta = check_number("beta", beta, accepted, 0.0, open_low=True)
         choices = choices._replace(beta=beta)
     if n is not None:
-        choices = choices._replace(n=check_count("n", n, 1000))
+        choices = choices._replace(n=check_count("n", n, _core.MOST_N))
     if eta_0 is not None:
         bound = choices.eta_bound
         accepted = f"a number > 0 and <= {bound:g}"

@@ -350,6 +350,7 @@ bool put_constants(PyObject* own) {
   WHOLE(DIRECTIONS)
   WHOLE(MOST_RESULTS)
   WHOLE(MOST_SUBSTEPS)
+  WHOLE(MOST_N)
 #undef WHOLE
   return failed;
 }

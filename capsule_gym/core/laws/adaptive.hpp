@@ -6,6 +6,8 @@
 #include "law.hpp"
 
 namespace LEVEL {
+constexpr double MOST_N = 1000.0;  // the largest n of the exponent in (39d)
+
 // The estimates, the root of eta, and the start of x_d in m.
 template <class T> struct AdaptiveMemory {
   T alpha_theta[5];
@@ -73,8 +75,6 @@ struct Adaptive {
   }
 
  private:
-  static constexpr double MOST_N = 1000.0;
-
   template <class T> static INLINE T clamp(T value, double low, double high) {
     return min(T(high), max(T(low), value));
   }

@@ -260,5 +260,6 @@ def test_choices_reach_the_law(form, dt, given):
 def test_any_number_is_an_exponent_of_the_core(n):
     _, constants = some_constants()
     state, memory, reference = draw(np.random.default_rng(0))
-    torque, _ = CoreLaw("adaptive", **{**constants, "n": n})(*state, memory, reference)
+    law = CoreLaw("adaptive", **(constants | {"n": n}))
+    torque, _ = law(*state, memory, reference)
     assert math.isfinite(torque)
