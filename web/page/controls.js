@@ -163,7 +163,7 @@ function jump({M, mu}) {
 function bindDisturbances() {
   on("disturbances", "change", () => {
     const {value} = element("disturbances");
-    const own = {latency: 0, noise: 0, lost: 0};
+    const own = Object.fromEntries(SENSED.map((name) => [name, 0]));
     if (value === "own") Object.assign(own, {latency: 0.01, noise: 1});
     disturb({disturbances: value, ...own});
   });
