@@ -40,7 +40,8 @@ def sample_posterior(
     if "static_ratio" not in problem.names:
         return sample_smooth(problem, unknowns)
     place = problem.names.index("static_ratio")
-    low, high = 0.0, 1.0
+    low = 0.0
+    high = 1.0
     while True:
         nodes = np.linspace(low, high, NODES)
         problems, found, costs = fit_nodes(problem, "static_ratio", nodes, unknowns)

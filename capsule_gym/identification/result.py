@@ -211,7 +211,8 @@ class Fit:
         require(path.suffix in FIGURES, "path", accepted, str(path))
         if self._problem is None or self._found is None:
             raise ValueError("a result from a file has no log: call report on that of identify")
-        log, sensors = self._problem.log, self._problem.sensors
+        log = self._problem.log
+        sensors = self._problem.sensors
         t = log["t"]
         held = fitted_rows(log)
         readings, _ = self._problem.predict(self._found, slopes=False)

@@ -94,7 +94,9 @@ class ShootingProblem:
         # The density of a prior that is uniform in the quantity itself grows with it.
         uniform_in_log = [name == "mu" and self.log_mu for name in self.names]
         self.densities = np.where(uniform_in_log, 0.0, self.growths)
-        longest = {**self.known, **{name: high for name, (_, high) in self.ranges.items()}}
+        longest = dict(self.known)
+        for name, (_, high) in self.ranges.items():
+            longest[name] = high
         latest = max(self.latency(name, longest) for name in self.sensors)
         # Readings before the first of a segment, which begins earlier by the longest latency.
         self.lead = math.ceil((latest + self.h) / self.period - 1e-9)
