@@ -5,12 +5,14 @@ of its metrics: for the plant under random torques, for every law of `baselines`
 residuals, and for every other policy.
 """
 
+import functools
 import hashlib
 import itertools
 import json
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -162,8 +164,15 @@ def subjects():
     yield from recurrent()
 
 
-def compute(subject):
+@functools.cache
+def subjects_by_name() -> dict[str, Subject]:
+    """All subjects by name."""
+    return {subject.name: subject for subject in subjects()}
+
+
+def compute(name):
     """The hash of a subject; an environment stands still after its episode has ended."""
+    subject = subjects_by_name()[name]
     kwargs = {**subject.env_kwargs, "max_episode_steps": subject.steps}
     env = CapsuleVectorEnv(NUM_ENVS, autoreset_mode=AutoresetMode.DISABLED, **kwargs)
     observations, _ = env.reset(seed=0)
@@ -180,13 +189,20 @@ def compute(subject):
     return digest.hexdigest()
 
 
-def compare(subjects, committed):
+def compute_all(names: Iterable[str]) -> dict[str, str]:
+    """The hashes of subjects by name, on all cores."""
+    names = list(names)
+    with ProcessPoolExecutor() as pool:
+        hashes = pool.map(compute, names)
+        return dict(zip(names, hashes, strict=True))
+
+
+def compare(found, committed):
     """Yields what differs from the committed hashes."""
-    for subject in subjects:
-        found = compute(subject)
-        wanted = committed.get(subject.name)
-        if found != wanted:
-            yield f"{subject.name}: {found} here, {wanted} committed"
+    for name, digest in found.items():
+        wanted = committed.get(name)
+        if digest != wanted:
+            yield f"{name}: {digest} here, {wanted} committed"
 
 
 @command("python -m tests.bits", ValueError)
@@ -207,20 +223,18 @@ def main(
         first_seeds: Compare one training seed of each trained policy: `agents.leaderboard --check`
             evaluates all of them.
     """
-    chosen = list(subjects())
+    known = list(subjects_by_name())
     if write:
-        hashes = {subject.name: compute(subject) for subject in chosen}
+        hashes = compute_all(known)
         write_atomically(FILE, json.dumps(hashes, indent=1) + "\n")
     committed = json.loads(FILE.read_text(encoding="utf-8"))
-    known = {subject.name for subject in chosen}
     wrong = [f"{name}: unknown subject" for name in committed if name not in known]
     for name in names:
         check_choice("NAME", name, list(committed), f"one of {list(committed)}")
-    if names:
-        chosen = [subject for subject in chosen if subject.name in names]
+    chosen = [name for name in known if not names or name in names]
     if first_seeds:
-        chosen = [subject for subject in chosen if not re.search(r"/seed-[1-9]", subject.name)]
-    wrong += compare(chosen, committed)
+        chosen = [name for name in chosen if not re.search(r"/seed-[1-9]", name)]
+    wrong += compare(compute_all(chosen), committed)
     summary = f"{len(chosen)} subjects in {NUM_ENVS} environments: {len(wrong)} differences"
     print(*wrong, summary, sep="\n")
     return int(bool(wrong))
