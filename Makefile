@@ -102,8 +102,8 @@ reproduce: $(STAMP)  ## Train one run of each row and compare it with the publis
 regression: $(STAMP)  ## Fail if a ratio of speeds is below its floor
 	$(BIN)/python -m benchmarks.throughput
 
-FUZZ := tests/capsule_gym/test_arguments.py tests/capsule_gym/policies/test_fuzz.py
-fuzz: $(STAMP)  ## Try random arguments of the environments and random policy files; fail on an unexpected error
+FUZZ := tests/capsule_gym/test_arguments.py tests/capsule_gym/policies/test_fuzz.py tests/project/test_files.py
+fuzz: $(STAMP)  ## Try random arguments of the environments and random files; fail on an unexpected error
 	$(BIN)/python -m pytest -n 2 --hypothesis-profile fuzz $(FUZZ)
 
 # Guided by coverage: clang's libFuzzer. What fails, and what has been reached, stays in runs/fuzz.

@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from baselines.dynamic_programming.archive import UNREADABLE
 from capsule_gym.evaluation.candidates import AnyPolicy, Candidate
 from capsule_gym.evaluation.episodes import Episode, as_episodes, versions
 from capsule_gym.evaluation.episodes import evaluate as evaluate_policy
@@ -192,7 +191,8 @@ def load_row(path: Path) -> LeaderboardRow:
         fits = all((each.dtype, each.shape[:2]) == expected for each in scores.values())
         if header["policy"] != path.stem or not fits:
             raise ValueError("its header does not match its name or arrays")
-    except UNREADABLE as error:
+    # A malformed file makes numpy raise errors of any kind.
+    except Exception as error:
         reason = f"{type(error).__name__}: {error}"
         raise ValueError(f"{path.stem}: {path.name} contains no results: {reason}") from error
     return LeaderboardRow(header, scores)
