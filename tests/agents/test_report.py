@@ -16,14 +16,22 @@ from tests.agents.training.small import small
 from tests.figures import assert_lines, texts
 
 PLANT = PlantSpec(0.6, 0.05, seed=3)
-GOAL = {
-    "env_kwargs": {"task": "goal"},
-    "mean": np.zeros(8),
-    "variance": np.ones(8),
-    "layers": ((np.zeros((1, 8), np.float32), np.zeros(1, np.float32)),),
-}
+
+
+def zero_network(entries, **env_kwargs):
+    """The fields of a policy that does nothing."""
+    return {
+        "env_kwargs": env_kwargs,
+        "mean": np.zeros(entries),
+        "variance": np.ones(entries),
+        "layers": ((np.zeros((1, entries), np.float32), np.zeros(1, np.float32)),),
+    }
+
+
+GOAL = zero_network(8, task="goal")
+OWN_LAW = zero_network(10, controller="tests.agents.fakes:quiet")
 COMPARED = {
-    "speed": ("CapsuleStickSlip-v0", {}, {"M": 0.5, "mu": 0.01}, "cost of transport"),
+    "speed": ("CapsuleStickSlip-v0", OWN_LAW, {"M": 0.5, "mu": 0.01}, "cost of transport"),
     "goal": (
         "CapsuleGoal-v0",
         GOAL,

@@ -11,6 +11,7 @@ import pytest
 import torch
 from sb3_contrib import TQC
 from stable_baselines3 import PPO, SAC, TD3
+from stable_baselines3.common.buffers import NStepReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
@@ -120,6 +121,9 @@ def test_an_archive_loads_without_this_checkout(algo, tmp_path, monkeypatch):
             monkeypatch.setitem(sys.modules, name, None)
     model = CLASSES[algo].load(run / "model.zip", device="cpu")
     assert model.num_timesteps >= 320
+    if not on_policy:
+        assert model.replay_buffer_class is NStepReplayBuffer
+        assert model.replay_buffer_kwargs == {"n_steps": 3, "gamma": config.gamma}
     package = type(model.policy).__module__.partition(".")[0]
     assert package in ("stable_baselines3", "sb3_contrib", "capsule_gym")
     env = CapsuleSB3VecEnv(2, seed=0, privileged=config.asymmetric)

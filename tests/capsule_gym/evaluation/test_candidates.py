@@ -26,6 +26,14 @@ def test_policies_are_found_by_name(world):
     assert find_candidate("bold").trained == []
 
 
+def test_a_description_says_which_torque_is_limited():
+    policy = capsule_gym.load_policy("residual-ppo")
+    action = "a residual torque of up to 3 N m on `baselines:adaptive`"
+    assert f"{action}, as total torque, trained" in policy.description
+    residual = replace(policy, env_kwargs=policy.env_kwargs | {"total_torque": False})
+    assert f"{action}, trained" in residual.description
+
+
 @pytest.mark.parametrize(
     ("place", "seeds"),
     [("", [2, 10]), ("/seed-2", [2]), ("/seed-2/policy.safetensors", [2])],
