@@ -5,7 +5,6 @@ pygame is imported only when needed.
 
 import math
 import os
-import warnings
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
@@ -75,13 +74,7 @@ def _polar(angle: Any, radius: Any) -> tuple[Any, Any]:
 def _import_pygame() -> Any:
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            import pygame
-
-            # The first font would import this, and with it pkg_resources, which some setuptools
-            # deprecate.
-            import pygame.pkgdata
+        import pygame
     except ImportError as error:
         message = 'pygame is not installed, run: pip install "capsule-gym[render]"'
         raise gymnasium.error.DependencyNotInstalled(message) from error
