@@ -124,6 +124,7 @@ def test_an_archive_loads_without_this_checkout(algo, tmp_path, monkeypatch):
     if not on_policy:
         assert model.replay_buffer_class is NStepReplayBuffer
         assert model.replay_buffer_kwargs == {"n_steps": 3, "gamma": config.gamma}
+        assert model.action_noise is not None
     package = type(model.policy).__module__.partition(".")[0]
     assert package in ("stable_baselines3", "sb3_contrib", "capsule_gym")
     env = CapsuleSB3VecEnv(2, seed=0, privileged=config.asymmetric)
