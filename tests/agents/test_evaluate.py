@@ -17,6 +17,7 @@ def test_a_policy_is_compared_with_its_reference(world, tiny_file, capsys):
     printed = capsys.readouterr().out
     assert "learnt on the set tiny (3 episodes, " in printed
     assert "adaptive" in printed
+    assert "\nmean speed (cm/s), interquartile mean " in printed
     assert "the intervals of 95 % are\nfor other training runs and other plants" in printed
 
 
@@ -83,6 +84,7 @@ def test_a_set_of_another_task_is_compared_with_its_scripted_law(goals, tmp_path
     printed = " ".join(capsys.readouterr().out.split())
     assert "goal-pulses" in printed
     assert "share of goals reached 0.0000 [0.0000, 0.0000] 1.0000 [1.0" in printed
+    assert "reached, interquartile mean" not in printed
     first, _ = json.loads(out.read_text())["episodes"]
     assert first["goal"] == 0.1
     assert first["goal_time"] == pytest.approx(15.0)
