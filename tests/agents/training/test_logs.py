@@ -47,6 +47,12 @@ def test_the_log_has_a_line_for_every_rollout(run):
     assert list(log(folder)) == [256, 512, 768, 1024]
 
 
+def test_the_log_of_an_off_policy_run_has_a_line_for_so_many_steps(tmp_path, monkeypatch):
+    monkeypatch.setattr(callbacks, "LOG_EVERY", 200)
+    config = small("direct", "td3", total_steps=640, learning_starts=640, episode_seconds=0.2)
+    assert list(log(finished(tmp_path / "run", config))) == [200, 400, 600]
+
+
 @pytest.fixture(scope="module")
 def line(run):
     """A line of the log."""

@@ -184,8 +184,12 @@ def test_the_curvature_of_a_parabola_of_values_is_its_coefficient():
     grid = make_grid()
     first, spacing = grid.axes[2]
     w = first + spacing * np.arange(SHAPE[2])
-    values = np.broadcast_to(1.5 * (w - 1.0) ** 2, SHAPE).astype(np.float32)
-    solution = Solution(Problem(), grid, values, 0.0, 0.0)
+    # That of the node which is nearest to the state.
+    i, j, k = np.round(grid.positions(np.zeros((3, 1)))[0]).astype(int)
+    coefficients = np.zeros(SHAPE[:2])
+    coefficients[i, j] = 1.5
+    values = coefficients[..., None] * (w - 1.0) ** 2 + 10.0 * (w > w[k + 1])
+    solution = Solution(Problem(), grid, values.astype(np.float32), 0.0, 0.0)
     steps = round(2.0 * solver.SETTLED / Problem().control_dt)
     at_rest = SimpleNamespace(states=np.zeros((steps, 4, 3)))
     assert solver.curvature_of(solution, at_rest) == pytest.approx(1.5, abs=1e-3)
