@@ -82,6 +82,9 @@ def test_the_rows_of_a_figure_of_cycles_are_named(cycle):
     assert [axes.get_ylabel() for axes in figure.axes[::2]] == names
     assert texts(figure.legends[0].texts) == ["slips forward", "sticks", "slips backward"]
     assert figure.get_supxlabel()
+    # Above the phase portrait, whose angles have labels as well.
+    labelled = [axes.xaxis.get_tick_params()["labelbottom"] for axes in figure.axes[::2]]
+    assert labelled == [False, False, False, True, True]
 
 
 @pytest.mark.parametrize(

@@ -146,6 +146,17 @@ def test_the_operator_shifts_the_values_of_the_solution_by_the_gain_alone(solved
     assert np.ptp(change[alive]) < 0.05 * Problem().control_dt + 1e-4
 
 
+def test_convergence_is_judged_where_the_policy_does_not_fail():
+    grid = make_grid()
+    torques = np.tile(np.linspace(-1.0, 1.0, 5), (np.prod(SHAPE), 1))
+    positions, rewards = transitions(Problem(), grid, torques)
+    zeros = np.zeros(SHAPE, np.float32)
+    _, change, _ = solver._improve(zeros, positions, rewards, 0.0, 0.0, 2)
+    fails = (positions[..., 0] == FAILED).all(axis=1)
+    assert 0 < fails.sum() < fails.size
+    assert change.shape == ((~fails).sum(),)
+
+
 def test_value_iteration_converges_to_the_solution(solved):
     solution, operator = solved
     origin = solution.grid.positions(ORIGIN).T
