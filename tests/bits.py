@@ -11,7 +11,7 @@ import itertools
 import json
 import re
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -189,9 +189,8 @@ def compute(name):
     return digest.hexdigest()
 
 
-def compute_all(names: Iterable[str]) -> dict[str, str]:
+def compute_all(names: Sequence[str]) -> dict[str, str]:
     """The hashes of subjects by name, on all cores."""
-    names = list(names)
     with ProcessPoolExecutor() as pool:
         hashes = pool.map(compute, names)
         return dict(zip(names, hashes, strict=True))
