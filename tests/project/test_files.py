@@ -107,6 +107,7 @@ def test_changed_results(data, changes, folder):
         content = dict(archive)
     header = change(data.draw, json.loads(content["header"].tobytes()))
     content["header"] = np.frombuffer(json.dumps(header).encode(), np.uint8)
+    content.update(changes)
     file = io.BytesIO()
-    np.savez(file, **{**content, **changes})
+    np.savez(file, **content)
     check(folder / ROW, file.getvalue())

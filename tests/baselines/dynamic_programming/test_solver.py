@@ -118,15 +118,20 @@ def test_values_between_nodes_are_linear_with_a_parabola_along_w():
     np.testing.assert_allclose(solution.at(states), expected, rtol=1e-5, atol=1e-4)
 
 
+def some_transitions():
+    """The grid, and its nodes' positions after a step and rewards under five torques."""
+    grid = make_grid()
+    torques = np.tile(np.linspace(-1.0, 1.0, 5), (np.prod(SHAPE), 1))
+    return grid, *transitions(Problem(), grid, torques)
+
+
 @pytest.fixture
 def solved(coarse):
     """The solution, and the operator of value iteration with scipy's interpolation.
 
     That one omits the parabola along w.
     """
-    grid = make_grid()
-    torques = np.tile(np.linspace(-1.0, 1.0, 5), (np.prod(SHAPE), 1))
-    positions, rewards = transitions(Problem(), grid, torques)
+    grid, positions, rewards = some_transitions()
     failed = positions[..., 0] == FAILED
     coordinates = np.moveaxis(positions, 2, 0).reshape(3, -1).clip(0.0)
 
@@ -147,9 +152,7 @@ def test_the_operator_shifts_the_values_of_the_solution_by_the_gain_alone(solved
 
 
 def test_convergence_is_judged_where_the_policy_does_not_fail():
-    grid = make_grid()
-    torques = np.tile(np.linspace(-1.0, 1.0, 5), (np.prod(SHAPE), 1))
-    positions, rewards = transitions(Problem(), grid, torques)
+    _, positions, rewards = some_transitions()
     zeros = np.zeros(SHAPE, np.float32)
     _, change, _ = solver._improve(zeros, positions, rewards, 0.0, 0.0, 2)
     fails = (positions[..., 0] == FAILED).all(axis=1)
@@ -195,7 +198,7 @@ def test_the_curvature_of_a_parabola_of_values_is_its_coefficient():
     grid = make_grid()
     first, spacing = grid.axes[2]
     w = first + spacing * np.arange(SHAPE[2])
-    # That of the node which is nearest to the state.
+    # Only the node nearest to the state has this coefficient; two nodes further the values jump.
     i, j, k = np.round(grid.positions(np.zeros((3, 1)))[0]).astype(int)
     coefficients = np.zeros(SHAPE[:2])
     coefficients[i, j] = 1.5
