@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.optimize import least_squares
 
 from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv
 from capsule_gym.control.controller import CoreLaw
@@ -16,6 +17,8 @@ from tests.capsule_gym.envs.actions import random_actions
 PRIOR = (0.55, -3.25, 0.2, 1.5)
 LOW = (0.15, -7.0)
 HIGH = (2.0, 0.0)
+# Standard deviation of a change of x_dot, m/s.
+NOISE = 1e-3
 # m/s: below this speed the platform may have stuck between two observations.
 SLOWEST = 0.02
 # Numbers in the memory of the filter.
@@ -85,6 +88,53 @@ def test_a_jump_brings_doubt_and_is_found():
     assert deviations[:25].max() > 3.0 * deviations[0]
     assert M[-1] == pytest.approx(0.7, rel=0.02)
     assert log_mu[-1] == pytest.approx(math.log(0.2), abs=0.05)
+
+
+def posterior(rows, mean, P):
+    """The mean of M and log(mu), and their covariance, after the change of x_dot between two rows.
+
+    A least-squares fit finds both, with the prior as two of its residuals.
+    """
+    p = Capsule()
+    theta, theta_dot, x_dot = np.float32(rows).astype(np.float64).T
+    across = np.diff(np.cos(theta) * theta_dot)
+    along = np.diff(np.sin(theta) * theta_dot)
+    change = np.diff(x_dot)
+    whiten = np.linalg.inv(np.linalg.cholesky(P))
+
+    def residuals(estimates):
+        M, log_mu = estimates
+        total = M + p.m
+        mu = math.exp(log_mu)
+        # The momentum of both bodies, and the normal force over the time between the rows.
+        momentum = p.m * p.l * across - total * change
+        impulse = total * p.g * CONTROL_DT - p.m * p.l * along
+        error = (momentum - mu * impulse) / total / NOISE
+        return np.concatenate([whiten @ (estimates - mean), error])
+
+    fit = least_squares(residuals, mean, xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    return fit.x, np.linalg.inv(fit.jac.T @ fit.jac)
+
+
+@pytest.mark.parametrize(
+    ("deviations", "expected"),
+    [
+        pytest.param((0.03, 0.2), (0.03, 0.2), id="agrees"),
+        pytest.param((1e-3, 1e-3), PRIOR[2:], id="contradicts"),
+    ],
+)
+def test_a_pair_in_slip_corrects_the_estimates_as_a_bayesian_would(deviations, expected):
+    mean = np.array([0.52, math.log(0.06)])
+    found = np.diag(np.square(deviations))
+    first = [0.3, 4.0, 0.10]
+    second = [0.375, 3.5, 0.06]
+    begun = np.array([1.0, *mean, *found[[0, 0, 1], [0, 1, 1]], 0.0, 0.0, 0.0])
+    _, memory = update(np.float32([first]), begun[None])
+    _, (memory,) = update(np.float32([second]), memory)
+    expected_mean, P = posterior([first, second], mean, np.diag(np.square(expected)))
+    assert_allclose(memory[1:3], expected_mean, rtol=1e-3)
+    # A twentieth of the information fades.
+    assert_allclose(memory[[3, 4, 5]], P[[0, 0, 1], [0, 1, 1]] / 0.95, rtol=1e-2)
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,10 @@ import pytest
 
 from baselines.policies import TASK_SCRIPTED
 from capsule_gym import Capsule, CapsuleVectorEnv, Randomization
-from capsule_gym.control.laws.gait import goal_pulses, velocity_pulses
+from capsule_gym.control.laws.gait import FIRST_PULSE, goal_pulses, velocity_pulses
 from capsule_gym.core import _core
 from capsule_gym.parameters import NOMINAL
+from capsule_gym.tasks.task import TORQUE_LIMIT
 
 COUNT = 100
 BETWEEN = {
@@ -88,3 +89,23 @@ def test_a_fast_pendulum_is_stopped_before_the_end_of_its_range(make, theta, the
     direction = np.sign(theta_dot)
     room = 1.25 - theta * direction
     assert theta_ddot == pytest.approx(-1.05 * direction * theta_dot**2 / (2.0 * room))
+
+
+@pytest.mark.parametrize("rate", [0.7, 2.0, 5.0])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_pulse_is_as_fast_as_the_distance_asks(rate, side):
+    law = goal_pulses().law
+    mu = 0.08
+    error = 0.01
+    # Friction stops the platform after a distance proportional to the square of the rate.
+    gain = error * mu / rate**2
+    phase = FIRST_PULSE[0]
+    # A certain estimate, and a pendulum that rests where a pulse starts.
+    estimator = (1.0, 0.5, np.log(mu), 1e-4, 0.0, 1e-4, 0.0, 0.0, 0.0)
+    memory = (*estimator, phase, -side, 0.0, 0.0, gain, 0.0)
+    # The goal stands behind the two numbers of the reference.
+    row = (0.0, 0.0, side * error, 0.0, 0.0, 0.0, 0.0, 0.0)
+    torque, memory = law(-0.9 * side, 0.0, 0.0, 0.0, memory, row)
+    assert memory[10] == side
+    assert memory[11] == pytest.approx(rate)
+    assert torque == side * TORQUE_LIMIT
