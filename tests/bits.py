@@ -182,10 +182,9 @@ def compute(name):
         observations, rewards, _, _, info = env.step(act(observations))
         shown.append((observations, rewards, info["state"].copy()))
     digest = hashlib.sha256()
-    for column in zip(*shown, strict=True):
-        digest.update(np.array(column).tobytes())
-    for metric in env.episode_metrics().values():
-        digest.update(np.ascontiguousarray(metric).tobytes())
+    for array in (*zip(*shown, strict=True), *env.episode_metrics().values()):
+        values = np.array(array)
+        digest.update(values.astype(values.dtype.newbyteorder("<")).tobytes())
     return digest.hexdigest()
 
 
