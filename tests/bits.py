@@ -217,14 +217,14 @@ def main(
 
     Args:
         names: Subjects to compare; all by default.
-        write: Write them to tests/bits.json.
+        write: Write those of all subjects to tests/bits.json instead.
         first_seeds: Compare one training seed of each trained policy: `agents.leaderboard --check`
             evaluates all of them.
     """
     known = list(subjects_by_name())
     if write:
-        hashes = compute_all(known)
-        write_atomically(FILE, json.dumps(hashes, indent=1) + "\n")
+        write_atomically(FILE, json.dumps(compute_all(known), indent=1) + "\n")
+        return 0
     committed = json.loads(FILE.read_text(encoding="utf-8"))
     wrong = [f"{name}: unknown subject" for name in committed if name not in known]
     for name in names:
