@@ -29,7 +29,7 @@ from capsule_gym.command_line import Count, Positional, arg, command
 from capsule_gym.evaluation.candidates import find_candidate
 from capsule_gym.evaluation.episodes import evaluate, scores
 from capsule_gym.evaluation.sets import batch_options, load_set
-from capsule_gym.files import replacing
+from capsule_gym.files import load_arrays, replacing
 from capsule_gym.policies.policy import POLICY
 from capsule_gym.tasks.registry import TASKS
 
@@ -203,10 +203,9 @@ def read_record() -> dict[str, Results]:
     """The results of all cells by name."""
     found: dict[str, Results] = {}
     if RECORD.is_file():
-        with np.load(RECORD, allow_pickle=False) as arrays:
-            for key, values in arrays.items():
-                name, _, metric = key.partition("/")
-                found.setdefault(name, {})[metric] = values
+        for key, values in load_arrays(RECORD).items():
+            name, _, metric = key.partition("/")
+            found.setdefault(name, {})[metric] = values
     return found
 
 

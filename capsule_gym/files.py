@@ -1,6 +1,7 @@
-"""Atomic writing of files, and JSON that any reader accepts."""
+"""Atomic writing of files, reading of arrays, and JSON that any reader accepts."""
 
 import hashlib
+import io
 import json
 import os
 import secrets
@@ -8,6 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 
 @contextmanager
@@ -58,6 +61,24 @@ def synchronise(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def load_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Reads the arrays of an npz file by name.
+
+    Raises:
+        OSError: if it cannot be read.
+        ValueError: if it is malformed.
+    """
+    content = path.read_bytes()
+    try:
+        # From memory, since numpy does not close an invalid file.
+        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+            return dict(arrays)
+    # A malformed file makes numpy raise errors of any kind.
+    except Exception as error:
+        found = f"{type(error).__name__}: {error}"
+        raise ValueError(f"{path} must be a file of numpy.savez, got {found}") from error
 
 
 def to_json(value: Any) -> str:

@@ -35,7 +35,7 @@ from agents.training.config import CONFIG, RunError
 from capsule_gym import Policy
 from capsule_gym.evaluation.episodes import drawn_from, drawn_like, evaluate, scores
 from capsule_gym.evaluation.sets import EvaluationSet
-from capsule_gym.files import replacing, to_json, write_atomically
+from capsule_gym.files import load_arrays, replacing, to_json, write_atomically
 from capsule_gym.parameters import Randomization
 from capsule_gym.policies.policy import POLICY
 
@@ -206,8 +206,8 @@ class Run:
         """Reads the checkpoint and the data of the rounds before it."""
         state: dict[str, Any] = torch.load(self.folder / CHECKPOINT, weights_only=True)
         for n in range(state["rounds"]):
-            with np.load(self._round_path(n), allow_pickle=False) as arrays:
-                self.datasets.append(Dataset(**arrays))
+            arrays = load_arrays(self._round_path(n))
+            self.datasets.append(Dataset(**arrays))
         self.network = Network(self.student, self.datasets[0], self.seed)
         self.network.module.load_state_dict(state["module"])
         self.network.optimiser.load_state_dict(state["optimiser"])

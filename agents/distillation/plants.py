@@ -23,7 +23,7 @@ from baselines.dynamic_programming.grid import Grid
 from baselines.dynamic_programming.problem import CONSTANTS, PENDULUM, Problem
 from baselines.dynamic_programming.solver import Solution
 from capsule_gym.envs.contract import draw_plant, ends
-from capsule_gym.files import replacing
+from capsule_gym.files import load_arrays, replacing
 from capsule_gym.parameters import (
     DISTURBANCES,
     NOMINAL,
@@ -180,11 +180,11 @@ def _read(path: Path, problem: Problem) -> Solution | None:
     """The solution of a plant in a file, or None if the file has none of this plant."""
     if not path.is_file():
         return None
-    with np.load(path, allow_pickle=False) as arrays:
-        if not np.array_equal(arrays["constants"], _constants(problem)):
-            return None
-        values = arrays["values"]
-        y = tuple(arrays["y"].tolist())
-        w = tuple(arrays["w"].tolist())
-        grid = Grid(values.shape, y, w, problem.q)
-        return Solution(problem, grid, values, float(arrays["curvature"]), float(arrays["gain"]))
+    arrays = load_arrays(path)
+    if not np.array_equal(arrays["constants"], _constants(problem)):
+        return None
+    values = arrays["values"]
+    y = tuple(arrays["y"].tolist())
+    w = tuple(arrays["w"].tolist())
+    grid = Grid(values.shape, y, w, problem.q)
+    return Solution(problem, grid, values, float(arrays["curvature"]), float(arrays["gain"]))

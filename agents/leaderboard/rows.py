@@ -25,7 +25,7 @@ from capsule_gym.evaluation.candidates import AnyPolicy, Candidate
 from capsule_gym.evaluation.episodes import Episode, as_episodes, versions
 from capsule_gym.evaluation.episodes import evaluate as evaluate_policy
 from capsule_gym.evaluation.sets import EvaluationSet
-from capsule_gym.files import write_atomically
+from capsule_gym.files import load_arrays, write_atomically
 from capsule_gym.policies.policy import POLICY
 from capsule_gym.tasks.registry import TASKS, find_task
 from capsule_gym.tasks.task import METRICS
@@ -182,16 +182,15 @@ def load_row(path: Path) -> LeaderboardRow:
         hint = "`python -m agents.leaderboard NAME` writes them"
         raise ValueError(f"{path.stem}: no results in {path.name}; {hint}")
     try:
-        # Read from memory, since numpy does not close an invalid file.
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
-            header = json.loads(archive["header"].tobytes().decode())
-            scores = {name: archive[name] for name in header["sets"]}
+        arrays = load_arrays(path)
+        header = json.loads(arrays["header"].tobytes().decode())
+        scores = {name: arrays[name] for name in header["sets"]}
         runs = max(1, len(header["training_seeds"]))
         expected = (DTYPE, (len(header["metrics"]), runs))
         fits = all((each.dtype, each.shape[:2]) == expected for each in scores.values())
         if header["policy"] != path.stem or not fits:
             raise ValueError("its header does not match its name or arrays")
-    # A malformed file makes numpy raise errors of any kind.
+    # Any content may stand in the header.
     except Exception as error:
         reason = f"{type(error).__name__}: {error}"
         raise ValueError(f"{path.stem}: {path.name} contains no results: {reason}") from error

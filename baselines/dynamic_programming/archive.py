@@ -4,7 +4,6 @@ Each archived speed is that of a trajectory, whose torques, repeated from rest, 
 machine.
 """
 
-import io
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
@@ -31,7 +30,7 @@ from baselines.dynamic_programming.solver import GRIDS, STARTS, Solution
 from capsule_gym.evaluation.optimum import ARCHIVE, ARRAYS, FOLDER, GRID
 from capsule_gym.evaluation.optimum import optimal_speed as optimal_speed
 from capsule_gym.evaluation.sets import load_set
-from capsule_gym.files import replacing, write_atomically
+from capsule_gym.files import load_arrays, replacing, write_atomically
 from capsule_gym.tasks.task import CONTROL_DT, START_THETA
 
 # cm: step of the stored values, larger if two bytes cannot count the steps; a control interval
@@ -198,10 +197,9 @@ def load_archive(folder: Path = FOLDER) -> Archive:
     try:
         content = json.loads((folder / ARCHIVE).read_text(encoding="utf-8"))
         results = [Result(**fields) for fields in content["results"]]
-        # Read from memory, since numpy does not close an invalid file.
-        with np.load(io.BytesIO((folder / ARRAYS).read_bytes()), allow_pickle=False) as found:
-            return Archive({result.key: result for result in results}, dict(found))
-    # A malformed file makes numpy raise errors of any kind.
+        arrays = load_arrays(folder / ARRAYS)
+        return Archive({result.key: result for result in results}, arrays)
+    # The JSON may contain anything.
     except Exception as error:
         message = f"{folder} must hold an archive for `python -m baselines.dynamic_programming`"
         raise ValueError(f"{message}, got {type(error).__name__}: {error}") from error

@@ -1,3 +1,4 @@
+import io
 import json
 import math
 import os
@@ -6,7 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capsule_gym.files import add_name_to_errors, replacing, synchronise, to_json, write_atomically
+from capsule_gym.files import (
+    add_name_to_errors,
+    load_arrays,
+    replacing,
+    synchronise,
+    to_json,
+    write_atomically,
+)
 
 
 def lowest_free_descriptor():
@@ -80,3 +88,46 @@ def test_json_has_null_where_a_number_is_not_finite(value, found):
 
 def test_json_ends_with_a_line_break():
     assert to_json({"a": 1.0}).endswith("}\n")
+
+
+def saved(save, value):
+    """The bytes that a function of numpy writes."""
+    content = io.BytesIO()
+    save(content, value)
+    return content.getvalue()
+
+
+ARRAYS = saved(np.savez, np.arange(3))
+
+
+def test_the_arrays_of_a_file_are_read(tmp_path):
+    path = tmp_path / "arrays.npz"
+    path.write_bytes(ARRAYS)
+    arrays = load_arrays(path)
+    assert arrays.keys() == {"arr_0"}
+    np.testing.assert_array_equal(arrays["arr_0"], [0, 1, 2])
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        pytest.param(b"", id="empty"),
+        pytest.param(b"speed,cost\n", id="text"),
+        pytest.param(ARRAYS[:-30], id="truncated"),
+        pytest.param(ARRAYS.replace(b"'descr'", b"'descr("), id="changed header"),
+        pytest.param(saved(np.save, np.arange(3)), id="one array"),
+        pytest.param(saved(np.savez, np.array([None])), id="pickled"),
+    ],
+)
+def test_a_malformed_file_of_arrays_is_named(content, tmp_path):
+    path = tmp_path / "arrays.npz"
+    path.write_bytes(content)
+    free = lowest_free_descriptor()
+    with pytest.raises(ValueError, match=r"arrays\.npz must be a file of numpy\.savez, got "):
+        load_arrays(path)
+    assert lowest_free_descriptor() <= free
+
+
+def test_a_missing_file_of_arrays_is_not_malformed(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        load_arrays(tmp_path / "arrays.npz")
