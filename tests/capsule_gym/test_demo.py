@@ -144,7 +144,11 @@ def test_held_keys_apply_torque_and_cancel_each_other(held, action, monkeypatch)
 def test_the_command_ends_with_its_window(monkeypatch):
     events = [], [pygame.event.Event(pygame.QUIT)]
     monkeypatch.setattr(pygame.event, "get", Mock(side_effect=events))
+    clock = Mock()
+    monkeypatch.setattr(pygame.time, "Clock", lambda: clock)
     assert demo.main(["keyboard", "--rival", "adaptive", "--set", "nominal"]) == 0
+    # A frame is shown for 40 ms, as in a GIF.
+    clock.tick.assert_called_with(25)
     assert not pygame.display.get_init()
 
 
