@@ -190,17 +190,11 @@ def test_code_of_the_current_folder_is_found(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
-def test_a_signal_before_the_training_ends_the_process_at_once(name):
-    code = f"""
-import signal
-from agents.training.signals import QuietExit
-QuietExit().install()
-print(1)
-signal.raise_signal(signal.{name})
-print(2)
-"""
-    command = [sys.executable, "-c", code]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+def test_a_signal_before_the_training_ends_the_process_at_once(name, tmp_path):
+    code = f"import signal; print(1); signal.raise_signal(signal.{name}); print(2)"
+    (tmp_path / "mine.py").write_text(code)
+    command = [sys.executable, str(ROOT / "train.py"), "--wrapper", "mine:found", "--run", "run"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 130
     assert done.stdout == "1\n"
     assert done.stderr == "\nStopped.\n"

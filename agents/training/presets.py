@@ -79,8 +79,11 @@ DIRECT_OFF_POLICY: dict[str, Any] = dict(
     noise_time=0.25,
     observation_scale=(2.0, 0.25, 6.0),
 )
-DIRECT_SAC = SACConfig(**DIRECT_OFF_POLICY, target_entropy=-3.0)
-DIRECT_TQC = TQCConfig(**DIRECT_OFF_POLICY, target_entropy=-3.0, quantiles=10, dropped_quantiles=0)
+TARGET_ENTROPY = -3.0
+DIRECT_SAC = SACConfig(**DIRECT_OFF_POLICY, target_entropy=TARGET_ENTROPY)
+DIRECT_TQC = TQCConfig(
+    **DIRECT_OFF_POLICY, target_entropy=TARGET_ENTROPY, quantiles=10, dropped_quantiles=0
+)
 PRESETS: dict[tuple[ActionMode, Algorithm], Config] = {
     ("residual", "ppo"): RESIDUAL_PPO,
     ("direct", "ppo"): DIRECT_PPO,

@@ -7,13 +7,21 @@ import numpy as np
 import pytest
 from tqdm import tqdm
 
+from agents.criteria import CRITERIA
 from agents.training import callbacks
+from agents.training.callbacks import validation_plants
+from agents.training.config import EVALUATIONS
 from agents.training.loop import begin, train
-from tests.agents.training.small import finished, log, small
+from capsule_gym import load_policy
+from capsule_gym.evaluation.episodes import evaluate
+from capsule_gym.tasks.task import HORIZON
+from tests.agents.training.small import finished, log, rows, small
 
 
 def briefly(**changes):
-    return small("direct", "ppo", evaluate_every=256, episode_seconds=0.4, **changes)
+    # The first policies hardly move: a large weight makes their energy count.
+    settings = {"evaluate_every": 256, "episode_seconds": 0.4, "energy_weight": 50.0}
+    return small("direct", "ppo", **settings, **changes)
 
 
 @pytest.fixture(scope="module")
@@ -79,6 +87,20 @@ def test_the_log_holds_the_terms_of_the_reward(run, line):
     assert line["episodes/reward_energy"] == pytest.approx(-weight * energy, rel=1e-4)
     assert line["episodes/reward_progress"] == pytest.approx(moved, abs=1e-5)
     assert line["episodes/reward_termination"] in {0.0, -5.0, -10.0}
+
+
+def test_the_score_is_less_by_the_energy(run):
+    folder, _, _ = run
+    config = briefly()
+    episodes = evaluate(load_policy(folder), validation_plants(config))
+    means = {name: np.mean([each[name] for each in episodes]) for name in ("energy", "failed")}
+    speed = np.mean([episode["mean_speed"] for episode in episodes])
+    failures = -CRITERIA["speed"].weights["failed"] * means["failed"]
+    # The mean power, by the weight of energy in the reward.
+    power = config.energy_weight * means["energy"] / HORIZON
+    assert power > 1e-3
+    best = max(float(row["score_cm_s"]) for row in rows(folder / EVALUATIONS))
+    assert best == pytest.approx(speed - failures - power, abs=1e-4)
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import torch
 
 from agents.criteria import CRITERIA, Criteria
 from agents.training.algorithms import make_env, make_model
-from agents.training.callbacks import validation_plants
+from agents.training.callbacks import evaluate_wrapped, validation_plants
 from agents.training.config import EVALUATIONS, read_config
 from agents.training.loop import begin, train
 from agents.training.presets import preset
@@ -190,6 +190,14 @@ def test_validation_plants_are_of_the_run(case):
 
 def test_episodes_that_a_wrapper_ends_have_failed(others):
     assert float(log(others["wrapped"])[768]["episodes/failed"]) > 0.2
+
+
+def test_the_evaluation_of_a_wrapped_agent_leaves_the_statistics_of_observations():
+    config = config_of("wrapped")
+    env = make_env(config, 0)
+    before = env.obs_rms.count
+    evaluate_wrapped(make_model(config, env), config, validation_plants(config))
+    assert env.obs_rms.count == before
 
 
 def test_a_wrapped_run_has_no_policy_file(others):
