@@ -4,7 +4,16 @@ import numpy as np
 import pytest
 
 from baselines.paper import selection
-from baselines.paper.tracking import friction_for, grid, speed_map, speed_ratio, track
+from baselines.paper.tracking import (
+    friction_for,
+    grid,
+    simulate,
+    speed_map,
+    speed_ratio,
+    track,
+)
+from capsule_gym import Capsule
+from capsule_gym.control.laws.feedback_linearisation import feedback_linearising
 from capsule_gym.control.laws.profiles import EPC, PROPOSED
 
 # Equation, given and implied value, and whether one follows.
@@ -45,6 +54,15 @@ def test_law_reproduces_exact_tracking(profile, speed, torque, energy, transport
     forward = run["backward"] / run["backward_ratio"]
     advance = run["mean_speed"] * profile.period
     assert forward - run["backward"] == pytest.approx(advance, rel=1e-9)
+
+
+@pytest.mark.parametrize("profile", [PROPOSED, EPC])
+def test_the_map_follows_a_platform_that_slides_from_cycle_to_cycle(profile):
+    slippery = Capsule(mu=0.001)
+    law = feedback_linearising(profile, nominal=slippery)
+    (run,) = simulate(law, [(slippery.M, slippery.mu)], capsule=slippery)
+    found = speed_map(profile, mu=[slippery.mu], h=1e-4)[0, 0]
+    assert found == pytest.approx(run.metrics["mean_speed"], rel=1e-3)
 
 
 @pytest.mark.parametrize("profile", [PROPOSED, EPC])
