@@ -246,3 +246,19 @@ def interrupt(jobs, parallel, backend):
 def test_failures_and_ctrl_c_have_their_exit_status(study, capsys, train, status, said):
     assert study(train, "0123456789ab", "0123456789ab") == status
     assert said in "".join(capsys.readouterr())
+
+
+@pytest.mark.parametrize("options", [["--publish"], []])
+def test_finished_runs_are_published_only_on_request(tmp_path, monkeypatch, options):
+    def train(jobs, *_):
+        for each in jobs:
+            each.run.mkdir(parents=True)
+            (each.run / FINISHED).touch()
+        return {}
+
+    copied = Mock(return_value="folder")
+    monkeypatch.setattr("agents.study.train_all", train)
+    monkeypatch.setattr("agents.study.check_committed", Mock())
+    monkeypatch.setattr("agents.study.copy_policy", copied)
+    assert main(["direct-ppo", "--seeds", "0", "1", "--runs", str(tmp_path), *options]) == 0
+    assert copied.call_count == 2 * len(options)
