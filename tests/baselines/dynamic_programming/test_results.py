@@ -8,7 +8,13 @@ from baselines.dynamic_programming import archive, solver
 from baselines.dynamic_programming.archive import Archive, known_results, load_archive, set_plants
 from baselines.dynamic_programming.grid import Grid
 from baselines.dynamic_programming.policy import Oracle
-from baselines.dynamic_programming.problem import Problem, plant_problems, repeat
+from baselines.dynamic_programming.problem import (
+    SETTLED,
+    Problem,
+    Trajectory,
+    plant_problems,
+    repeat,
+)
 from baselines.dynamic_programming.solver import Solution, solve_on_grids
 from baselines.policies import SCRIPTED
 from capsule_gym.evaluation.episodes import evaluate
@@ -21,6 +27,7 @@ from capsule_gym.evaluation.optimum import (
 )
 from capsule_gym.evaluation.sets import EvaluationSet, PlantSpec
 from capsule_gym.parameters import Capsule
+from capsule_gym.tasks.task import CONTROL_DT, HORIZON
 from tests import ROOT
 
 SPEED = Problem()
@@ -281,3 +288,17 @@ def test_the_page_shows_the_results_by_control_interval(control_dt):
     gain = result.gains[-1]
     assert_on_page(1e3 * control_dt, result.mean_speed, max(result.steady), gain)
     assert f"{gain:.2f}|{archive.extrapolated(result)}|" in PAGE
+
+
+def test_cycles_begin_where_the_pendulum_turns_left_of_upright():
+    # A swing a second, with a short stop on the right, and a platform that moves to and fro.
+    t = CONTROL_DT * (np.arange(round(HORIZON / CONTROL_DT)) + 0.5)
+    theta = -np.cos(2.0 * np.pi * t)
+    stopping = (t % 1.0 > 0.6) & (t % 1.0 < 0.7)
+    theta_dot = np.where(stopping, 0.1, np.sin(2.0 * np.pi * t))
+    x = 0.1 * t + 0.01 * np.cos(2.0 * np.pi * t)
+    states = np.stack([theta, theta_dot, x, np.zeros_like(t)], axis=1)[..., None]
+    run = Trajectory({}, states, np.zeros((len(t), 1), np.uint8))
+    starts = t[run.cycle_starts(CONTROL_DT)]
+    np.testing.assert_allclose(starts, np.arange(np.ceil(SETTLED), HORIZON) + 0.5 * CONTROL_DT)
+    assert run.steady_speed(CONTROL_DT) == pytest.approx(10.0)

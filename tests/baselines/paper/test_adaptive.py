@@ -40,10 +40,14 @@ def test_lyapunov_function_of_a_wrong_estimate(exact):
     np.testing.assert_allclose(lyapunov(exact, START, off), expected, rtol=1e-12)
 
 
-def test_lyapunov_function_of_a_rate_error(exact):
-    # delta_theta = 0.2 rad/s at delta_x = 0.
-    late = replace(exact, theta_dot=exact.theta_dot + 0.2)
-    expected = LEAST + 0.5 * 0.138 * 0.09 * 0.2**2
+@pytest.mark.parametrize(
+    ("rate", "error", "inertia"),
+    [("theta_dot", 0.2, 0.138 * 0.3**2), ("x_dot", 0.1, 0.5 + 0.138)],
+)
+def test_lyapunov_function_of_a_rate_error(exact, rate, error, inertia):
+    # The other sliding variable is 0.
+    late = replace(exact, **{rate: getattr(exact, rate) + error})
+    expected = LEAST + 0.5 * inertia * error**2
     np.testing.assert_allclose(lyapunov(late, START, PLANT), expected, rtol=1e-9)
 
 
