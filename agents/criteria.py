@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from capsule_gym.evaluation.candidates import BASELINE
 from capsule_gym.evaluation.episodes import TABLE_METRICS, TASK_METRICS, TableMetric
+from capsule_gym.tasks.registry import TASKS
 
 _TASK_METRICS = {metric.name: metric for metric in TASK_METRICS}
 
@@ -60,12 +61,13 @@ _SPEED = Criteria(
     baseline=BASELINE,
     ranking_set="paper",
 )
-# A missed goal already counts as a time of 15 s; the weight of `success` adds 15 s.
+# A missed goal already counts as the time of an episode; the weight of `success` adds it again.
+_GOAL_TIME = TASKS["goal"].horizon
 _GOAL = Criteria(
     metric=_TASK_METRICS["goal_time"],
     unit="s",
     suffix="s",
-    weights={"goal_time": -1.0, "success": 15.0, "failed": -15.0},
+    weights={"goal_time": -1.0, "success": _GOAL_TIME, "failed": -_GOAL_TIME},
     baseline="goal-pulses",
     ranking_set="goal",
 )

@@ -21,7 +21,6 @@ from capsule_gym.identification import Fit
 from capsule_gym.parameters import Capsule, Randomization
 from capsule_gym.policies.policy import MOST_UNITS
 from capsule_gym.tasks.registry import TASKS
-from capsule_gym.tasks.task import CONTROL_DT
 
 # Largest seed of numpy's legacy generator, which SB3 seeds.
 LARGEST_SEED = 2**32 - 1
@@ -221,7 +220,7 @@ class Config:
     @property
     def horizon(self) -> float:
         """The length of the environment's episode, s."""
-        return TASKS[self.task].episode_steps * CONTROL_DT
+        return TASKS[self.task].horizon
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as plain types, with the names of config.json."""

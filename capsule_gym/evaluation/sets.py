@@ -29,7 +29,6 @@ from capsule_gym.parameters.disturbances import SAMPLING
 from capsule_gym.tasks.registry import TASKS, find_task
 from capsule_gym.tasks.task import (
     CHANGE,
-    CONTROL_DT,
     HORIZON,
     LARGEST_STATE,
     START_THETA,
@@ -142,7 +141,7 @@ class EvaluationSet:
     @property
     def horizon(self) -> float:
         """The length of its episodes, s."""
-        return find_task(self.task).episode_steps * CONTROL_DT
+        return find_task(self.task).horizon
 
     def check_task(self, task: str, policy: str) -> None:
         """Raises a ValueError if the task of the policy with this name is not that of the set."""

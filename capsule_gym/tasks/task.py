@@ -98,6 +98,11 @@ class Task:
         """Agent steps until truncation."""
         return self._description.steps
 
+    @property
+    def horizon(self) -> float:
+        """Length of an episode, s."""
+        return self.episode_steps * CONTROL_DT
+
     @cached_property
     def term(self) -> str:
         """The name in `info` of the task's own reward term."""
