@@ -120,6 +120,19 @@ def test_sigterm_ends_the_run_of_a_worker(tmp_path):
     assert not endless.finished
 
 
+def test_a_study_uses_all_cores_unless_it_is_told_how_many(monkeypatch):
+    counts = []
+
+    def record(self, tasks):
+        counts.append(self.n_jobs)
+        return []
+
+    monkeypatch.setattr("joblib.Parallel.__call__", record)
+    train_all([])
+    train_all([], 2)
+    assert counts == [-1, 2]
+
+
 def test_a_killed_worker_is_a_failure_of_the_unfinished_runs(tmp_path, monkeypatch):
     first, second = job(tmp_path, 0), job(tmp_path, 1)
 
