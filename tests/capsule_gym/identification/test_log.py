@@ -1,10 +1,12 @@
 """Invalid logs raise errors that name the column."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 
 from capsule_gym import identify
-from capsule_gym.identification.log import read_log
+from capsule_gym.identification.log import check_stop, read_log
 
 
 @pytest.mark.parametrize(
@@ -111,3 +113,12 @@ def test_a_dataframe_is_a_log(log):
     assert list(found) == list(log)
     assert np.array_equal(found["theta"], log["theta"])
     assert np.isnan(found["x_dot"]).nonzero()[0].tolist() == [3]
+
+
+@pytest.mark.parametrize("period", [0.005, 0.02])
+@pytest.mark.parametrize(("seconds", "lies"), [(0.2, False), (0.4, True)])
+def test_a_pendulum_that_stays_near_its_stop_lies_on_it(period, seconds, lies):
+    t = np.arange(0.0, 2.0, period)
+    near = (t > 1.0) & (t <= 1.0 + seconds)
+    with pytest.raises(ValueError, match="'theta' must be") if lies else nullcontext():
+        check_stop(np.where(near, 1.45, 0.5), period)

@@ -209,3 +209,13 @@ def test_chi2_is_what_past_torques_and_the_motion_explain_of_the_residuals():
     expected = (of_noise + explained(second, FOURTH_OF_FIVE[2:])) / 2.0
     assert problem.statistic(np.zeros(3)) == pytest.approx(expected)
     assert 0.7 < of_noise < 1.3
+
+
+@pytest.mark.parametrize(("share", "outwards"), [(0.0, 1.0), (1.0, -1.0)])
+def test_an_unknown_at_the_end_of_its_range_is_free_to_leave_it_only_inwards(share, outwards):
+    problem = make_small_problem()
+    unknowns = np.array([share, 0.5, share])
+    for slope in (0.3, 3.0):
+        gradient = np.full(3, slope * outwards)
+        assert problem.free(unknowns, gradient).tolist() == [False, True, False]
+        assert problem.free(unknowns, -gradient).all()
