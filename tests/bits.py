@@ -5,7 +5,6 @@ of its metrics: for the plant under random torques, for every law of `baselines`
 residuals, and for every other policy.
 """
 
-import functools
 import hashlib
 import itertools
 import json
@@ -14,6 +13,7 @@ import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -46,20 +46,18 @@ SHAKEN = replace(REAL, push=(0.0, 0.5), theta_resolution=0.001, torque_resolutio
 Act = Callable[[np.ndarray], np.ndarray]
 
 
-class Subject(NamedTuple):
-    """A case with a hash: its key in the file, its environment, and its actions.
+class Actor(NamedTuple):
+    """What acts, and where; as of a policy, `start` begins a batch of episodes by their seeds."""
 
-    `start` begins a batch of episodes by their seeds.
-    """
-
-    name: str
     env_kwargs: dict[str, Any]
     start: Callable[[Sequence[int]], Act]
 
-    @property
-    def steps(self):
-        """Agent steps of a whole episode."""
-        return round(HORIZON / self.env_kwargs.get("control_dt", CONTROL_DT))
+
+class Subject(NamedTuple):
+    """A case with a hash: its key in the file, and what makes its actor or policy."""
+
+    name: str
+    make: Callable[[], Any]
 
 
 def random_actions(scale):
@@ -76,13 +74,22 @@ def random_actions(scale):
 
 def plant(name, **env_kwargs):
     """A plant under random torques."""
-    return Subject(f"plant{name}", env_kwargs, random_actions(0.15))
+    return Subject(f"plant{name}", lambda: Actor(env_kwargs, random_actions(0.15)))
 
 
 def law(name, controller, **env_kwargs):
     """A control law under random residuals."""
     env_kwargs["controller"] = f"baselines:{controller}"
-    return Subject(f"law {name}", env_kwargs, random_actions(0.05))
+    return Subject(f"law {name}", lambda: Actor(env_kwargs, random_actions(0.05)))
+
+
+def trained(name):
+    """A trained policy; some begin as in their training."""
+    policy = capsule_gym.load_policy(name)
+    env_kwargs = dict(policy.env_kwargs)
+    if name.partition("/")[0] in WIDE_STARTS:
+        env_kwargs["initial_range"] = (1.047, 8.0)
+    return Actor(env_kwargs, policy.start)
 
 
 def plants():
@@ -126,10 +133,8 @@ def laws():
     yield law("gait broad", "gait", randomization="broad")
 
 
-def recurrent():
-    """Yields a trained LSTM, and a GRU with random weights next to a feedback of the state."""
-    trained = capsule_gym.load_policy(RECURRENT)
-    yield Subject(f"policy {trained.name}", trained.env_kwargs, trained.start)
+def gru():
+    """A GRU with random weights next to a feedback of the state."""
     draws = np.random.default_rng(3)
 
     def weights(*shape):
@@ -139,12 +144,12 @@ def recurrent():
     feedback = np.array([[-1.0, 0.02, 0.0, 0.0, 0.0]], np.float32)
     last = np.concatenate([0.1 * weights(1, 11), feedback], axis=1)
     made = replace(
-        trained,
+        capsule_gym.load_policy(RECURRENT),
         layers=((weights(7, 5), weights(7)),),
         cell=cell,
         head=((last, np.full(1, 0.1, np.float32)),),
     )
-    yield Subject("policy gru", {"randomization": "wide"}, made.start)
+    return Actor({"randomization": "wide"}, made.start)
 
 
 def subjects():
@@ -154,17 +159,14 @@ def subjects():
     for policy in SCRIPTED.values():
         if "controller" not in policy.env_kwargs:
             env_kwargs = {"randomization": "wide", **policy.env_kwargs}
-            yield Subject(f"scripted {policy.name}", env_kwargs, policy.start)
+            yield Subject(f"scripted {policy.name}", partial(Actor, env_kwargs, policy.start))
     for name in policy_names(seeds=True):
-        trained = capsule_gym.load_policy(name)
-        env_kwargs = dict(trained.env_kwargs)
-        if name.partition("/")[0] in WIDE_STARTS:
-            env_kwargs["initial_range"] = (1.047, 8.0)
-        yield Subject(f"policy {name}", env_kwargs, trained.start)
-    yield from recurrent()
+        yield Subject(f"policy {name}", partial(trained, name))
+    yield Subject(f"policy {RECURRENT.name}", partial(capsule_gym.load_policy, RECURRENT))
+    yield Subject("policy gru", gru)
 
 
-@functools.cache
+@cache
 def subjects_by_name() -> dict[str, Subject]:
     """All subjects by name."""
     return {subject.name: subject for subject in subjects()}
@@ -172,13 +174,15 @@ def subjects_by_name() -> dict[str, Subject]:
 
 def compute(name):
     """The hash of a subject; an environment stands still after its episode has ended."""
-    subject = subjects_by_name()[name]
-    kwargs = {**subject.env_kwargs, "max_episode_steps": subject.steps}
+    # Made here, since to load all policies takes longer than their episodes.
+    actor = subjects_by_name()[name].make()
+    steps = round(HORIZON / actor.env_kwargs.get("control_dt", CONTROL_DT))
+    kwargs = {**actor.env_kwargs, "max_episode_steps": steps}
     env = CapsuleVectorEnv(NUM_ENVS, autoreset_mode=AutoresetMode.DISABLED, **kwargs)
     observations, _ = env.reset(seed=0)
-    act = subject.start(range(NUM_ENVS))
+    act = actor.start(range(NUM_ENVS))
     shown = []
-    for _ in range(subject.steps):
+    for _ in range(steps):
         observations, rewards, _, _, info = env.step(act(observations))
         shown.append((observations, rewards, info["state"].copy()))
     digest = hashlib.sha256()
