@@ -5,6 +5,7 @@ of its metrics: for the plant under random torques, for every law of `baselines`
 residuals, and for every other policy.
 """
 
+import functools
 import hashlib
 import itertools
 import json
@@ -13,7 +14,6 @@ import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -46,18 +46,20 @@ SHAKEN = replace(REAL, push=(0.0, 0.5), theta_resolution=0.001, torque_resolutio
 Act = Callable[[np.ndarray], np.ndarray]
 
 
-class Actor(NamedTuple):
-    """What acts, and where; as of a policy, `start` begins a batch of episodes by their seeds."""
+class Subject(NamedTuple):
+    """A case with a hash: its key in the file, its environment, and its actions.
 
+    `start` begins a batch of episodes by their seeds.
+    """
+
+    name: str
     env_kwargs: dict[str, Any]
     start: Callable[[Sequence[int]], Act]
 
-
-class Subject(NamedTuple):
-    """A case with a hash: its key in the file, and what makes its actor or policy."""
-
-    name: str
-    make: Callable[[], Any]
+    @property
+    def steps(self):
+        """Agent steps of a whole episode."""
+        return round(HORIZON / self.env_kwargs.get("control_dt", CONTROL_DT))
 
 
 def random_actions(scale):
@@ -74,22 +76,13 @@ def random_actions(scale):
 
 def plant(name, **env_kwargs):
     """A plant under random torques."""
-    return Subject(f"plant{name}", lambda: Actor(env_kwargs, random_actions(0.15)))
+    return Subject(f"plant{name}", env_kwargs, random_actions(0.15))
 
 
 def law(name, controller, **env_kwargs):
     """A control law under random residuals."""
     env_kwargs["controller"] = f"baselines:{controller}"
-    return Subject(f"law {name}", lambda: Actor(env_kwargs, random_actions(0.05)))
-
-
-def trained(name):
-    """A trained policy; some begin as in their training."""
-    policy = capsule_gym.load_policy(name)
-    env_kwargs = dict(policy.env_kwargs)
-    if name.partition("/")[0] in WIDE_STARTS:
-        env_kwargs["initial_range"] = (1.047, 8.0)
-    return Actor(env_kwargs, policy.start)
+    return Subject(f"law {name}", env_kwargs, random_actions(0.05))
 
 
 def plants():
@@ -133,8 +126,10 @@ def laws():
     yield law("gait broad", "gait", randomization="broad")
 
 
-def gru():
-    """A GRU with random weights next to a feedback of the state."""
+def recurrent():
+    """Yields a trained LSTM, and a GRU with random weights next to a feedback of the state."""
+    trained = capsule_gym.load_policy(RECURRENT)
+    yield Subject(f"policy {trained.name}", trained.env_kwargs, trained.start)
     draws = np.random.default_rng(3)
 
     def weights(*shape):
@@ -144,12 +139,12 @@ def gru():
     feedback = np.array([[-1.0, 0.02, 0.0, 0.0, 0.0]], np.float32)
     last = np.concatenate([0.1 * weights(1, 11), feedback], axis=1)
     made = replace(
-        capsule_gym.load_policy(RECURRENT),
+        trained,
         layers=((weights(7, 5), weights(7)),),
         cell=cell,
         head=((last, np.full(1, 0.1, np.float32)),),
     )
-    return Actor({"randomization": "wide"}, made.start)
+    yield Subject("policy gru", {"randomization": "wide"}, made.start)
 
 
 def subjects():
@@ -159,14 +154,17 @@ def subjects():
     for policy in SCRIPTED.values():
         if "controller" not in policy.env_kwargs:
             env_kwargs = {"randomization": "wide", **policy.env_kwargs}
-            yield Subject(f"scripted {policy.name}", partial(Actor, env_kwargs, policy.start))
+            yield Subject(f"scripted {policy.name}", env_kwargs, policy.start)
     for name in policy_names(seeds=True):
-        yield Subject(f"policy {name}", partial(trained, name))
-    yield Subject(f"policy {RECURRENT.name}", partial(capsule_gym.load_policy, RECURRENT))
-    yield Subject("policy gru", gru)
+        trained = capsule_gym.load_policy(name)
+        env_kwargs = dict(trained.env_kwargs)
+        if name.partition("/")[0] in WIDE_STARTS:
+            env_kwargs["initial_range"] = (1.047, 8.0)
+        yield Subject(f"policy {name}", env_kwargs, trained.start)
+    yield from recurrent()
 
 
-@cache
+@functools.cache
 def subjects_by_name() -> dict[str, Subject]:
     """All subjects by name."""
     return {subject.name: subject for subject in subjects()}
@@ -174,15 +172,13 @@ def subjects_by_name() -> dict[str, Subject]:
 
 def compute(name):
     """The hash of a subject; an environment stands still after its episode has ended."""
-    # Made here, since to load all policies takes longer than their episodes.
-    actor = subjects_by_name()[name].make()
-    steps = round(HORIZON / actor.env_kwargs.get("control_dt", CONTROL_DT))
-    kwargs = {**actor.env_kwargs, "max_episode_steps": steps}
+    subject = subjects_by_name()[name]
+    kwargs = {**subject.env_kwargs, "max_episode_steps": subject.steps}
     env = CapsuleVectorEnv(NUM_ENVS, autoreset_mode=AutoresetMode.DISABLED, **kwargs)
     observations, _ = env.reset(seed=0)
-    act = actor.start(range(NUM_ENVS))
+    act = subject.start(range(NUM_ENVS))
     shown = []
-    for _ in range(steps):
+    for _ in range(subject.steps):
         observations, rewards, _, _, info = env.step(act(observations))
         shown.append((observations, rewards, info["state"].copy()))
     digest = hashlib.sha256()
