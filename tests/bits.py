@@ -184,6 +184,7 @@ def compute(name):
     digest = hashlib.sha256()
     for array in (*zip(*shown, strict=True), *env.episode_metrics().values()):
         values = np.array(array)
+        # In one byte order on every machine.
         digest.update(values.astype(values.dtype.newbyteorder("<")).tobytes())
     return digest.hexdigest()
 

@@ -13,7 +13,7 @@ from agents.training.callbacks import validation_plants
 from agents.training.config import EVALUATIONS
 from agents.training.loop import begin, train
 from capsule_gym import load_policy
-from capsule_gym.evaluation.episodes import evaluate
+from capsule_gym.evaluation.episodes import evaluate, scores
 from capsule_gym.tasks.task import HORIZON
 from tests.agents.training.small import finished, log, rows, small
 
@@ -93,14 +93,13 @@ def test_the_score_is_less_by_the_energy(run):
     folder, _, _ = run
     config = briefly()
     episodes = evaluate(load_policy(folder), validation_plants(config))
-    means = {name: np.mean([each[name] for each in episodes]) for name in ("energy", "failed")}
-    speed = np.mean([episode["mean_speed"] for episode in episodes])
-    failures = -CRITERIA["speed"].weights["failed"] * means["failed"]
+    criteria = CRITERIA["speed"]
+    means = {name: scores(episodes, name).mean() for name in criteria.weights}
     # The mean power, by the weight of energy in the reward.
-    power = config.energy_weight * means["energy"] / HORIZON
+    power = config.energy_weight * scores(episodes, "energy").mean() / HORIZON
     assert power > 1e-3
     best = max(float(row["score_cm_s"]) for row in rows(folder / EVALUATIONS))
-    assert best == pytest.approx(speed - failures - power, abs=1e-4)
+    assert best == pytest.approx(criteria.score(means) - power, abs=1e-4)
 
 
 @pytest.fixture

@@ -46,7 +46,8 @@ def test_lyapunov_function_of_a_wrong_estimate(exact):
 )
 def test_lyapunov_function_of_a_rate_error(exact, rate, error, inertia):
     # The other sliding variable is 0.
-    late = replace(exact, **{rate: getattr(exact, rate) + error})
+    wrong = getattr(exact, rate) + error
+    late = replace(exact, **{rate: wrong})
     expected = LEAST + 0.5 * inertia * error**2
     np.testing.assert_allclose(lyapunov(late, START, PLANT), expected, rtol=1e-9)
 

@@ -128,13 +128,14 @@ def test_a_pair_in_slip_corrects_the_estimates_as_a_bayesian_would(deviations, e
     found = np.diag(np.square(deviations))
     first = [0.3, 4.0, 0.10]
     second = [0.375, 3.5, 0.06]
-    begun = np.array([1.0, *mean, *found[[0, 0, 1], [0, 1, 1]], 0.0, 0.0, 0.0])
+    upper = np.triu_indices(2)
+    begun = np.array([1.0, *mean, *found[upper], 0.0, 0.0, 0.0])
     _, memory = update(np.float32([first]), begun[None])
     _, (memory,) = update(np.float32([second]), memory)
     expected_mean, P = posterior([first, second], mean, np.diag(np.square(expected)))
     assert_allclose(memory[1:3], expected_mean, rtol=1e-3)
     # A twentieth of the information fades.
-    assert_allclose(memory[[3, 4, 5]], P[[0, 0, 1], [0, 1, 1]] / 0.95, rtol=1e-2)
+    assert_allclose(memory[3:6], P[upper] / 0.95, rtol=1e-2)
 
 
 @pytest.mark.parametrize(
