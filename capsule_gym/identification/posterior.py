@@ -108,15 +108,21 @@ def laplace(problem: ShootingProblem, unknowns: np.ndarray) -> np.ndarray:
     """
     r, jacobian = problem.residuals(unknowns)
     count = len(problem.names)
-    # Drawn with a normal prior as wide as the ranges, which the weights take back.
-    prior = np.where(np.arange(len(unknowns)) < count, 1.0, 1e-6)
-    covariance = np.linalg.inv(jacobian.T @ jacobian + np.diag(prior))
-    gradient = prior * (0.5 - unknowns) - jacobian.T @ r
-    middle = unknowns + covariance @ gradient
-    factor = np.linalg.cholesky(covariance[:count, :count])
+    # Drawn with a normal prior as wide as the ranges, which the weights take back; the inverse of
+    # its deviation.
+    prior = np.where(np.arange(len(unknowns)) < count, 1.0, 1e-3)
+    matrix = np.vstack([jacobian, np.diag(prior)])
+    right_side = np.append(-r, prior * (0.5 - unknowns))
+    # With the states first, the last rows of R are those of the shares alone. Normal equations
+    # would square the condition number, which is large where no reading determines a state.
+    columns = np.column_stack([matrix[:, count:], matrix[:, :count], right_side])
+    R = np.linalg.qr(columns, mode="r")[:-1]
+    of_shares = R[-count:, -count - 1 :]
+    factor = np.linalg.inv(of_shares[:, :-1])
+    middle = unknowns[:count] + factor @ of_shares[:, -1]
     generator = np.random.default_rng(0)
     normal = generator.standard_normal((PROPOSALS, count))
-    drawn = middle[:count] + normal @ factor.T
+    drawn = middle + normal @ factor.T
     inside = ((drawn >= 0.0) & (drawn <= 1.0)).all(axis=1)
     # A likelihood far outside of the ranges, which hardly any sample meets.
     drawn = drawn[inside] if inside.sum() > 500 else np.clip(drawn, 0.0, 1.0)

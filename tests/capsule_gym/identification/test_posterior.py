@@ -61,6 +61,21 @@ def test_the_posterior_is_normal_within_the_ranges(scale, b, mean, covariance):
     np.testing.assert_allclose(np.cov(samples.T), covariance, atol=0.06 * covariance.max())
 
 
+def test_states_that_no_reading_determines_leave_the_posterior_of_the_shares():
+    """Two states act alike, so that the readings determine their sum only, without noise."""
+    problem = make_small_problem()
+    problem.names = ["a", "b"]
+    problem.densities = np.zeros(2)
+    jacobian = 1e7 * A[:, [0, 1, 2, 2]] * [1.0, 1.0, 1.0, 0.3]
+    truth = np.array([0.6, 0.4, 2.0, 1.0])
+    problem.residuals = lambda unknowns, *_, **__: (jacobian @ (unknowns - truth), jacobian)
+    samples, _ = sample_posterior(problem, truth)
+    np.testing.assert_allclose(samples.mean(axis=0), [0.6, 0.4], atol=1e-8)
+    determined = jacobian[:, :3]
+    covariance = np.linalg.inv(determined.T @ determined)[:2, :2]
+    np.testing.assert_allclose(np.cov(samples.T), covariance, atol=0.06 * covariance.max())
+
+
 def test_the_posterior_follows_a_curve_of_lag_and_latency(monkeypatch):
     def residuals(lag, latency, state):
         curve = 50.0 * lag**3 + 100.0 * latency - 60.0
