@@ -116,8 +116,8 @@ def laplace(problem: ShootingProblem, unknowns: np.ndarray) -> np.ndarray:
     # With the states first, the last rows of R are those of the shares alone. Normal equations
     # would square the condition number, which is large where no reading determines a state.
     columns = np.column_stack([matrix[:, count:], matrix[:, :count], right_side])
-    R = np.linalg.qr(columns, mode="r")[:-1]
-    of_shares = R[-count:, -count - 1 :]
+    _, R = np.linalg.qr(columns)
+    of_shares = R[-count - 1 : -1, -count - 1 :]
     factor = np.linalg.inv(of_shares[:, :-1])
     middle = unknowns[:count] + factor @ of_shares[:, -1]
     generator = np.random.default_rng(0)
