@@ -111,7 +111,7 @@ def make_env(config: Config, seed: int, **changes: Any) -> VecNormalize:
     if isinstance(config, PPOConfig):
         env = VecNormalize(venv, gamma=config.gamma, clip_reward=config.clip_reward)
     else:
-        env = VecNormalize(venv, gamma=config.gamma, norm_reward=False)
+        env = VecNormalize(venv, norm_reward=False)
     if config.observation_scale is not None:
         statistics: Any = env.obs_rms
         observed = statistics["policy"] if config.asymmetric else statistics

@@ -17,8 +17,8 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 import capsule_gym
 import train as command_line
-from agents.training.algorithms import CLASSES, EpisodeMetrics, make_env, make_noise
-from agents.training.config import PPOConfig, TD3Config
+from agents.training.algorithms import CLASSES, EpisodeMetrics, make_env, make_model, make_noise
+from agents.training.config import PPOConfig, RunError, TD3Config
 from agents.training.export import export, save
 from agents.training.presets import PRESETS
 from capsule_gym import load_policy
@@ -138,11 +138,58 @@ def test_an_archive_loads_without_this_checkout(algo, tmp_path, monkeypatch):
 def test_action_noise_has_its_deviation_and_correlation_time(noise_time, expected):
     np.random.seed(0)
     noise = make_noise(TD3Config(action_noise=0.5, noise_time=noise_time))
+    # One action.
+    assert noise().shape == (1,)
     values = np.array([noise()[0] for _ in range(40_000)])[1000:]
+    assert values.mean() == pytest.approx(0.0, abs=0.05)
     assert values.std() == pytest.approx(0.5, rel=0.1)
     # Five steps of 20 ms equal the correlation time.
     correlation = np.corrcoef(values[:-5], values[5:])[0, 1]
     assert correlation == pytest.approx(expected, abs=0.08)
+
+
+def test_an_off_policy_agent_has_the_hyperparameters_of_its_configuration():
+    config = small(
+        "direct",
+        "tqc",
+        gradient_steps=3,
+        tau=0.1,
+        target_entropy=-2.0,
+        quantiles=7,
+        dropped_quantiles=3,
+    )
+    model = make_model(config, make_env(config, 0))
+    for name in ("buffer_size", "learning_starts", "gradient_steps", "tau", "target_entropy"):
+        assert getattr(model, name) == getattr(config, name)
+    assert model.policy.critic.n_quantiles == 7
+    assert model.top_quantiles_to_drop_per_net == 3
+
+
+def test_a_recurrent_agent_has_the_memory_of_its_configuration():
+    config = small("direct", "recurrentppo", lstm_units=4)
+    assert make_model(config, make_env(config, 0)).policy.lstm_actor.hidden_size == 4
+
+
+def test_rewards_are_normalised_with_the_discount_and_the_clipping_of_the_agent():
+    env = make_env(small("direct", "ppo", gamma=0.9, clip_reward=3.0), 0)
+    assert env.gamma == 0.9
+    assert env.clip_reward == 3.0
+
+
+def of_wrappers(attribute):
+    return f"tests.agents.training.wrappers:{attribute}"
+
+
+@pytest.mark.parametrize(
+    ("changes", "factors"),
+    [
+        ({"stack_size": 2}, [2.0, 3.0, 5.0, 1.0, 1.0] * 2),
+        ({"wrapper": (of_wrappers("Longer"),)}, [2.0, 3.0, 5.0, 1.0, 1.0, 1.0]),
+    ],
+)
+def test_observations_are_multiplied_by_fixed_factors(changes, factors):
+    env = make_env(small("direct", "td3", observation_scale=(2.0, 3.0, 5.0), **changes), 0)
+    assert env.normalize_obs(np.ones(len(factors))) == pytest.approx(factors)
 
 
 WRONG = {
@@ -155,7 +202,7 @@ WRONG = {
 
 @pytest.mark.parametrize(("attribute", "reason"), WRONG.items())
 def test_a_wrong_wrapper_is_an_error_of_the_command_line(attribute, reason, tmp_path, capsys):
-    name = f"tests.agents.training.wrappers:{attribute}"
+    name = of_wrappers(attribute)
     run = tmp_path / "run"
     words = ["--task", "direct", "--num-envs", "2", "--wrapper", name, "--run", str(run)]
     assert command_line.main(words) == 2
@@ -164,6 +211,33 @@ def test_a_wrong_wrapper_is_an_error_of_the_command_line(attribute, reason, tmp_
     for part in ("--wrapper", name, reason):
         assert part in error
     assert not run.exists()
+
+
+def wrapped(attribute, **changes):
+    return small("direct", "ppo", wrapper=(of_wrappers(attribute),), **changes)
+
+
+def test_a_wrapper_with_discrete_actions_is_refused():
+    message = "--wrapper must leave observations and actions Box, got .* and Discrete"
+    with pytest.raises(RunError, match=message):
+        make_env(wrapped("Discrete"), 0)
+
+
+def test_wrapped_environments_start_as_their_seed_says():
+    config = wrapped("Swing", num_envs=2, initial_range=(1.0, 1.0))
+    first, again, other = (make_env(config, seed).venv.reset() for seed in (3, 3, 4))
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+def test_a_wrapped_episode_that_lasts_until_its_time_limit_has_not_failed():
+    env = make_env(wrapped("Swing", num_envs=1, episode_seconds=0.04), 0).venv
+    env.reset()
+    dones = [env.step(np.zeros((1, 1)))[2][0] for _ in range(2)]
+    assert dones == [False, True]
+    (info,) = env.buf_infos
+    assert info["TimeLimit.truncated"]
+    assert info["metrics"]["failed"] == 0.0
 
 
 def test_an_episode_that_a_wrapper_ends_has_its_distance_over_a_whole_one():

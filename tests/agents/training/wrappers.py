@@ -29,3 +29,25 @@ class Unpicklable(gym.Wrapper):
 class TwoArguments(gym.Wrapper):
     def __init__(self, env, weight):
         super().__init__(env)
+
+
+class Discrete(gym.ActionWrapper):
+    """Offers the smallest and the largest torque."""
+
+    def __init__(self, env):
+        super().__init__(env)
+        self.action_space = gym.spaces.Discrete(2)
+
+
+class Longer(gym.ObservationWrapper):
+    """Adds a constant to the observation."""
+
+    def __init__(self, env):
+        super().__init__(env)
+        space = env.observation_space
+        low = np.append(space.low, np.float32(0.0))
+        high = np.append(space.high, np.float32(1.0))
+        self.observation_space = gym.spaces.Box(low, high, dtype=np.float32)
+
+    def observation(self, observation):
+        return np.append(observation, np.float32(1.0))
