@@ -15,7 +15,7 @@ from stable_baselines3.common.logger import Logger, make_output_format
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from agents.training import checkpoint
-from agents.training.algorithms import CLASSES, make_env, make_model, schedule
+from agents.training.algorithms import CLASSES, make_env, make_model
 from agents.training.callbacks import Stopped, TrainingCallback
 from agents.training.checkpoint import LOCK, Progress, git_revision, locked
 from agents.training.config import BEST, CONFIG, LOGS, MODEL, RIG, Config, RunError, read_config
@@ -184,15 +184,11 @@ def _load(
         if settings[name] != value:
             accepted = f"{value!r} as in {latest.name}"
             raise RunError(f"{run / CONFIG}: {name} must stay {accepted}, got {settings[name]!r}")
-    # The end of the schedule differs if total_steps has changed.
-    model.learning_rate = schedule(config)
-    model._setup_lr_schedule()
     return model, progress, restore_streams
 
 
 def _log_to(folder: Path, model: BaseAlgorithm) -> None:
     """Sets the log of an agent: a table and a file of TensorBoard."""
-    folder.mkdir(exist_ok=True)
     # SB3's writer overwrites its file, so that every process writes its own file, named by its
     # first step.
     table = make_output_format("csv", str(folder), f"-{model.num_timesteps:012d}")
@@ -210,7 +206,7 @@ def _learn(model: BaseAlgorithm, config: Config, callback: TrainingCallback) -> 
             remaining,
             callback=callback,
             log_interval=interval,
-            reset_num_timesteps=model.num_timesteps == 0,
+            reset_num_timesteps=False,
         )
 
 
