@@ -116,6 +116,22 @@ def test_a_run_that_was_killed_and_stopped_ends_like_an_undisturbed_one(
     assert all(map(checkpoint.is_whole, checkpoints(run)))
 
 
+def test_a_run_that_was_stopped_before_its_first_step_ends_like_an_undisturbed_one(
+    begun, monkeypatch, whole
+):
+    start = callbacks.TrainingCallback._on_training_start
+
+    def interrupted(self):
+        start(self)
+        signal.raise_signal(signal.SIGINT)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(callbacks.TrainingCallback, "_on_training_start", interrupted)
+        assert not train(begun)
+    assert [checkpoint.steps_of(path) for path in checkpoints(begun)] == [0]
+    assert_resumes(begun, whole["ppo"])
+
+
 def test_all_random_streams_go_on(whole):
     latest = checkpoints(whole["ppo"])[-1]
     model, _, restore_streams = checkpoint.restore(latest, PPO, make_env(small("ppo"), 0))
