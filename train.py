@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
 from shlex import quote
-from typing import Annotated, Any
+from typing import Annotated
 
 from agents.training.signals import INTERRUPTED, QuietExit
 
@@ -35,7 +35,7 @@ from agents.training.config import (  # noqa: E402
 from agents.training.presets import TRAINED_ROWS, preset, row_settings  # noqa: E402
 from baselines.drawing import new_figure, style  # noqa: E402
 from capsule_gym.checks import first_cause  # noqa: E402
-from capsule_gym.command_line import NO_NEGATIONS, parse, refuse  # noqa: E402
+from capsule_gym.command_line import parse, refuse  # noqa: E402
 from capsule_gym.control.lookup import is_own  # noqa: E402
 from capsule_gym.policies.policy import POLICY  # noqa: E402
 from capsule_gym.tasks.task import ENV_ID  # noqa: E402
@@ -107,9 +107,7 @@ def read_args(arguments: Sequence[str] | None = None) -> Args:
     # These options decide which other options exist.
     choice, _ = tyro.cli(
         Choice,
-        prog=PROG,
         args=arguments,
-        config=NO_NEGATIONS,
         return_unknown_args=True,
         add_help=False,
     )
@@ -125,7 +123,7 @@ def read_args(arguments: Sequence[str] | None = None) -> Args:
         settings = row_settings(choice.row)
     except ValueError as error:
         refuse(PROG, f"--row: {error}")
-    args = parse(Args, PROG, arguments, default=_default(settings, row=choice.row))
+    args = parse(Args, PROG, arguments, default=_default(settings))
     _check_same_kind(settings, args, f"--row {choice.row}")
     _check_rig(settings, args)
     return args
@@ -137,7 +135,7 @@ def _read_resumed(run: Path, arguments: Sequence[str] | None) -> Args:
         before = read_config(run)
     except RunError as error:
         refuse(PROG, str(error))
-    args = parse(Args, PROG, arguments, default=_default(before, resume=run))
+    args = parse(Args, PROG, arguments, default=_default(before))
     rig = args.hyperparameters.rig
     other_rig = None if rig == before.rig else rig
     for option, given in (("--run", args.run), ("--row", args.row), ("--rig", other_rig)):
@@ -156,10 +154,10 @@ def _read_resumed(run: Path, arguments: Sequence[str] | None) -> Args:
     return args
 
 
-def _default(settings: Config, **options: Any) -> Args:
+def _default(settings: Config) -> Args:
     """The arguments of which the command line may change some."""
     kind = (settings.env, settings.action_mode, settings.algo)
-    return Args(*kind, hyperparameters=settings, **options)
+    return Args(*kind, hyperparameters=settings)
 
 
 def _foreign_code(config: Config) -> tuple[str, ...] | str | None:

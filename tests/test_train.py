@@ -31,6 +31,8 @@ def test_another_environment_has_every_algorithm(env, algo, action_mode, pulses)
     assert config.action_mode == action_mode
     assert config.algo == algo
     assert config.energy_weight == 0.0
+    assert config.randomization == ENV_PRESETS[env].randomization
+    assert config.termination_penalty == ENV_PRESETS[env].termination_penalty
     assert ("_pulses" in str(config.controller)) is pulses
 
 
@@ -84,6 +86,7 @@ def test_resume_asks_before_it_runs_code_from_elsewhere(name, code, tmp_path, re
     [
         ("--seed 6", "--seed must stay 5 with --resume, got 6; only --total-steps may be changed"),
         ("--row direct-ppo", "--row must not be given with --resume, got 'direct-ppo'"),
+        ("--algo ppo", "--algo must stay sac with --resume, got ppo"),
         ("--n-epochs 3", "Unrecognized options: --n-epochs, 3"),
     ],
 )
@@ -107,15 +110,18 @@ def test_a_run_is_never_overwritten(tmp_path, capsys):
         ("--env CapsuleGoal-v0", "goal-direct-ppo"),
         ("--controller my:law", "residual-ppo"),
         ("--wrapper my:Wrapper", "residual-ppo"),
+        ("--wandb", "residual-ppo"),
     ],
 )
 def test_runs_that_begin_at_once_have_folders_of_their_own(
     words, name, tmp_path, monkeypatch, capsys
 ):
     begin = Mock()
+    trained = Mock(return_value=False)
     monkeypatch.setattr(train, "RUNS", tmp_path)
+    monkeypatch.setattr(train, "find_spec", Mock())
     monkeypatch.setattr("agents.training.loop.begin", begin)
-    monkeypatch.setattr("agents.training.loop.train", lambda *_, **__: False)
+    monkeypatch.setattr("agents.training.loop.train", trained)
     for _ in range(2):
         assert train.main([*words.split(), "--seed", "3", "--no-comparison"]) == 130
     runs = [call.args[0] for call in begin.call_args_list]
@@ -124,6 +130,7 @@ def test_runs_that_begin_at_once_have_folders_of_their_own(
         assert run.parent == tmp_path
         assert run.name.startswith(f"{name}-seed3-2")
         assert config.seed == 3
+    assert trained.call_args.kwargs == {"wandb": words == "--wandb"}
     trust = " --trust-controller" if "my:" in words else ""
     hint = f"saved. To resume: python train.py --resume {runs[1]}{trust}\n"
     assert hint in capsys.readouterr().out
@@ -159,6 +166,38 @@ def test_a_comparison_that_cannot_be_drawn_is_left_out_before_the_training(
     assert train.QUIET_EXIT.message == f"Stopped. To resume: python train.py --resume {run}"
     assert threading.excepthook is before
     assert not (run / "comparison.png").exists()
+
+
+def test_a_complete_run_is_compared(tmp_path, monkeypatch):
+    message = []
+
+    def compare(run):
+        assert run == tmp_path / "run"
+        message.append(train.QUIET_EXIT.message)
+
+    monkeypatch.setattr("agents.training.loop.begin", Mock())
+    monkeypatch.setattr("agents.training.loop.train", Mock(return_value=True))
+    monkeypatch.setattr("agents.report.compare", compare)
+    assert train.main(["--run", str(tmp_path / "run")]) == 0
+    assert message == ["Stopped. The run is complete; its comparison is not."]
+
+
+def test_an_error_of_the_system_in_a_thread_of_the_training_prints_nothing(
+    tmp_path, monkeypatch, capsys
+):
+    def full_disk():
+        raise OSError("No space left on device")
+
+    def trained(*_, **__):
+        thread = threading.Thread(target=full_disk)
+        thread.start()
+        thread.join()
+        return False
+
+    monkeypatch.setattr("agents.training.loop.begin", Mock())
+    monkeypatch.setattr("agents.training.loop.train", trained)
+    assert train.main(["--run", str(tmp_path / "run"), "--no-comparison"]) == 130
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize(

@@ -67,6 +67,7 @@ def test_the_comparison_runs_on_plants_of_the_rig(config, tmp_path, monkeypatch,
 
 REFUSED = {
     "--randomization wide": "--randomization must not be given with --rig, got 'wide'",
+    "--row direct-ppo --randomization wide": "--randomization must not be given with --rig",
     "--disturbances real": "--disturbances must not be given with --rig, got 'real'",
     "--mass-range 0.4 0.5": r"mass_range must be None with rig, got \(0.4, 0.5\)",
     "--static-ratio 1.1": "static_ratio must be None with rig, got 1.1",
