@@ -5,8 +5,11 @@ import json
 import os
 import re
 import signal
+import sys
 import threading
 import time
+from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import pytest
@@ -14,6 +17,7 @@ import pytest
 from agents.study import FINISHED, Job, copy_policy, main, plan, results_table, train_all
 from agents.training.config import RunError
 from agents.training.presets import TRAINED_ROWS
+from tests import ROOT
 from tests.agents.fakes import write_run
 from tests.agents.training.small import differences, small
 
@@ -40,12 +44,16 @@ def test_a_run_with_other_settings_is_not_resumed(tmp_path):
 
 
 def test_a_study_has_every_run_once(tmp_path):
-    assert len(plan(["direct-ppo", "direct-ppo"], [1, 1], tmp_path)) == 1
+    jobs = plan(["direct-ppo", "direct-sac", "direct-ppo"], [1, 2, 1], tmp_path)
+    expected = [("direct-ppo", 1), ("direct-sac", 1), ("direct-ppo", 2), ("direct-sac", 2)]
+    assert [(job.row, job.config.seed) for job in jobs] == expected
+    assert [job.name for job in jobs] == [f"{row}/seed-{seed}" for row, seed in expected]
 
 
 EVALUATIONS = """\
 steps,seconds,mean_speed_cm_s,failed,score_cm_s
 512,1.5,9.0,0.25,8.0
+1024,1.5,8.0,0.25,7.5
 16384,1.5,7.0,0.0,7.0
 """
 
@@ -146,6 +154,34 @@ def test_a_killed_worker_is_a_failure_of_the_unfinished_runs(tmp_path, monkeypat
     failures = train_all([first, second], 1)
     reason = "RuntimeError: a worker was killed; --resume continues"
     assert failures == {second: reason}
+
+
+@pytest.fixture
+def ray(monkeypatch):
+    """A substitute of Ray, which runs tasks at once in this process."""
+    module = SimpleNamespace(
+        init=Mock(),
+        remote=lambda **_: lambda function: SimpleNamespace(remote=function),
+        wait=lambda references: (references[:1], references[1:]),
+        get=list,
+        shutdown=Mock(),
+    )
+    monkeypatch.setitem(sys.modules, "ray", module)
+    return module
+
+
+def test_the_machines_of_a_cluster_find_the_code_and_the_runs(tmp_path, ray, monkeypatch):
+    trained = []
+    monkeypatch.setattr("agents.training.loop.begin", Mock())
+    monkeypatch.setattr("agents.training.loop.train", trained.append)
+    monkeypatch.chdir(tmp_path)
+    jobs = [job(Path("runs"), seed) for seed in (0, 1)]
+    # Without a result a run is not complete.
+    assert train_all(jobs, backend="ray") == dict.fromkeys(jobs, "stopped by a signal")
+    assert trained == [tmp_path / each.run for each in jobs]
+    environment = ray.init.call_args.kwargs["runtime_env"]["env_vars"]
+    assert environment == {"PYTHONPATH": str(ROOT)}
+    ray.shutdown.assert_called_once_with()
 
 
 def test_a_lost_node_of_a_ray_cluster_loses_no_run(tmp_path, monkeypatch):
@@ -253,25 +289,50 @@ def interrupt(jobs, parallel, backend):
     raise KeyboardInterrupt
 
 
+SUMMARY = "Mean speed and failures of the best evaluation on the run's validation plants"
+
+
 @pytest.mark.parametrize(
-    ("train", "status", "said"), [(lose_first, 1, "failed: lost"), (interrupt, 130, "--resume")]
+    ("train", "status", "said", "errors"),
+    [
+        (lose_first, 1, SUMMARY, "direct-ppo/seed-0 failed: lost\n"),
+        (interrupt, 130, "--resume", ""),
+    ],
 )
-def test_failures_and_ctrl_c_have_their_exit_status(study, capsys, train, status, said):
+def test_failures_and_ctrl_c_have_their_exit_status(study, capsys, train, status, said, errors):
     assert study(train, "0123456789ab", "0123456789ab") == status
-    assert said in "".join(capsys.readouterr())
+    out, err = capsys.readouterr()
+    assert said in out
+    assert err == errors
 
 
-@pytest.mark.parametrize("options", [["--publish"], []])
-def test_finished_runs_are_published_only_on_request(tmp_path, monkeypatch, options):
+@pytest.fixture
+def completed(tmp_path, monkeypatch):
+    """A study on the command line of which all runs are completed."""
+
     def train(jobs, *_):
         for each in jobs:
             each.run.mkdir(parents=True)
             (each.run / FINISHED).touch()
         return {}
 
-    copied = Mock(return_value="folder")
+    def run(copy_policy, *options):
+        monkeypatch.setattr("agents.study.copy_policy", copy_policy)
+        return main(["direct-ppo", "--seeds", "0", "1", "--runs", str(tmp_path), *options])
+
     monkeypatch.setattr("agents.study.train_all", train)
     monkeypatch.setattr("agents.study.check_committed", Mock())
-    monkeypatch.setattr("agents.study.copy_policy", copied)
-    assert main(["direct-ppo", "--seeds", "0", "1", "--runs", str(tmp_path), *options]) == 0
+    return run
+
+
+@pytest.mark.parametrize("options", [["--publish"], []])
+def test_finished_runs_are_published_only_on_request(completed, options):
+    copied = Mock(return_value="folder")
+    assert completed(copied, *options) == 0
     assert copied.call_count == 2 * len(options)
+
+
+def test_every_run_that_cannot_be_published_is_named(completed, capsys):
+    assert completed(Mock(side_effect=OSError("disk full")), "--publish") == 1
+    reasons = [f"direct-ppo/seed-{seed} is not published: disk full" for seed in (0, 1)]
+    assert capsys.readouterr().err.splitlines() == reasons
