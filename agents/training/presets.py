@@ -105,7 +105,6 @@ OTHER_TASK = PPOConfig(
     randomization="default",
     energy_weight=0.0,
     gamma=0.99,
-    total_steps=8_000_000,
     num_envs=256,
     hidden=128,
     final_learning_rate=2e-5,

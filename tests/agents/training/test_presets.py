@@ -12,7 +12,15 @@ import train
 from agents.analysis.curves import read_evaluations
 from agents.distillation.config import STUDENTS
 from agents.distillation.network import CLIP, EPSILON, MIN_VARIANCE
-from agents.training.config import CONFIG, EVALUATIONS, RANGES, PPOConfig, read_config
+from agents.training.config import (
+    CONFIG,
+    EVALUATIONS,
+    RANGES,
+    OffPolicyConfig,
+    PPOConfig,
+    SACConfig,
+    read_config,
+)
 from agents.training.presets import PRESETS, TRAINED_ROWS
 from capsule_gym.evaluation.candidates import CHECKPOINTS, checkpoint_names, find_candidate
 from capsule_gym.files import to_json
@@ -47,6 +55,35 @@ def test_a_range_ends_where_its_words_say(name):
         config_with(name, high).check()
     else:
         assert_refused(name, high)
+
+
+@pytest.mark.parametrize("key", PRESETS)
+def test_a_preset_is_evaluated_at_its_end(key):
+    assert PRESETS[key].total_steps % PRESETS[key].evaluate_every == 0
+
+
+def test_off_policy_presets_take_fewer_steps():
+    on_policy = [each for each in PRESETS.values() if isinstance(each, PPOConfig)]
+    off_policy = [each for each in PRESETS.values() if isinstance(each, OffPolicyConfig)]
+    most = max(config.total_steps for config in off_policy)
+    assert most < min(config.total_steps for config in on_policy)
+
+
+@pytest.mark.parametrize("action_mode", ["residual", "direct"])
+def test_the_preset_of_tqc_has_the_settings_of_sac(action_mode):
+    tqc = PRESETS[action_mode, "tqc"]
+    settings = {field.name: getattr(tqc, field.name) for field in dataclasses.fields(SACConfig)}
+    assert SACConfig(**settings) == PRESETS[action_mode, "sac"]
+
+
+@pytest.mark.parametrize("action_mode", ["residual", "direct"])
+def test_the_preset_of_td3_explores(action_mode):
+    assert PRESETS[action_mode, "td3"].action_noise > 0.0
+
+
+@pytest.mark.parametrize("algo", ["ppo", "recurrentppo"])
+def test_the_control_law_cannot_counteract_a_residual_on_policy(algo):
+    assert PRESETS["residual", algo].total_torque
 
 
 def record_of(name):

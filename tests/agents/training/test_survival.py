@@ -278,11 +278,13 @@ REFUSED = {
     "--controller baselines:adaptve": "controller",
     "--gamma 2": "gamma",
     "--learning-rate nan": "learning_rate",
-    "--seed 5000000000": "seed",
+    "--seed 5000000000": "seed must be an integer >= 0 and <= 4294967295, got 5000000000",
+    "--batch-size 1": "batch_size must be an integer >= 2, got 1",
     "--n-steps 1 --num-envs 1": "n_steps",
     "--algo sac --tau 0": "tau",
     "--algo tqc --dropped-quantiles 25": "dropped_quantiles",
     "--algo recurrentppo --privileged": "privileged",
+    "--algo recurrentppo --gamma 2": "gamma",
     # 9 PiB, of which numpy names the shape.
     "--algo sac --buffer-size 100_000_000_000_000": "Error",
 }
