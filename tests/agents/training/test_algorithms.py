@@ -284,6 +284,11 @@ def test_direct_torque_has_no_control_law():
         dataclasses.replace(VELOCITY, controller="baselines:pd").check()
 
 
+def test_the_environment_of_direct_torque_has_no_control_law():
+    env = make_env(PPOConfig(action_mode="direct"), 0)
+    assert env.venv.batch.simulation.options.controller is None
+
+
 def test_another_environment_has_no_commands():
     with pytest.raises(ValueError, match="command_range must be None in CapsuleGoal-v0"):
         make_env(dataclasses.replace(VELOCITY, env="CapsuleGoal-v0"), 0)

@@ -164,7 +164,7 @@ OTHER_TASKS = {
     "velocity": (
         "CapsuleVelocity-v0",
         "velocity_error_percent",
-        {"command_range": (0.05, 0.06), "evaluation_episodes": 8},
+        {"command_range": (0.05, 0.06)},
     ),
 }
 every_case = pytest.mark.parametrize("case", OTHER_TASKS)
