@@ -1,6 +1,7 @@
 import dataclasses
 import json
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -10,6 +11,7 @@ import pytest
 
 import train
 from agents.training.presets import ENV_PRESETS, PRESETS
+from capsule_gym.envs.config import DOCS
 from tests import ROOT
 
 
@@ -34,6 +36,15 @@ def test_another_environment_has_every_algorithm(env, algo, action_mode, pulses)
     assert config.randomization == ENV_PRESETS[env].randomization
     assert config.termination_penalty == ENV_PRESETS[env].termination_penalty
     assert ("_pulses" in str(config.controller)) is pulses
+
+
+def test_the_help_describes_options_of_the_environment_as_the_environment_does(capsys):
+    with pytest.raises(SystemExit):
+        train.main(["--help"])
+    shown = " ".join(re.sub("[│╭╮╰╯─]", "", capsys.readouterr().out).split())
+    for name in ("energy_weight", "observe_estimates", "stack_size", "initial_range"):
+        first, *others = DOCS[name]
+        assert f"{first.upper()}{''.join(others)}." in shown
 
 
 @pytest.mark.parametrize(
