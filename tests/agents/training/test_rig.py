@@ -79,6 +79,7 @@ REFUSED = {
 def test_what_a_rig_determines_is_refused(tmp_path, capsys, words, message):
     run = tmp_path / "run"
     options = ["--rig", str(tmp_path / "fit.json"), "--run", str(run), "--no-comparison"]
+    options += ["--total-steps", "64"]
     try:
         assert command_line.main([*words.split(), *options]) == 2
     except SystemExit as ended:
