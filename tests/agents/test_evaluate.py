@@ -1,10 +1,11 @@
 import json
+import re
 
 import numpy as np
 import pytest
 
 from agents import evaluate
-from tests.agents.fakes import write_run
+from tests.agents.fakes import FIRST, write_run
 
 
 def still(observations):
@@ -19,6 +20,40 @@ def test_a_policy_is_compared_with_its_reference(world, tiny_file, capsys):
     assert "adaptive" in printed
     assert "\nmean speed (cm/s), interquartile mean " in printed
     assert "the intervals of 95 % are\nfor other training runs and other plants" in printed
+    assert (
+        "Differences to adaptive are taken episode by episode; their intervals are not\n" in printed
+    )
+    assert printed.endswith("adjusted for the number of metrics.\n")
+
+
+def test_a_scripted_policy_has_no_other_training_runs(world, tmp_path, capsys):
+    one_plant = tmp_path / "one.json"
+    one_plant.write_text(json.dumps({"name": "one", "plants": [FIRST]}))
+    assert evaluate.main(["bold", "--set", str(one_plant)]) == 0
+    printed, progress = capsys.readouterr()
+    assert "bold on the set one (1 episodes, " in printed
+    assert "the intervals of 95 % are\nfor other plants." in printed
+    # There is no bar unless standard error is a terminal.
+    assert progress == ""
+
+
+def shown(table, label):
+    """The numbers of a line of the table, without their intervals."""
+    (line,) = (line for line in table.splitlines() if line.startswith(f"{label}  "))
+    return re.sub(r"\[.*?\]", "", line.removeprefix(label)).split()
+
+
+def test_the_table_shows_the_interquartile_mean_and_the_mean_of_the_headline_metric():
+    fast, slow = [9.0, 10.0, 11.0, 30.0], [8.0, 8.0, 8.0, 8.0]
+    both = [
+        [{"mean_speed": speed, "rms_torque": speed, "failed": 0.0} for speed in speeds]
+        for speeds in (fast, slow)
+    ]
+    table = evaluate.comparison_table("fast", both[0], "slow", both[1])
+    assert shown(table, "mean speed (cm/s), mean") == ["15.00", "8.00", "+7.00"]
+    assert shown(table, "mean speed (cm/s), interquartile mean") == ["10.50", "8.00", "+2.50"]
+    assert shown(table, "rms torque (N m)") == ["10.500", "8.000", "+2.500"]
+    assert shown(table, "failures") == ["0/4", "0/4"]
 
 
 def test_results_are_written_as_strict_json(world, tiny_file):
@@ -92,6 +127,10 @@ def test_a_set_of_another_task_is_compared_with_its_scripted_law(goals, tmp_path
 
 
 @pytest.mark.parametrize("policy", ["velocity-pulses", "direct-ppo/seed-0"])
-def test_a_policy_of_another_task_is_refused(goals, refused, policy):
-    error = refused(evaluate.main, [policy, "--set", goals])
-    assert "policy must be for the task 'goal' of the set 'goals'" in error
+def test_a_policy_of_another_task_is_refused_before_an_evaluation(goals, capsys, policy):
+    for words in ([policy], ["goal-pulses", "--against", policy]):
+        with pytest.raises(SystemExit, match=r"^2$"):
+            evaluate.main([*words, "--set", goals])
+        printed, error = capsys.readouterr()
+        assert "policy must be for the task 'goal' of the set 'goals'" in error
+        assert printed == ""
