@@ -184,7 +184,6 @@ def evaluate_ceiling(set_name: str, folder: Path) -> Results:
     env = CapsuleVectorEnv(
         num_envs=len(plants),
         autoreset_mode=AutoresetMode.DISABLED,
-        controller=None,
         disturbances=evaluation_set.disturbances,
     )
     _, info = env.reset(seed=[plant.seed for plant in plants], options=batch_options(plants))

@@ -2,6 +2,7 @@
 
 import shutil
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,9 +10,11 @@ import pytest
 
 from agents import information
 from agents.analysis import information as analysis
+from agents.distillation import plants as solving
 from agents.distillation.dagger import FINISHED
 from agents.information import Cell, all_cells, main, read_record, train_cell
 from baselines.dynamic_programming.archive import optimal_speed
+from capsule_gym import CapsuleEnv
 from capsule_gym.evaluation.candidates import CHECKPOINTS
 from capsule_gym.evaluation.sets import EvaluationSet, PlantSpec, load_set
 from capsule_gym.evaluation.statistics import paired_difference
@@ -69,6 +72,44 @@ def test_cells_differ_in_nothing_but_what_they_observe():
     assert replace(same_critic, privileged=True) == cells["wide-history-ppo"].settings
 
 
+def test_a_cell_observes_what_its_name_says():
+    cells = all_cells()
+    assert cells["wide-plant-ppo"].settings.observe_parameters
+    for set_name in information.SETS:
+        estimates = cells[f"{set_name}-estimates-distilled"].settings
+        assert estimates.env_kwargs["observe_estimates"]
+        plant = cells[f"{set_name}-plant-distilled"].settings
+        assert plant.env_kwargs["observe_parameters"]
+    readings = cells["wide-history-ppo"].settings.stack_size
+    assert analysis.INFORMATION["history"] == f"{readings} readings"
+
+
+def test_ppo_is_trained_on_the_plants_of_its_set():
+    found = [cell for cell in all_cells().values() if "-ppo" in cell.name]
+    assert {(cell.set_name, cell.settings.randomization) for cell in found} == {("wide", "wide")}
+
+
+def test_students_of_real_wide_are_trained_under_its_conditions():
+    cells = all_cells()
+    student = cells["real-wide-nothing-distilled"].settings
+    assert student.randomization == "real-wide"
+    assert student.disturbances == "real"
+    assert set(student.plants) == {"real-wide"}
+    assert student.validation == ("real-wide",)
+    # Disturbances have their full size, and plants do not change.
+    assert student.severities == (1.0,)
+    assert student.change_rate == 0.0
+    assert student.spare_share == 0.0
+
+
+def test_the_students_of_both_sets_have_networks_of_the_same_size():
+    cells = all_cells()
+    for observed in ("nothing", "memory"):
+        both = [cells[f"{set_name}-{observed}-distilled"].settings for set_name in information.SETS]
+        assert both[0].hidden == both[1].hidden
+        assert both[0].units == both[1].units
+
+
 def test_a_memory_is_trained_on_the_plants_of_the_other_students():
     cells = all_cells()
     names = ("randomization", "disturbances", "groups", "plants", "severities", "change_rate")
@@ -84,6 +125,7 @@ def test_a_memory_is_trained_on_the_plants_of_the_other_students():
 def test_a_finished_cell_is_evaluated_again_without_a_training(quick_cell, tmp_path, monkeypatch):
     first = train_cell(quick_cell, (0, 1), tmp_path, 1)
     assert first["mean_speed"].shape == (2, 3)
+    assert (first["mean_speed"][0] != first["mean_speed"][1]).any()
     assert (first["core_seconds"] > 0.0).all()
     monkeypatch.setattr("agents.training.loop.train", None)
     again = train_cell(quick_cell, (0, 1), tmp_path, 1)
@@ -104,16 +146,50 @@ def test_a_finished_student_is_not_trained_again(tmp_path):
 
 @pytest.mark.usefixtures("quick_cell")
 def test_a_cell_is_added_to_those_in_the_record(record, tmp_path, capsys):
-    before = {"other": {"mean_speed": np.array([[1.0, 2.0]])}}
+    before = {"slow": {"mean_speed": np.array([[1.0, 2.0]])}}
     information._write_record(before)
     arguments = ["quick", "--seeds", "3", "--jobs", "1", "--runs", str(tmp_path / "runs")]
     assert main(arguments) == 0
     assert "quick: " in capsys.readouterr().out
     found = read_record()
-    assert found.keys() == {"other", "quick"}
-    np.testing.assert_array_equal(found["other"]["mean_speed"], [[1.0, 2.0]])
+    # Cells are sorted, in whatever order they were added.
+    assert list(found) == ["quick", "slow"]
+    np.testing.assert_array_equal(found["slow"]["mean_speed"], [[1.0, 2.0]])
     assert found["quick"]["failed"].shape == (1, 3)
     assert record.is_file()
+
+
+OTHERS = {"real-wide-optimum", "real-ceiling", "real-wide-ceiling"}
+
+
+@pytest.mark.usefixtures("record")
+def test_all_cells_are_computed_by_default(monkeypatch, capsys):
+    def trained(cell, seeds, runs, jobs):
+        return results([[10.0 + seed] * 2 for seed in seeds], 0.5)
+
+    monkeypatch.setattr(information, "train_cell", trained)
+    monkeypatch.setattr(information, "evaluate_reference", lambda: results([[20.0]]))
+    ceilings = {"real": results([[21.0]]), "real-wide": results([[22.0]])}
+    monkeypatch.setattr(information, "evaluate_ceiling", lambda name, folder: ceilings[name])
+    assert main([]) == 0
+    found = read_record()
+    assert found.keys() == all_cells().keys() | OTHERS
+    for name in all_cells():
+        assert found[name]["mean_speed"].mean(axis=1).tolist() == [10.0, 11.0, 12.0]
+    assert found["real-wide-optimum"]["mean_speed"] == 20.0
+    assert found["real-ceiling"]["mean_speed"] == 21.0
+    assert found["real-wide-ceiling"]["mean_speed"] == 22.0
+    assert "wide-nothing-ppo: 11.00 cm/s, 50.0 % failed\n" in capsys.readouterr().out
+
+
+def test_the_record_has_every_cell_with_three_seeds():
+    found = read_record()
+    assert found.keys() == all_cells().keys() | OTHERS
+    for name in all_cells():
+        assert len(found[name]["mean_speed"]) == 3
+    for set_name in information.CEILED:
+        shape = found[f"{set_name}-ceiling"]["mean_speed"].shape
+        assert shape == (1, information.CEILING_PLANTS)
 
 
 @pytest.mark.usefixtures("quick_cell")
@@ -138,12 +214,29 @@ def test_the_reference_ignores_pendulum_and_disturbances(monkeypatch):
     assert not found["failed"].any()
 
 
-def test_the_ceiling_is_the_optimum_whatever_the_sensors_are(monkeypatch, tmp_path):
-    blurred = Disturbances(theta_noise=0.1, x_dot_noise=0.1)
-    monkeypatch.setattr(information, "load_set", lambda name: drawn(name, blurred))
+def test_the_ceiling_is_the_optimum_of_each_plant_whatever_the_sensors_are(monkeypatch, tmp_path):
+    # Friction of the motor and the pendulum's mass hardly change the optimum.
+    blurred = Disturbances(theta_noise=0.1, x_dot_noise=0.1, motor_friction=(0.0005, 0.001))
+    light = PlantSpec(M=0.4, mu=0.1, seed=1, capsule={"m": 0.139})
+    plants = (PlantSpec(M=0.5, mu=0.01, seed=0), light)
+    both = EvaluationSet("two", plants, disturbances=blurred)
+    monkeypatch.setattr(information, "load_set", lambda name: both)
+    monkeypatch.setattr(solving, "solve_near", partial(solving.solve_near, shape=(21, 31, 9)))
+    solved = []
+
+    def solve(problems, folder):
+        solved.extend(problems)
+        return solving.solve_problems(problems, folder, jobs=1)
+
+    monkeypatch.setattr(information, "solve_problems", solve)
     found = information.evaluate_ceiling("real", tmp_path)
-    assert found["mean_speed"] == pytest.approx(np.array([[PAPER]]), rel=0.03)
+    optima = [PAPER, optimal_speed(0.4, 0.1)]
+    assert found["mean_speed"] == pytest.approx(np.array([optima]), rel=0.06)
     assert not found["failed"].any()
+    assert [(each.M, each.mu, each.m) for each in solved] == [(0.5, 0.01, 0.138), (0.4, 0.1, 0.139)]
+    for problem, plant in zip(solved, plants, strict=True):
+        _, info = CapsuleEnv(disturbances=blurred).reset(seed=plant.seed)
+        assert problem.motor_friction == info["disturbances"]["motor_friction"]
 
 
 def results(speeds, failed=0.0):
@@ -155,7 +248,7 @@ def results(speeds, failed=0.0):
 def small_record():
     """A record of two cells: the plants' optimum is 20, 10 and 15 cm/s."""
     found = {"real-wide-optimum": results([[20.0, 10.0, 15.0]])}
-    seeds = [[16.0, 6.0, 12.0], [15.0, 7.0, 10.0], [15.5, 6.5, 11.0]]
+    seeds = [[16.0, 6.0, 12.0], [15.0, 7.0, 10.0], [15.5, 6.5, 8.0]]
     found["real-wide-nothing-distilled"] = results(seeds, 1.0)
     found["real-wide-memory-distilled"] = results([[19.0, 9.0, 14.0]] * 3)
     return found
@@ -164,10 +257,10 @@ def small_record():
 def test_regret_is_what_the_optimum_gains_on_the_same_episode(small_record):
     _, _, blind, memory, optimum = table(analysis.table(small_record, "real-wide"))
     assert blind[:2] == ["nothing more", "distilled"]
-    assert blind[2].startswith("11.00 [")
-    assert blind[3].startswith("4.00 [")
-    # Mean speed of each plant: 15.5, 6.5, 11.
-    assert blind[4] == "7.40"
+    assert blind[2].startswith("10.67 [")
+    assert blind[3].startswith("4.33 [")
+    # Mean speed of each plant: 15.5, 6.5, 10.
+    assert blind[4] == "7.20"
     assert memory[3] == "1.00 [1.00,\xa01.00]"
     assert optimum[:2] == ["M and mu", "dp-oracle"]
     assert optimum[3] == "0"
@@ -195,6 +288,13 @@ def test_the_table_shows_adjusted_p_values(small_record):
     assert [each[column] for each in (blind, memory, optimum)] == ["-", f"{p_value:.3f}", "-"]
 
 
+@pytest.mark.parametrize(
+    ("p_value", "text"), [(0.0009, "<0.001"), (0.0011, "0.001"), (0.2, "0.200"), (None, "-")]
+)
+def test_a_p_value_has_three_decimals(p_value, text):
+    assert analysis._p_text(p_value) == text
+
+
 def test_the_failures_of_a_cell_are_those_of_all_seeds():
     assert analysis.failures({"failed": np.zeros((2, 500))}) == "0/1000 [0.0,\xa00.4]"
 
@@ -205,16 +305,27 @@ def test_the_figures_show_every_learner_and_the_optimum(small_record, monkeypatc
     figure = analysis.draw_speeds(small_record)
     (legend,) = figure.legends
     assert texts(legend.get_texts()) == ["distilled", "dp-oracle"]
-    for axes in figure.axes:
+    assert figure.axes[0].get_ylabel() == "mean speed (cm/s)"
+    assert "dots: training seeds" in figure.get_supxlabel()
+    for axes, set_name in zip(figure.axes, information.SETS, strict=True):
+        assert axes.get_title() == set_name
+        assert texts(axes.get_xticklabels()) == list(analysis.INFORMATION.values())
         assert_lines(
             axes,
-            ([0, 0, 0], [34 / 3, 32 / 3, 11], analysis.BLUE),
+            ([0, 0, 0], [34 / 3, 32 / 3, 10], analysis.BLUE),
             ([2, 2, 2], [14, 14, 14], analysis.BLUE),
-            ([0, 2], [11, 14], analysis.BLUE),
+            ([0, 2], [32 / 3, 14], analysis.BLUE),
             ([0, 1], [15, 15], analysis.GREEN),
         )
     plants = [SimpleNamespace(M=0.5, mu=mu) for mu in (0.01, 0.1, 0.3)]
     monkeypatch.setattr(analysis, "load_set", lambda name: SimpleNamespace(plants=plants))
-    blind, memory, _ = analysis.draw_regrets(small_record).axes
-    np.testing.assert_allclose(blind.collections[0].get_array(), [4.5, 3.5, 4.0])
+    blind, memory, scale = analysis.draw_regrets(small_record).axes
+    assert (blind.get_title(), memory.get_title()) == (
+        "observed: nothing more",
+        "observed: a memory",
+    )
+    assert (blind.get_xlabel(), blind.get_ylabel()) == ("mu", "M (kg)")
+    assert (blind.get_xscale(), blind.get_yscale()) == ("log", "linear")
+    assert scale.get_ylabel() == "regret (cm/s)"
+    np.testing.assert_allclose(blind.collections[0].get_array(), [4.5, 3.5, 5.0])
     np.testing.assert_allclose(memory.collections[0].get_array(), [1.0, 1.0, 1.0])

@@ -1,12 +1,14 @@
 import dataclasses
 import json
 import shutil
+from functools import partial
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
 import torch
 
+from agents import information
 from agents.distillation import __main__ as command
 from agents.distillation import dagger
 from agents.distillation.config import STUDENTS
@@ -73,6 +75,17 @@ def test_the_same_seed_gives_the_same_policy(runs):
     assert torch.get_num_threads() == 1
     assert (run / POLICY).read_bytes() == (again / POLICY).read_bytes()
     assert load_policy(run).training_seed == 0
+
+
+def test_a_cell_of_the_table_of_information_is_distilled(tmp_path, monkeypatch, plants_folder):
+    monkeypatch.setattr(information, "evaluate", partial(information.evaluate, horizon=0.1))
+    shutil.copytree(plants_folder, tmp_path / "paper" / "plants")
+    found = information.train_cell(information.Cell("paper", "tiny", RECURRENT), (3,), tmp_path, 1)
+    run = tmp_path / "paper" / "tiny-3"
+    assert load_policy(run).training_seed == 3
+    finished = json.loads((run / dagger.FINISHED).read_text())
+    assert found["core_seconds"] == [finished["core_seconds"]]
+    assert found["mean_speed"].shape == (1, 400)
 
 
 def test_finished_runs_are_skipped(runs):
