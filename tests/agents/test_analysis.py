@@ -33,6 +33,14 @@ def test_sensitivity_of_a_law_is_that_of_the_documentation():
     assert row in page.splitlines()
 
 
+def test_the_documentation_has_the_sizes_of_the_disturbances(monkeypatch):
+    monkeypatch.setattr(sensitivity, "all_candidates", list)
+    sections, figures = sensitivity.document()
+    assert sections["sizes"] in (analysis.ROOT / "docs/sensitivity_tables.md").read_text("utf-8")
+    assert sections["speeds"].startswith("|policy|none|")
+    assert figures == {}
+
+
 def test_disturbances_have_the_sizes_of_real():
     conditions = sensitivity.conditions()
     assert conditions['all of "real"'] == REAL
@@ -42,6 +50,8 @@ def test_disturbances_have_the_sizes_of_real():
 def test_sensitivity_shows_speed_and_failures_under_each_disturbance(monkeypatch):
     monkeypatch.setattr(sensitivity, "EPISODES", 2)
     falling = Candidate("wild", (Sine(1.5, period=10.0, name="wild"),), "")
+    before_the_fall = sensitivity.run([falling], horizon=0.1)["wild"]
+    assert not any(failed for _, failed in before_the_fall.values())
     results = sensitivity.run([falling], horizon=1.0)
     results["still"] = dict.fromkeys(sensitivity.conditions(), (0.0, 0))
     head, _, wild, still = table(sensitivity.table(results))
@@ -85,6 +95,16 @@ def test_the_rows_of_a_figure_of_cycles_are_named(cycle):
     # Above the phase portrait, whose angles have labels as well.
     labelled = [axes.xaxis.get_tick_params()["labelbottom"] for axes in figure.axes[::2]]
     assert labelled == [False, False, False, True, True]
+
+
+@pytest.mark.parametrize("name", ["limit_cycle", "curves", "information"])
+def test_the_documentation_has_the_tables_and_figures_of_the_results(monkeypatch, name):
+    document = analysis.DOCUMENTS[name].document()
+    monkeypatch.setattr(analysis.DOCUMENTS[name], "document", lambda: document)
+    assert analysis.main([name, "--check"]) == 0
+    _, figures = document
+    committed = (analysis.ROOT / "docs/figures").glob(f"{name}*.png")
+    assert figures.keys() == {path.stem for path in committed}
 
 
 @pytest.mark.parametrize(
@@ -142,6 +162,13 @@ def test_the_curves_of_a_row_are_those_of_its_runs():
     assert y[x == 0.8].max() == pytest.approx(LAST.high)
 
 
+def test_a_run_with_a_single_evaluation_is_a_point():
+    figure = curves.draw_learning({"three": RUNS, "one": {0: (STEPS[:1], STEPS[:1])}})
+    lines, point = figure.axes[0].lines[0], figure.axes[1].lines[0]
+    assert (lines.get_linestyle(), lines.get_marker()) == ("-", "None")
+    assert (point.get_linestyle(), point.get_marker()) == ("None", ".")
+
+
 def test_places_without_a_row_are_empty():
     figure = curves.draw_learning(dict.fromkeys("abcdefg", RUNS))
     _, _, _, above, _, _, _, empty = figure.axes
@@ -160,11 +187,14 @@ def test_curves_of_another_metric_are_logarithmic():
 
 
 def test_the_table_of_a_row_is_the_end_of_its_runs():
-    head, _, row, *_ = table(curves.table({"three": RUNS, "none": {}}))
+    text = curves.table({"none": {}, "three": RUNS})
+    head, _, row = table(text)
     assert head[2:] == ["steps", "mean speed (cm/s) at the end", "steps to 90 % of that"]
     speed = f"9.75 [{LAST.low:.2f},\N{NO-BREAK SPACE}{LAST.high:.2f}]"
     # 11 - 10 / n reaches 90 % of 9.75 at n = 5.
     assert row == ["three", "3", "800,000", speed, "500,000"]
+    assert text.endswith("\n\nWithout committed evaluations: none.")
+    assert "Without" not in curves.table({"three": RUNS})
 
 
 @dataclass
@@ -189,18 +219,21 @@ LAW = FakeRow("law", False, 3.0)
 
 @pytest.fixture(scope="module")
 def transport():
-    return curves.draw_transport([*TRAINED, LAW, FakeRow("rest", False, 0.0)])
+    return curves.draw_transport([LAW, *TRAINED, FakeRow("rest", False, 0.0)])
 
 
 def test_policies_are_named_at_their_cost_and_speed_without_overlap(transport):
     (axes,) = transport.axes
     lines = [line for line in axes.lines if line.get_marker() in "os" and len(line.get_xydata())]
     marks = [line.get_xydata()[0] for line in lines]
-    expected = [(2.0, row.speed) for row in (*TRAINED, LAW)]
+    expected = [(2.0, row.speed) for row in (LAW, *TRAINED)]
     np.testing.assert_allclose(marks, expected, rtol=1e-12)
+    assert [line.get_marker() for line in lines] == ["s", *["o"] * 6]
+    # The highest is named first.
     assert texts(axes.texts) == [row.name for row in (*TRAINED, LAW)]
+    assert [text.get_color() for text in axes.texts] == [*[BLUE] * 6, INK]
     # A line leads from each name to its mark.
-    np.testing.assert_allclose([text.xy for text in axes.texts], marks)
+    np.testing.assert_allclose([text.xy for text in axes.texts], [*marks[1:], marks[0]])
     heights = [text.xyann[1] for text in axes.texts]
     np.testing.assert_allclose(heights, np.arange(13, 0, -2) / 14)
 
@@ -216,7 +249,8 @@ def test_axes_and_kinds_of_policies_are_named(transport):
 
 
 def test_intervals_are_those_of_trained_policies(transport):
-    front, across, along, *_ = transport.axes[0].lines
+    front, _, across, along, *others = transport.axes[0].lines
+    assert sum(line.get_marker() == "None" for line in others) == 2 * len(TRAINED[1:])
     speed = estimate(TRAINED[0].score("nominal", curves.SPEED.name))
     np.testing.assert_allclose(front.get_xydata(), list(optimal_front()))
     # That of a cost without spread is a point.
@@ -234,4 +268,8 @@ def test_tables_and_figures_are_written_and_up_to_date(tmp_path, monkeypatch, ca
     assert found == {"curves_tables.md", "figures/one.png", "figures/one.svg"}
     page = (folder / "curves_tables.md").read_text(encoding="utf-8")
     assert "[start:speeds] -->\n|a|\n" in page
+    assert analysis.main(["--check", "--output", str(folder)]) == 0
+    made.document = lambda: ({"speeds": "|b|"}, {})
+    assert analysis.main(["--check", "--output", str(folder)]) == 1
+    assert analysis.main(["--output", str(folder)]) == 0
     assert analysis.main(["--check", "--output", str(folder)]) == 0
