@@ -1,4 +1,5 @@
 import shutil
+import zipfile
 from dataclasses import replace
 from functools import partial
 
@@ -12,7 +13,14 @@ from agents.leaderboard.rows import RESULTS
 from capsule_gym.evaluation.candidates import find_candidate
 from tests.agents.fakes import write_run
 from tests.agents.leaderboard.conftest import make_world
-from tests.agents.leaderboard.world import checked, edit_row, evaluated_again, make_set, table
+from tests.agents.leaderboard.world import (
+    SETS,
+    checked,
+    edit_row,
+    evaluated_again,
+    make_set,
+    table,
+)
 
 WRONG = {
     "--check --plants 0": "--plants",
@@ -51,12 +59,21 @@ def test_the_chart_is_stale_if_a_drawn_number_changes(written):
 def test_check_names_changed_rows(written):
     edit_row(written, "learnt", lambda row: row.header.update(revision="feed"))
     write_run(written / "checkpoints" / "learnt" / "seed-1", 1, clip=9.0)
+    scripted.SCRIPTED.pop("wild")
     scripted.SCRIPTED.pop("rocking")
-    gone, revision, changed, *pages = checked(written)
-    assert gone == "rocking: has results and does not exist"
+    first, second, revision, changed, *pages = checked(written)
+    assert first == "rocking: has results and does not exist"
+    assert second == "wild: has results and does not exist"
     assert revision == "learnt: revision differs from its results"
     assert changed == "learnt: files differs from its results"
     assert all(line.endswith(" differs from the results") for line in pages)
+
+
+def test_check_names_rows_with_results_on_further_sets(written):
+    (first, *others) = checked(written, [each for each in SETS if each.name != "nominal"])
+    assert first == "adaptive: sets differs from its results"
+    assert "stay: sets differs from its results" not in others
+    assert "learnt: sets differs from its results" in others
 
 
 def test_check_needs_results_of_every_policy(written):
@@ -131,7 +148,7 @@ def test_check_passes_after_everything_is_written(main, capsys, refused):
     assert "adaptive: no results" in refused(main, "--check")
     assert main() == 0
     assert main("--check") == 0
-    assert main("--check", "pd") == 0
+    assert main("--check", "pd", "--plants", "1") == 0
     assert "The leaderboard is up to date." in capsys.readouterr().out
 
 
@@ -182,6 +199,13 @@ def test_finished_rows_survive_an_interruption(main, world, monkeypatch, capsys)
     assert [path.name for path in (world / RESULTS).iterdir()] == ["adaptive.npz"]
     assert not (world / "LEADERBOARD.md").exists()
     assert "Stopped. The rows that were finished are kept" in capsys.readouterr().out
+
+
+def test_an_archive_instead_of_a_name_raises_an_error(main, tmp_path, refused):
+    path = tmp_path / "model.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("data", "")
+    assert f"{path} is no policy file, but an archive" in refused(main, str(path))
 
 
 @pytest.mark.parametrize(("words", "message"), WRONG.items())

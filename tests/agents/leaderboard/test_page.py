@@ -6,6 +6,7 @@ import pytest
 from agents.leaderboard import page
 from agents.leaderboard.chart import contents, draw
 from agents.leaderboard.page import grouped, message
+from agents.leaderboard.rows import LeaderboardRow
 from baselines.drawing import BLUE, VERMILION
 from capsule_gym.evaluation.candidates import Candidate
 from tests import ROOT
@@ -117,9 +118,10 @@ def test_tables_show_failures_and_the_worst_seed(with_a_failure):
 
 def test_tables_show_the_difference_to_the_base_law(with_a_failure):
     board = read(with_a_failure)
-    own, base = (speed_of(board, name, "real")["mean"] for name in ("learnt", "pd"))
-    difference = row_of(board, "learnt")["minus_base"]["real"]["mean"]
-    assert difference == pytest.approx(own - base, abs=1e-4)
+    for set_name in page.DETAILED_SETS:
+        own, base = (speed_of(board, name, set_name)["mean"] for name in ("learnt", "pd"))
+        difference = row_of(board, "learnt")["minus_base"][set_name]["mean"]
+        assert difference == pytest.approx(own - base, abs=1e-4)
     lines = columns_of((with_a_failure / "LEADERBOARD.md").read_text(), "On the set `real`")
     column = "difference to base law on `real`"
     assert [name for name, cells in lines.items() if cells[column] != "-"] == ["learnt"]
@@ -155,6 +157,21 @@ def test_a_difference_that_a_single_test_would_find_is_not_decided_among_many(wr
     both = [row_of(board, name)["results"]["paper"]["mean_speed"] for name in ("pd", "lqr")]
     assert both[0]["mean_high"] < both[1]["mean_low"]
     assert undecided(board, "pd", "lqr", "paper")
+
+
+def test_comparisons_are_of_means():
+    def row(name, speeds):
+        scores = dict.fromkeys(page.DETAILED_SETS, np.array([[speeds]]))
+        return LeaderboardRow({"policy": name, "metrics": ["mean_speed"]}, scores)
+
+    # One failure outweighs what the second row gains on the other plants.
+    found = page._comparisons([row("pd", [5.0] * 8), row("lqr", [6.0, 6.1] * 3 + [6.0, -5.0])])
+    assert found == {"pairs": 2, "undecided": {"paper": {"pd": ["lqr"]}, "real": {"pd": ["lqr"]}}}
+
+
+def test_numbers_of_the_board_have_six_significant_digits(written):
+    board = edited(written, pd=[0.1, 0.3, 1.6])
+    assert speed_of(board, "pd", "paper")["mean"] == 0.666667
 
 
 def test_comparisons_are_those_of_all_pairs_on_both_sets(committed):
@@ -246,6 +263,7 @@ def test_the_chart_names_its_groups_and_sets(axes, board):
     assert texts(titles) == list(grouped(board))
     labels = texts(axes.figure.legends[0].texts)
     assert [label.partition(":")[0] for label in labels] == ["paper", "real"]
+    assert axes.get_xlabel() == "mean speed (cm/s)"
 
 
 def test_the_chart_shows_whole_bars(axes):

@@ -8,6 +8,7 @@ import pytest
 from agents.leaderboard.rows import evaluate, load_row, load_rows, save_row, static_header
 from capsule_gym.evaluation import episodes
 from capsule_gym.evaluation.candidates import find_candidate
+from capsule_gym.policies.policy import POLICY
 from tests.agents.leaderboard.world import HORIZON, PAPER, SETS, make_set
 
 
@@ -88,9 +89,29 @@ def test_a_header_that_does_not_match_its_arrays_raises_an_error(path, row):
         load_row(path)
 
 
+def test_an_array_that_does_not_match_the_header_raises_an_error(path, row):
+    row.scores["real"] = row.scores["real"][:, :1]
+    save_row(path.parent, row)
+    with pytest.raises(ValueError, match="does not match its name or arrays"):
+        load_row(path)
+
+
 def test_a_missing_file_raises_an_error(tmp_path):
     with pytest.raises(ValueError, match=r"^learnt: no results in learnt\.npz"):
         load_rows(tmp_path, ["learnt"])
+
+
+def test_a_header_names_the_files_and_revisions_of_a_trained_policy():
+    candidate = find_candidate("direct-ppo")
+    header = static_header(candidate)
+    seeds = sorted(map(str, header["training_seeds"]))
+    assert list(header["files"]) == [f"seed-{seed}/{POLICY}" for seed in seeds]
+    assert header["revision"] == candidate.policies[0].revision
+
+
+def test_a_scripted_policy_has_no_files_and_no_revision():
+    header = static_header(find_candidate("adaptive"))
+    assert (header["files"], header["revision"], header["training_seeds"]) == ({}, None, [])
 
 
 @pytest.mark.parametrize(
@@ -104,6 +125,11 @@ def test_a_missing_file_raises_an_error(tmp_path):
 )
 def test_the_base_of_a_residual_is_the_policy_of_its_law(name, base):
     assert static_header(find_candidate(name))["base"] == base
+
+
+def test_no_bar_is_shown_unless_standard_error_is_a_terminal(world, capsys):
+    assert list(evaluate([find_candidate("adaptive")], SETS, horizon=0.1))
+    assert capsys.readouterr().err == ""
 
 
 def test_processes_give_the_same_bits():
