@@ -89,6 +89,13 @@ def test_ppo_is_trained_on_the_plants_of_its_set():
     assert {(cell.set_name, cell.settings.randomization) for cell in found} == {("wide", "wide")}
 
 
+def test_students_of_wide_are_trained_with_perfect_sensors():
+    student = all_cells()["wide-nothing-distilled"].settings
+    assert student.disturbances == "none"
+    assert student.severities == (0.0,)
+    assert student.validation == ("wide",)
+
+
 def test_students_of_real_wide_are_trained_under_its_conditions():
     cells = all_cells()
     student = cells["real-wide-nothing-distilled"].settings
