@@ -234,6 +234,7 @@ def test_policies_are_named_at_their_cost_and_speed_without_overlap(transport):
     assert [text.get_color() for text in axes.texts] == [*[BLUE] * 6, INK]
     # A line leads from each name to its mark.
     np.testing.assert_allclose([text.xy for text in axes.texts], [*marks[1:], marks[0]])
+    assert all(text.arrow_patch for text in axes.texts)
     heights = [text.xyann[1] for text in axes.texts]
     np.testing.assert_allclose(heights, np.arange(13, 0, -2) / 14)
 

@@ -14,6 +14,7 @@ from agents.distillation import plants as solving
 from agents.distillation.dagger import FINISHED
 from agents.information import Cell, all_cells, main, read_record, train_cell
 from baselines.dynamic_programming.archive import optimal_speed
+from baselines.dynamic_programming.policy import TORQUES
 from capsule_gym import CapsuleEnv
 from capsule_gym.evaluation.candidates import CHECKPOINTS
 from capsule_gym.evaluation.sets import EvaluationSet, PlantSpec, load_set
@@ -244,6 +245,17 @@ def test_the_ceiling_is_the_optimum_of_each_plant_whatever_the_sensors_are(monke
     for problem, plant in zip(solved, plants, strict=True):
         _, info = CapsuleEnv(disturbances=blurred).reset(seed=plant.seed)
         assert problem.motor_friction == info["disturbances"]["motor_friction"]
+
+
+def test_an_episode_of_the_ceiling_ends_with_its_failure(monkeypatch, tmp_path):
+    # The largest torque lifts the platform.
+    scores = np.array([np.arange(len(TORQUES))])
+    expert = SimpleNamespace(scores=lambda: scores)
+    monkeypatch.setattr(information, "PlantOracle", lambda simulation, solutions: expert)
+    monkeypatch.setattr(information, "solve_problems", lambda problems, folder: [])
+    monkeypatch.setattr(information, "load_set", lambda name: drawn("real", "real"))
+    found = information.evaluate_ceiling("real", tmp_path)
+    assert found["failed"].tolist() == [[1.0]]
 
 
 def results(speeds, failed=0.0):
