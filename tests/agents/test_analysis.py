@@ -36,7 +36,8 @@ def test_sensitivity_of_a_law_is_that_of_the_documentation():
 def test_the_documentation_has_the_sizes_of_the_disturbances(monkeypatch):
     monkeypatch.setattr(sensitivity, "all_candidates", list)
     sections, figures = sensitivity.document()
-    assert sections["sizes"] in (analysis.ROOT / "docs/sensitivity_tables.md").read_text("utf-8")
+    page = (analysis.ROOT / "docs/sensitivity_tables.md").read_text(encoding="utf-8")
+    assert f"[start:sizes] -->\n{sections['sizes']}\n<!--" in page
     assert sections["speeds"].startswith("|policy|none|")
     assert figures == {}
 
@@ -62,13 +63,13 @@ def test_sensitivity_shows_speed_and_failures_under_each_disturbance(monkeypatch
 
 def test_a_limit_cycle_is_the_steady_one_from_its_smallest_angle_on():
     t = np.arange(0.0, 33.0, limit_cycle.DT)
-    # A period of 0.8 s that begins at 27 s; before, the motion decays.
-    unsteady = np.where(t < 27.0, 0.2 * np.sin(0.7 * t), 0.0)
-    size = 1.0 + np.exp(-t) + unsteady
+    # A period of 0.8 s. The small velocity of the platform is steady from 27 s on, where that of
+    # the pendulum grows a little.
     phase = 2.0 * np.pi * t / 0.8
-    theta = size * np.sin(phase)
-    rate = size * np.cos(phase)
-    samples = np.stack([theta, rate, 0.1 * t, theta, t, t], axis=1)
+    theta = (1.0 + np.exp(-t)) * np.sin(phase)
+    theta_dot = (1.0 + np.exp(-t) + 0.001 * np.maximum(t - 27.0, 0.0)) * np.cos(phase)
+    x_dot = 0.001 * (1.0 + 0.1 * np.maximum(27.0 - t, 0.0)) * np.cos(phase)
+    samples = np.stack([theta, theta_dot, 0.1 * t, x_dot, t, t], axis=1)
     angles, _, x, _, times, _ = limit_cycle.find_cycle(samples).T
     assert len(times) == 401
     assert times[0] > 26.0
@@ -204,10 +205,11 @@ class FakeRow:
     name: str
     trained: bool
     speed: float
+    runs: int = 5
 
     def score(self, set_name, metric):
         episodes = 1.0 + 0.2 * np.linspace(-1.0, 1.0, 101) ** 3
-        speeds = self.speed * episodes * np.ones((5, 1))
+        speeds = self.speed * episodes * np.ones((self.runs, 1))
         if metric == curves.SPEED.name:
             return speeds
         return np.where(speeds > 0.0, 2.0, np.inf)
@@ -215,6 +217,13 @@ class FakeRow:
 
 TRAINED = [FakeRow(f"direct-{n}", True, 15.0 - 0.01 * n) for n in range(6)]
 LAW = FakeRow("law", False, 3.0)
+
+
+def test_rows_are_ordered_by_their_mean_speed(monkeypatch):
+    rows = [FakeRow("slow", True, 5.0, runs=10), FakeRow("fast", True, 6.0)]
+    monkeypatch.setattr(curves, "load_rows", lambda folder, names: rows)
+    tables, _ = curves.document()
+    assert tables["learning"].endswith("evaluations: fast, slow.")
 
 
 @pytest.fixture(scope="module")
