@@ -9,6 +9,7 @@ from agents.leaderboard.page import grouped, message
 from agents.leaderboard.rows import LeaderboardRow
 from baselines.drawing import BLUE, VERMILION
 from capsule_gym.evaluation.candidates import Candidate
+from capsule_gym.evaluation.statistics import paired_difference
 from tests import ROOT
 from tests.agents.leaderboard.world import checked, edit_row, read, table
 from tests.figures import assert_bars, texts
@@ -164,8 +165,11 @@ def test_comparisons_are_of_means():
         scores = dict.fromkeys(page.DETAILED_SETS, np.array([[speeds]]))
         return LeaderboardRow({"policy": name, "metrics": ["mean_speed"]}, scores)
 
-    # One failure outweighs what the second row gains on the other plants.
-    found = page._comparisons([row("pd", [5.0] * 8), row("lqr", [6.0, 6.1] * 3 + [6.0, -5.0])])
+    # One plant leaves the mean difference undecided, not the interquartile mean.
+    speeds = [6.0, 6.1] * 3 + [6.0, 3.2]
+    assert 0.05 < paired_difference([speeds], [[5.0] * 8], mean=True).p_value < 0.1
+    assert paired_difference([speeds], [[5.0] * 8]).p_value < 1e-6
+    found = page._comparisons([row("pd", [5.0] * 8), row("lqr", speeds)])
     assert found == {"pairs": 2, "undecided": {"paper": {"pd": ["lqr"]}, "real": {"pd": ["lqr"]}}}
 
 
