@@ -11,6 +11,7 @@ from baselines.paper.tracking import simulate
 from capsule_gym import Capsule
 from capsule_gym.control.laws.adaptive import adaptive
 from capsule_gym.control.laws.gains import UNREGULARISED
+from capsule_gym.tasks.task import TORQUE_LIMIT
 
 PLANT = Capsule().plant()
 NOMINAL = (0.5, 0.01)
@@ -52,16 +53,22 @@ def test_lyapunov_function_of_a_rate_error(exact, rate, error, inertia):
     np.testing.assert_allclose(lyapunov(late, START, PLANT), expected, rtol=1e-9)
 
 
-def test_kinetic_part_of_the_lyapunov_function_is_positive_definite(exact):
-    rng = np.random.default_rng(0)
-    noise = rng.normal(size=(3, len(exact.t)))
-    noisy = replace(
-        exact,
-        theta_dot=exact.theta_dot + noise[0],
-        x=exact.x + noise[1],
-        x_dot=exact.x_dot + noise[2],
-    )
-    assert (lyapunov(noisy, START, PLANT) > LEAST).all()  # Eq. (2)
+def test_lyapunov_function_contains_the_kinetic_energy_of_the_sliding_variables(exact):
+    noise = np.random.default_rng(0).normal(size=(2, len(exact.t)))
+    noisy = replace(exact, theta_dot=exact.theta_dot + noise[0], x_dot=exact.x_dot + noise[1])
+    coupling = -0.138 * 0.3 * np.cos(exact.theta)
+    inertia = np.full((len(exact.t), 2, 2), [[0.138 * 0.3**2, 0.0], [0.0, 0.5 + 0.138]])
+    inertia[:, 0, 1] = inertia[:, 1, 0] = coupling  # Eq. (2)
+    energy = 0.5 * np.einsum("in,nij,jn->n", noise, inertia, noise)
+    np.testing.assert_allclose(lyapunov(noisy, START, PLANT), LEAST + energy, rtol=1e-9)
+
+
+def test_lyapunov_function_of_another_eta(exact):
+    # The memory holds the third root of eta. With n = 1 the term is 3 / 2 eta^(2 / 3).
+    *estimates, _, anchor = START
+    start = (*estimates, 2.0, anchor)
+    other = replace(exact, memory=np.tile(start, (len(exact.t), 1)))
+    np.testing.assert_allclose(lyapunov(other, start, PLANT), 1.5 * 4.0, rtol=1e-12)
 
 
 @pytest.mark.parametrize("regularised", [True, False])
@@ -88,6 +95,8 @@ def test_regularised_law_tracks_over_the_ranges(laws):
     assert law.failures == 0
     assert law.worst("error_rms")["error_rms"] < 1e-4
     assert law.worst("peak_torque")["peak_torque"] < 1.31
+    # The reference reaches 7.8 rad/s.
+    assert law.worst("peak_velocity")["peak_velocity"] == pytest.approx(7.8, abs=0.01)
 
 
 def test_speeds_of_the_regularised_law(laws):
@@ -110,6 +119,18 @@ def test_unregularised_law_fails_on_most_of_the_ranges(laws):
     # At the edge, small perturbations change which plants fail, but nearly all plants fail.
     assert corrected.failures >= 7
     assert limited.failures >= 3
+
+
+def test_only_the_limited_motor_has_a_limit(laws):
+    *unlimited, limited = laws
+    assert limited.worst("peak_torque")["peak_torque"] == TORQUE_LIMIT
+    # At the edge of loss of contact the unregularised law asks for much more.
+    assert unlimited[1].worst("peak_torque")["peak_torque"] > 2.0 * TORQUE_LIMIT
+
+
+def test_studies_are_named_by_their_form(laws):
+    names = [study.REGULARISED_LAW, study.CORRECTED_LAW, study.CORRECTED_LAW]
+    assert [law.law for law in laws] == names
 
 
 def test_unregularised_law_does_not_fail_on_the_nominal_plant(laws):

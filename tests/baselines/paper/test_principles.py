@@ -11,6 +11,7 @@ from baselines.paper.principles import (
     PAPER,
     SLIPS,
     Cycle,
+    Demand,
     lemma_1,
     lemma_2,
     principle_3,
@@ -57,6 +58,11 @@ def test_principles_3_and_4_by_hand(form):
         standstill = principle_4(cycle, p)
         assert standstill.load[0] == pytest.approx(abs(force), rel=1e-9)
         assert standstill.limit[0] == pytest.approx(mu * (WEIGHT - lift), rel=1e-9)
+
+
+def test_a_limit_that_is_not_positive_is_never_met():
+    demand = Demand(np.array([1.0, 1.0, -1.0, 1.0]), np.array([4.0, 0.0, 0.0, -2.0]))
+    assert demand.ratio.tolist() == [0.25, math.inf, math.inf, math.inf]
 
 
 def test_lemma_1_is_not_sufficient():
