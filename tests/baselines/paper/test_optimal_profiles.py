@@ -30,6 +30,14 @@ def test_assessment_agrees_with_the_reference_table():
     assert found.cost_of_transport == pytest.approx(cost, rel=0.02)
 
 
+def test_a_profile_too_slow_to_move_the_platform_is_feasible():
+    still = assess(EASY, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0), 0.1, 0.05)
+    assert still.feasible
+    assert (still.mean_speed, still.backward_ratio) == (0.0, 0.0)
+    assert still.cost_of_transport is None
+    assert still.shares["principle_4_rest"] == 0.0
+
+
 def test_the_published_profile_defines_the_bounds_of_principles_1_and_2():
     shares = assess(EASY, *PUBLISHED).shares
     for name in ("principle_1", "principle_2_velocity", "principle_2_acceleration"):
@@ -74,9 +82,9 @@ def test_solutions_on_file_are_what_they_claim(filed):
     np.testing.assert_allclose(filed.times, np.round(filed.times, 3), atol=1e-12)
 
 
-def short_search(problem):
+def short_search(problem, known=()):
     pytest.importorskip("scipy")
-    return search(problem, seed=3, generations=1, members=1)
+    return search(problem, known, seed=3, generations=1, members=1)
 
 
 def test_a_search_is_seeded_and_starts_from_the_published_profile():
@@ -87,10 +95,23 @@ def test_a_search_is_seeded_and_starts_from_the_published_profile():
     assert found.mean_speed >= assess(EASY, *PUBLISHED).mean_speed * 0.999
 
 
+def test_a_search_starts_from_the_best_known_solution():
+    best = SOLUTIONS[EASY]
+    found = short_search(EASY, [SOLUTIONS[ProfileProblem(0.54)], best])
+    assert found.mean_speed >= 0.999 * best.mean_speed
+
+
 def test_a_search_says_when_it_fails():
-    hopeless = short_search(ProfileProblem(0.001))
+    problem = ProfileProblem(0.001)
+    hopeless = short_search(problem)
     assert not hopeless.feasible
-    assert hopeless.excess > 1.0
+    assert 1.0 < hopeless.excess <= 1.02 * assess(problem, *PUBLISHED).excess
+
+
+def test_the_command_does_not_replace_results(tmp_path, refused):
+    path = tmp_path / "optima.json"
+    path.touch()
+    assert "--json" in refused(optimal_profiles.main, ["--json", str(path)])
 
 
 def test_the_command_writes_the_best_profile_of_any_search(tmp_path, monkeypatch):
