@@ -12,6 +12,7 @@ from baselines import drawing
 from baselines.paper import __main__ as paper
 from baselines.paper import figures, published, report, tracking
 from baselines.paper.adaptive import sliding
+from capsule_gym.tasks.task import TORQUE_LIMIT
 from tests import ROOT
 
 matplotlib = pytest.importorskip("matplotlib")
@@ -47,9 +48,10 @@ def long_runs(_, plants, cycles, shown):
 def made(laws):
     """The results; parts that other modules test are shared with them or replaced by a few
     numbers."""
-    studied = iter(laws)
+    arguments = [(True,), (False,), (False, TORQUE_LIMIT)]
+    studied = dict(zip(arguments, laws, strict=True))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(report, "study_law", lambda *_: next(studied))
+        patch.setattr(report, "study_law", lambda *given: studied[given])
         patch.setattr(report, "study_variants", lambda: [(0.01, 1.0, 1, 1000, 24)])
         patch.setattr(report, "run_cycles", long_runs)
         patch.setattr(tracking, "grid", lambda: ([0.3, 0.5, 1.0], [0.003, 0.01, 0.1]))
@@ -102,7 +104,7 @@ def test_the_claims_about_a_law_that_does_what_they_say_hold(made, share, holds)
     # Errors that fall on all plants but the nominal one, which does not count; on one plant to
     # another share.
     errors = np.ones((3, 3, 5))
-    errors[-1, :, 1:] = 0.05
+    errors[1:, :, 1:] = 0.05
     errors[-1, 2, 1] = share
     tracked = {}
     for name, by_force in made["tracking"].items():
@@ -151,6 +153,11 @@ def test_extreme_runs_of_each_law_are_printed(made, kind, choose, quantity):
     for law, line in zip(made["laws"], lines, strict=True):
         extreme = choose(run[quantity] for run in law.runs)
         assert f" {extreme:.4g}" in line
+
+
+def test_the_run_on_the_nominal_plant_is_printed(made):
+    lines = re.findall(r"the nominal plant +0\.5 +0\.01 ", report.text(made))
+    assert len(lines) == len(made["laws"])
 
 
 def test_every_claim_is_printed(made):
