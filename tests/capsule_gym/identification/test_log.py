@@ -1,12 +1,13 @@
 """Invalid logs raise errors that name the column."""
 
+import math
 from contextlib import nullcontext
 
 import numpy as np
 import pytest
 
 from capsule_gym import identify
-from capsule_gym.identification.log import check_stop, read_log
+from capsule_gym.identification.log import check_size, check_stop, check_times, read_log
 
 
 @pytest.mark.parametrize(
@@ -50,13 +51,18 @@ def ninth(readings, kept):
     ("change", "text"),
     [
         (changed(t=lambda t: t**1.1), "column 't' must be in equal steps"),
+        (
+            changed(t=lambda t: t + 6e-4 * (rows(t) > 699)),
+            r"'t' must be in equal steps .* row 699 is \[0\.0106\d*\]",
+        ),
+        (changed(torque=np.zeros_like), "'torque' must be varied"),
         (changed(torque=lambda u: 5.0 + 1e-6 * u), r"'torque' must be varied \(N m\), got .*5"),
         (
             changed(torque=lambda u: np.where(u > 0.5, np.nan, u)),
             "column 'torque' must be finite numbers",
         ),
         (changed(theta=np.degrees), "column 'theta' must be in rad"),
-        (changed(theta=lambda a: np.where(rows(a) == 500, -1.6, a)), "stop at 90 deg.* row 500"),
+        (changed(theta=lambda a: np.where(rows(a) == 500, -math.pi / 2.0, a)), "stop at 90 deg.* row 500"),
         (changed(theta=lambda a: np.where(rows(a) > 699, 1.55, a)), "stop at 90 deg.* row 700"),
         (changed(theta=lambda a: np.where(rows(a) < 300, -1.52, a)), "stop at 90 deg.* row 0"),
         (changed(torque=lambda u: np.ma.masked_greater(u, 0.5)), "'torque' must be finite numbers"),
@@ -65,6 +71,13 @@ def ninth(readings, kept):
         (
             changed(theta_dot=lambda w: 0.4 * w),
             "column 'theta_dot' must be the derivative of column 'theta'.* 2.[45]",
+        ),
+        (
+            changed(
+                theta=lambda a: np.where(rows(a) % 7 == 0, np.nan, a),
+                theta_dot=lambda w: 0.4 * w,
+            ),
+            "column 'theta_dot' must be the derivative",
         ),
         (
             changed(theta_dot=lambda w: ninth(w, np.arange(len(w)) % 50 > 0)),
@@ -77,6 +90,7 @@ def ninth(readings, kept):
         (changed(x_dot=lambda v: v[:-1]), "column 'x_dot' must be one number for each row"),
         (every(lambda column: np.resize(column, 100_001)), "'t' must be .* at most 100 s"),
         (every(lambda column: column[::10]), "column 't' must be in equal steps"),
+        (every(lambda column: column[:0]), "column 't' must be in equal steps"),
         (every(lambda column: column[150:200]), "column 't' must be .*, over at least 2 s"),
         (lambda log: {**log, "speed": log["x_dot"]}, "log must have columns out of"),
         (
@@ -88,6 +102,45 @@ def ninth(readings, kept):
 def test_invalid_logs_name_the_column(log, change, text):
     with pytest.raises(ValueError, match=text):
         identify(change(log))
+
+
+@pytest.mark.parametrize(
+    ("name", "largest"),
+    [
+        ("torque", 20.0),
+        ("theta", 1.2 * math.pi / 2.0),
+        ("theta_dot", 30.0),
+        ("x", 1000.0),
+        ("x_dot", 4.0),
+    ],
+)
+def test_numbers_are_plausible_up_to_a_largest_size(name, largest):
+    check_size(name, np.array([0.0, -largest]))
+    with pytest.raises(ValueError, match=f"column '{name}' must be in .*, within"):
+        check_size(name, np.array([0.0, -1.01 * largest]))
+
+
+@pytest.mark.parametrize(
+    ("rate", "count"), [(64, 64 * 2 + 1), (64, 64 * 100 + 1), (1024, 100_000)]
+)
+def test_the_shortest_and_the_longest_logs_are_accepted(rate, count):
+    # The times are exact in binary.
+    assert check_times(np.arange(count) / rate) == 1.0 / rate
+
+
+@pytest.mark.parametrize(
+    ("theta", "theta_dot"),
+    [
+        (lambda a: 0.0 * a, lambda w: w),
+        (lambda a: a, lambda w: 0.0 * w),
+        # No two readings are 0.1 s apart.
+        (lambda a: np.where(rows(a) % 7 == 0, a, np.nan), lambda w: w / 9.0),
+        (lambda a: a, lambda w: np.random.default_rng(0).uniform(-25.0, 25.0, len(w))),
+    ],
+    ids=["no motion", "no rate", "few positions", "noise"],
+)
+def test_a_rate_that_cannot_be_compared_with_its_position_is_accepted(log, theta, theta_dot):
+    read_log({**log, "theta": theta(log["theta"]), "theta_dot": theta_dot(log["theta_dot"])})
 
 
 def test_masked_readings_are_lost(log):

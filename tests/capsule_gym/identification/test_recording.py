@@ -7,6 +7,7 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 
 from capsule_gym import CapsuleEnv, Disturbances, Excitation, record
+from capsule_gym.control.laws.periodic import FEEDFORWARD
 from capsule_gym.evaluation.episodes import evaluate, failures, validation_set
 from capsule_gym.identification.log import read_log
 from tests.capsule_gym.identification.rig import make_env
@@ -66,6 +67,37 @@ def test_an_excitation_is_also_a_law():
         torques.append(info["torque"])
     # The actions of the policy are in float32.
     np.testing.assert_allclose(torques, expected["torque"], rtol=0.0, atol=1e-5)
+
+
+def test_the_excitations_of_all_seeds_cover_its_frequencies():
+    power = np.zeros(1001)
+    for seed in range(10):
+        controller = Excitation(seed=seed, amplitude=0.1).controller()
+        assert len(controller.reference) == 2000
+        torques = controller.reference[:, FEEDFORWARD]
+        power += np.abs(np.fft.rfft(torques * np.hanning(2000))) ** 2
+    frequencies = np.fft.rfftfreq(2000, CONTROL_DT)
+    present = frequencies[power > 0.01 * power.max()]
+    assert present.min() == pytest.approx(0.3, abs=0.1)
+    assert present.max() == pytest.approx(8.0, rel=0.1)
+
+
+def test_an_excitation_takes_the_observations_of_tasks_with_a_goal():
+    observation = np.float32([0.3, -1.0, 0.0])
+    excitation = Excitation()
+    assert excitation.start()({"observation": observation}) == excitation.start()(observation)
+
+
+def test_the_excitation_of_a_log_is_that_of_its_environment():
+    options = {"control_dt": 0.02, "residual_limit": 3.0, "torque_limit": 3.0}
+    found = record(make_env(**options), seconds=1.0, seed=0)
+    excitation = Excitation(control_dt=0.02, torque_limit=3.0)
+    expected = record(make_env(**options), excitation, seconds=1.0, seed=0)
+    assert np.array_equal(found["torque"], expected["torque"])
+
+
+def test_the_shortest_excitation_has_two_steps():
+    assert len(Excitation().controller(0.02).reference) == 2
 
 
 @pytest.mark.parametrize("seconds", [0.0, -1.0, math.nan])

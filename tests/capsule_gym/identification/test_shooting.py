@@ -79,10 +79,11 @@ def test_gaps_have_the_same_deviations_at_all_segments(cut_problem):
 
 def test_slopes_of_predictions_equal_differences(cut_problem):
     problem, unknowns = cut_problem
-    slopes = problem.predict(unknowns)
+    unknowns = unknowns.copy()
     # Slopes by latency jump where it is a multiple of the integrator's step.
-    latency = problem.names.index("latency")
-    for n in np.delete(np.arange(len(unknowns)), latency):
+    unknowns[problem.names.index("latency")] += 0.05
+    slopes = problem.predict(unknowns)
+    for n in range(len(unknowns)):
         step = np.zeros(len(unknowns))
         step[n] = 1e-6
         above = problem.predict(unknowns + step, slopes=False)
@@ -214,8 +215,9 @@ def test_chi2_is_what_past_torques_and_the_motion_explain_of_the_residuals():
 @pytest.mark.parametrize(("share", "outwards"), [(0.0, 1.0), (1.0, -1.0)])
 def test_an_unknown_at_the_end_of_its_range_is_free_to_leave_it_only_inwards(share, outwards):
     problem = make_small_problem()
-    unknowns = np.array([share, 0.5, share])
+    # The last unknown is a state, which has no range.
+    unknowns = np.array([share, 0.5, share, share])
     for slope in (0.3, 3.0):
-        gradient = np.full(3, slope * outwards)
-        assert problem.free(unknowns, gradient).tolist() == [False, True, False]
+        gradient = np.full(4, slope * outwards)
+        assert problem.free(unknowns, gradient).tolist() == [False, True, False, True]
         assert problem.free(unknowns, -gradient).all()
