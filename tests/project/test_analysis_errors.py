@@ -50,6 +50,7 @@ REAL = CapsuleEnv(disturbances="real")
             r"ranges\['k'\] must be of .* not known",
         ),
         ({"ranges": {"M": (-1.0, 0.1)}}, "Randomization.M"),
+        ({"physics_dt": 0.011}, "physics_dt must be a number of s from 1e-5 to 0.01, got 0.011"),
         ({"prior": "reel"}, "^prior must be a Randomization or one of .*, got 'reel'"),
     ],
 )

@@ -82,6 +82,7 @@ def test_a_law_whose_trial_call_fails_is_refused(gain, error):
         np.full((2, 2), np.nan),
         np.zeros((2, 257)),
         np.broadcast_to(np.zeros(2), (10**12, 2)),
+        np.broadcast_to(np.zeros(256), (10**5, 256)),
         [[0.0, 10**400]],
         [["a", "b"]],
         [[1.0], [1.0, 2.0]],
@@ -148,10 +149,12 @@ def own():
 
 
 def test_a_reference_is_a_copy_that_cannot_be_written():
-    table = np.zeros((1, 256))
+    table = np.zeros((256, 2)).T
     controller = Controller("largest", no_torque, table, (0.0,) * 256)
     assert table.flags.writeable
     assert not controller.reference.flags.writeable
+    # Its rows are those that the core reads.
+    assert controller.reference.flags.c_contiguous
     assert not np.shares_memory(table, controller.reference)
 
 

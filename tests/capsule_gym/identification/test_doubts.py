@@ -3,10 +3,13 @@
 import re
 import warnings
 
+import numpy as np
 import pytest
 
 from capsule_gym import Randomization, identify
+from capsule_gym.identification.doubts import drawn_beyond
 from tests.capsule_gym.identification.rig import CONSTANTS, EXACT, MOTOR, WHITE, make_log
+from tests.capsule_gym.identification.test_shooting import make_small_problem
 
 READINGS = ("theta", "theta_dot", "x_dot")
 
@@ -35,7 +38,8 @@ def later(log, names, rows):
 @pytest.mark.parametrize(("names", "rows"), [(["x_dot"], 3), (["theta", "theta_dot"], 2)])
 def test_sensors_that_are_later_are_named(short_log, names, rows):
     _, messages = messages_of(later(short_log, names, rows))
-    late = [re.search(r"column '(\w+)' is about (\d+) ms later", text) for text in messages]
+    pattern = r"column '(\w+)' is about (\d+) ms later .*: give ranges={'\1_latency': \("
+    late = [re.search(pattern, text) for text in messages]
     found = {match[1]: int(match[2]) for match in late if match}
     assert set(found) == set(names)
     for milliseconds in found.values():
@@ -82,3 +86,18 @@ def test_ends_without_a_pull_are_not_named(short_log):
     del known["M"]
     _, messages = messages_of(short_log, known=known, ranges={"M": (0.6, 0.9)})
     assert not messages
+
+
+@pytest.mark.parametrize(("end", "outwards"), [(0.0, 1.0), (1.0, -1.0)])
+@pytest.mark.parametrize(("reduction", "beyond"), [(8.5, []), (9.5, [0])])
+def test_an_end_is_drawn_beyond_where_the_sum_of_squares_falls_by_nine(
+    end, outwards, reduction, beyond
+):
+    problem = make_small_problem()
+    jacobian = np.random.default_rng(0).normal(size=(7, 5))
+    # The residual that no other unknown can reduce.
+    others, _ = np.linalg.qr(jacobian[:, 1:])
+    own = jacobian[:, 0] - others @ (others.T @ jacobian[:, 0])
+    r = outwards * np.sqrt(reduction) * own / np.linalg.norm(own)
+    problem.residuals = lambda unknowns: (r, jacobian)
+    assert drawn_beyond(problem, np.array([end, 0.5, 0.5, 3.0, -1.0])) == beyond

@@ -81,6 +81,38 @@ def test_intervals_grow_with_their_level(fit):
     assert (np.ptp(half, axis=1) < np.ptp(most, axis=1)).all()
 
 
+def draws(fit, samples, low, high):
+    """The fit with samples of m and l, whose ranges are both from low to high."""
+    ranges = {"m": (low, high), "l": (low, high)}
+    return replace(fit, estimates={"m": 0.0, "l": 0.0}, samples=samples, ranges=ranges)
+
+
+VALUES = np.array([[1.0, 4.0, 6.0, 7.0, 7.5, 8.0, 8.5, 9.0, 12.0, 20.0]] * 2).T
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "expected"),
+    [(5.8, 20.0, (5.8, 9.0)), (0.0, 9.2, (6.0, 9.2)), (5.6, 9.4, (6.0, 9.0))],
+)
+def test_an_interval_is_the_shortest_one_and_reaches_a_near_end_of_the_range(
+    fit, low, high, expected
+):
+    assert draws(fit, VALUES, low, high).intervals(0.5)["m"] == expected
+
+
+def test_the_interval_of_level_1_does_not_reach_beyond_the_samples(fit):
+    assert draws(fit, VALUES, 0.5, 20.5).intervals(1.0)["l"] == (1.0, 20.0)
+
+
+def test_an_axis_of_the_estimates_names_what_is_determined_together(fit):
+    # The sum of m and l is known ten times better than their difference.
+    samples = np.array([[1.0, -1.0], [-1.0, 1.0], [0.1, 0.1], [-0.1, -0.1]])
+    (best, total), (worst, difference) = draws(fit, samples, -1.0, 1.0).identified
+    assert worst == pytest.approx(10.0 * best)
+    assert total["m"] * total["l"] == pytest.approx(0.5)
+    assert difference["m"] * difference["l"] == pytest.approx(-0.5)
+
+
 def test_the_interval_of_level_1_contains_all_samples(fit):
     low, high = np.transpose([*fit.intervals(1.0).values()])
     assert np.array_equal(low, fit.samples.min(axis=0))
@@ -130,6 +162,7 @@ def test_a_platform_that_sticks_determines_the_static_ratio(fit):
     # In this log the platform sticks for a quarter of the time.
     assert fit.widths["static_ratio"] < 0.7
     assert "not determined: the prior's" not in fit.table()
+    assert f"\nchi2 {fit.chi2:.2f}; minima of the fits: (" in fit.table()
 
 
 def test_what_a_log_does_not_determine_is_named():
@@ -171,6 +204,21 @@ def test_the_last_fifth_is_not_fitted(short_log):
     assert after.held_out["x"] == before.held_out["x"]
 
 
+def test_the_drift_of_a_sensor_is_found():
+    drifting = replace(WHITE, theta_drift=0.05, drift_time=0.3)
+    known = {name: value for name, value in KNOWN.items() if name != "c"}
+    found = identify(make_log(drifting, 10.0), known).disturbances
+    assert found.theta_drift == pytest.approx(0.05, rel=0.3)
+    assert found.drift_time == pytest.approx(0.3, rel=0.5)
+
+
+def test_a_sensor_without_readings_in_the_fitted_rows_is_named(short_log):
+    last = np.arange(len(short_log["t"])) >= 400
+    late = {**short_log, "theta_dot": np.where(last, short_log["theta_dot"], np.nan)}
+    with pytest.raises(ValueError, match="'theta_dot' must be of readings in the first four"):
+        identify(late, {name: KNOWN[name] for name in KNOWN if name != "c"})
+
+
 @pytest.mark.parametrize(("limits", "end"), [((0.3, 0.5), 0.5), ((0.7, 0.9), 0.7)])
 def test_a_prior_without_the_truth_gives_its_end_and_a_warning(short_log, limits, end):
     log = {name: short_log[name] for name in ("t", "torque", "theta")}
@@ -181,6 +229,7 @@ def test_a_prior_without_the_truth_gives_its_end_and_a_warning(short_log, limits
         fit = identify(log, known, Randomization(M=limits))
     assert fit.estimates == pytest.approx({"M": end}, abs=1e-3)
     assert fit.disturbances.unmeasured == ("theta_dot", "x_dot")
+    assert fit.disturbances.x_dot_bias == 0.0
     assert caught[0].filename == __file__
 
 
@@ -253,6 +302,7 @@ def test_a_saved_result_is_the_same(fit, tmp_path):
     loaded = Fit.load(tmp_path / "fit.json")
     assert loaded.env_kwargs(0.9) == fit.env_kwargs(0.9)
     assert loaded.identified == fit.identified
+    assert loaded.ranges == fit.ranges
     assert loaded.table() == fit.table()
 
 
@@ -264,6 +314,11 @@ def test_an_older_file_has_no_sampling(fit, tmp_path):
         del content["disturbances"][name]
     path.write_text(json.dumps(content), encoding="utf-8")
     assert Fit.load(path).env_kwargs(0.9) == fit.env_kwargs(0.9)
+
+
+def test_a_report_is_a_picture(fit, tmp_path):
+    with pytest.raises(ValueError, match=r"path must be the name of a file \.png or"):
+        fit.report(tmp_path / "fit.txt")
 
 
 def test_a_result_from_a_file_draws_no_report(fit, tmp_path):

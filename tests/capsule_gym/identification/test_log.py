@@ -62,7 +62,10 @@ def ninth(readings, kept):
             "column 'torque' must be finite numbers",
         ),
         (changed(theta=np.degrees), "column 'theta' must be in rad"),
-        (changed(theta=lambda a: np.where(rows(a) == 500, -math.pi / 2.0, a)), "stop at 90 deg.* row 500"),
+        (
+            changed(theta=lambda a: np.where(rows(a) == 500, -math.pi / 2.0, a)),
+            "stop at 90 deg.* row 500",
+        ),
         (changed(theta=lambda a: np.where(rows(a) > 699, 1.55, a)), "stop at 90 deg.* row 700"),
         (changed(theta=lambda a: np.where(rows(a) < 300, -1.52, a)), "stop at 90 deg.* row 0"),
         (changed(torque=lambda u: np.ma.masked_greater(u, 0.5)), "'torque' must be finite numbers"),
@@ -120,9 +123,7 @@ def test_numbers_are_plausible_up_to_a_largest_size(name, largest):
         check_size(name, np.array([0.0, -1.01 * largest]))
 
 
-@pytest.mark.parametrize(
-    ("rate", "count"), [(64, 64 * 2 + 1), (64, 64 * 100 + 1), (1024, 100_000)]
-)
+@pytest.mark.parametrize(("rate", "count"), [(64, 64 * 2 + 1), (64, 64 * 100 + 1), (1024, 100_000)])
 def test_the_shortest_and_the_longest_logs_are_accepted(rate, count):
     # The times are exact in binary.
     assert check_times(np.arange(count) / rate) == 1.0 / rate

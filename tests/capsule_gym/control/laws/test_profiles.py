@@ -20,7 +20,7 @@ PROFILES = pytest.mark.parametrize("profile", [PROPOSED, EPC], ids=["proposed", 
 
 @PROFILES
 def test_a_profile_starts_and_ends_at_rest_at_its_start(profile):
-    starts = np.array([0.0, profile.period - 1e-12, 3 * profile.period])
+    starts = np.array([0.0, profile.period - 1e-12, 3 * profile.period, -1e-18])
     angle, velocity, _ = profile.evaluate(starts)
     np.testing.assert_allclose(angle, -math.pi / 3, atol=1e-9)
     np.testing.assert_allclose(velocity, 0.0, atol=1e-9)
@@ -32,6 +32,13 @@ def test_angle_and_velocity_are_continuous_between_phases(profile):
     angle_after, velocity_after, _ = profile.evaluate(profile.times + 1e-9)
     np.testing.assert_allclose(angle, angle_after, atol=1e-7)
     np.testing.assert_allclose(velocity, velocity_after, atol=1e-6)
+
+
+def test_at_the_edge_of_a_phase_the_acceleration_is_that_of_the_phase_that_begins():
+    edges = PROPOSED.times[:-1]
+    *_, acceleration = PROPOSED.evaluate(edges)
+    *_, after = PROPOSED.evaluate(edges + 1e-9)
+    np.testing.assert_allclose(acceleration, after, atol=1e-4)
 
 
 @PROFILES
