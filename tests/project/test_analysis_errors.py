@@ -45,6 +45,7 @@ REAL = CapsuleEnv(disturbances="real")
         ({"ranges": {"latancy": (0.0, 0.01)}}, "ranges must have .*did you mean 'latency'"),
         ({"ranges": {"lag": (0.2, 0.1)}}, r"ranges\['lag'\] must be a pair"),
         ({"ranges": {"latency": (-0.1, 0.1)}}, r"ranges\['latency'\]\[0\] must be"),
+        ({"ranges": {"latency": (0.0, 1e3)}}, r"ranges\['latency'\]\[1\] must be"),
         (
             {"ranges": {"k": (0.0, 0.1)}, "known": {"k": 0.3}},
             r"ranges\['k'\] must be of .* not known",
@@ -185,7 +186,13 @@ def test_an_invalid_argument_of_an_evaluation_is_named(policy, arguments, messag
             lambda: sensitivity((1.5, 5.0, 0.0, 0.0), [0.0] * 3),
             r"torques\[0\], between 0 and 0\.02 s$",
         ),
+        (lambda: sensitivity(START, [[0.1]]), "torques must be a sequence of numbers"),
+        (lambda: sensitivity(START, [0.1, 1e9]), "torques must be a sequence of numbers"),
         (lambda: sensitivity(START, [0.1], capsule=Capsule(c=20.0)), "physics_dt must be at most"),
+        (
+            lambda: sensitivity(START, [0.1], physics_dt=0.003),
+            r"physics_dt must be control_dt=0\.02 s over a whole number",
+        ),
         (
             lambda: record(REAL, path="nowhere/log.csv"),
             "path must be that of a new file in a folder that",
