@@ -91,7 +91,10 @@ class Student:
 
 
 def for_rig(student: Student, fit: Fit) -> Student:
-    """A student whose plants and disturbances are drawn from the intervals of an identified rig."""
+    """A student whose plants and disturbances are drawn from the intervals of an identified rig.
+
+    A rig does not change during an episode.
+    """
     options = fit.env_kwargs()
     return replace(
         student,
@@ -101,6 +104,8 @@ def for_rig(student: Student, fit: Fit) -> Student:
         plants={RIG: 1},
         severities=(1.0,),
         sticky_share=0.0,
+        change_rate=0.0,
+        spare_share=0.0,
     )
 
 

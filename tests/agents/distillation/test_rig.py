@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from agents.distillation import dataset
+from agents.distillation import dagger, dataset
 from agents.distillation.__main__ import main
 from agents.distillation.config import RIG, STUDENTS, for_rig
 from agents.distillation.dataset import collect
-from agents.distillation.plants import draw_disturbances, draw_groups, solve_groups
+from agents.distillation.plants import draw_changes, draw_disturbances, draw_groups, solve_groups
 from capsule_gym import load_policy
 from capsule_gym.core.layout import Row
 from tests.agents.distillation.conftest import RECURRENT
@@ -32,12 +32,28 @@ def within(name, value):
 def test_plants_are_those_of_the_rig():
     groups = draw_groups(dataclasses.replace(STUDENT, groups=20))
     problems = [problem for group in groups for problem in group.problems]
-    assert len({problem.M for problem in problems}) == len(problems)
-    for problem in problems:
-        for name in ("M", "mu", "l", "motor_friction"):
-            assert within(name, getattr(problem, name))
-        assert problem.m == 0.15
-        assert problem.static_ratio == 1.0
+    for name in ("M", "mu", "l", "motor_friction"):
+        values = [getattr(problem, name) for problem in problems]
+        assert len(set(values)) == len(values)
+        assert all(within(name, value) for value in values)
+    assert {problem.m for problem in problems} == {0.15}
+    assert {problem.static_ratio for problem in problems} == {1.0}
+
+
+@pytest.mark.parametrize("name", STUDENTS)
+def test_the_plants_of_a_rig_do_not_change(name):
+    student = for_rig(dataclasses.replace(STUDENTS[name], groups=1), make_fit())
+    (group,) = draw_groups(student)
+    assert draw_changes(group, student.change_rate, 16.0, np.random.default_rng(0)) == []
+    assert student.spare_share == 0.0
+
+
+def test_policies_are_selected_on_plants_of_the_rig():
+    (selection,) = dagger._validation_plants(STUDENT, 0)
+    assert len(selection.plants) == STUDENT.evaluation_episodes
+    for plant in selection.plants:
+        assert within("M", plant.M)
+        assert within("mu", plant.mu)
 
 
 def test_disturbances_are_those_of_the_rig():
@@ -73,7 +89,9 @@ def test_the_command_distils_a_policy_of_the_rig(tmp_path, monkeypatch, capsys):
     words = ["--rig", str(tmp_path / "mine.json"), "--seeds", "3", "--runs", str(tmp_path)]
     assert main(["dp-distilled", *words]) == 0
     run = tmp_path / "dp-distilled-mine" / "seed-3"
-    assert f"python -m capsule_gym.export {run} --c policy.h" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert f"python -m agents.evaluate {run.parent} --against" in printed
+    assert f"python -m capsule_gym.export {run} --c policy.h" in printed
     env_kwargs = load_policy(run).env_kwargs
     for name, value in fit.env_kwargs().items():
         assert env_kwargs[name] == value
