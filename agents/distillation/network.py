@@ -95,7 +95,7 @@ class Network:
         Args:
             datasets: the data of all rounds.
             updates: number of gradient steps.
-            rates: step sizes of Adam at the first and the last gradient step; linear in between.
+            rates: step sizes of Adam at the first gradient step and after the last, linear between.
             rng: random generator of the batches.
 
         Returns:

@@ -27,7 +27,9 @@ TINY = {
 RECURRENT = dataclasses.replace(
     STUDENTS["dp-distilled"], **TINY, units=8, batch_size=6, sequence=20, burn_in=5
 )
-FEEDFORWARD = dataclasses.replace(STUDENTS["dp-distilled-wide"], **TINY, batch_size=16)
+FEEDFORWARD = dataclasses.replace(
+    STUDENTS["dp-distilled-wide"], **TINY | {"plants": {"wide": 2}}, batch_size=16
+)
 
 
 @pytest.fixture(scope="package", autouse=True)

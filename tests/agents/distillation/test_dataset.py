@@ -42,9 +42,19 @@ def test_steps_after_the_end_of_an_episode_do_not_count(solved):
 
     data = collected(RECURRENT, solved, expert_share=0.0, act=full, steps=200)
     ended = ~data.running
-    assert ended.any()
-    # An ended episode does not begin again.
+    assert ended[:, -1].all()
+    # An ended episode does not begin again, and the others go on.
     assert (np.diff(ended.astype(int), axis=1) >= 0).all()
+    assert np.ptp(data.running.sum(axis=1)) > 0
+
+
+def test_plants_change_within_episodes(solved_nominal):
+    observed = {"observation": {"observe_parameters": True}}
+    constant = collected(FEEDFORWARD, solved_nominal, change_rate=0.0, **observed)
+    changing = collected(FEEDFORWARD, solved_nominal, change_rate=10.0, **observed)
+    for column in (-2, -1):
+        assert (np.ptp(constant.inputs[..., column], axis=1) == 0.0).all()
+        assert (np.ptp(changing.inputs[..., column], axis=1) > 0.0).all()
 
 
 def test_a_student_observes_the_estimates(solved_nominal):
@@ -53,6 +63,13 @@ def test_a_student_observes_the_estimates(solved_nominal):
     last = inputs[:, -1]
     assert (first[:, ESTIMATES] == first[0, ESTIMATES]).all()
     assert (last[:, M_DEVIATION] < 0.2 * first[:, M_DEVIATION]).all()
+
+
+def test_a_torque_costs_more_by_the_share_of_the_margin_that_it_does_not_leave():
+    scores = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 2.0]])
+    normal_force = np.array([[12.0, 5.0, 0.0], [0.0, -5.0, -10.0]])
+    regrets = dataset._regret(scores, normal_force, np.full((2, 1), 10.0), 60.0)
+    assert regrets.tolist() == [[0.0, 30.0, 60.0], [2.0, 1.0, 0.0]]
 
 
 def first_regrets(solved_nominal, margin, spare_share=0.0):

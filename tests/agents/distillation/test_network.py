@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from agents.distillation.dataset import Dataset, collect
-from agents.distillation.network import BEGINNINGS, Network, interpolated_regret
+from agents.distillation.network import Network, interpolated_regret
 from baselines.dynamic_programming.policy import NUM_TORQUES, TORQUES
 from capsule_gym import load_policy
 from capsule_gym.policies.policy import POLICY
@@ -55,7 +55,57 @@ def test_a_policy_file_acts_as_the_network(student, dataset, estimated, tmp_path
     act = policy.start(range(student.num_envs))
     for step in range(student.steps):
         actions = act(data.inputs[:, step])
-        np.testing.assert_allclose(actions[:, 0], torques[step], atol=1e-5)
+        np.testing.assert_allclose(actions, torques[step][:, None], atol=1e-5)
+
+
+def test_inputs_that_count_are_normalised_and_a_constant_one_is_0():
+    counted = np.random.default_rng(0).normal([0.0, 1.0, -2.0, 3.0], [1.0, 2.0, 0.5, 0.0], (25, 4))
+    inputs = np.full((1, 40, 4), 1e6)
+    inputs[0, :25] = counted
+    running = np.arange(40)[None] < 25
+    network = Network(FEEDFORWARD, Dataset(inputs, np.zeros(0), running), 0)
+    normalised = (counted - network.mean) / np.sqrt(network.variance)
+    np.testing.assert_allclose(normalised.mean(axis=0), 0.0, atol=1e-9)
+    np.testing.assert_allclose(normalised.std(axis=0), [1.0, 1.0, 1.0, 0.0], atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def one_step(estimated):
+    """A step of an episode, which every batch repeats, and the network of its dataset."""
+    step = Dataset(*(each[:1, 20:21] for each in estimated))
+    return step, Network(FEEDFORWARD, estimated, 0)
+
+
+def test_the_loss_is_the_regret_of_the_policys_torque_per_second(one_step):
+    step, network = one_step
+    (loss,) = network.fit([step], 1, (0.0, 0.0), np.random.default_rng(0))
+    action = network.policy("student", 0, "none").start([0])(step.inputs[:, 0])
+    regrets = torch.from_numpy(step.regrets[:, 0].astype(np.float32))
+    regret = interpolated_regret(regrets, torch.from_numpy(action[:, 0])).item()
+    assert loss == pytest.approx(regret / 0.02, rel=1e-3)
+
+
+def test_the_step_size_changes_linearly(one_step):
+    step, network = one_step
+    rates = []
+    network.optimiser.register_step_pre_hook(
+        lambda optimiser, *_: rates.append(optimiser.param_groups[0]["lr"])
+    )
+    network.fit([step], 4, (8e-6, 4e-6), np.random.default_rng(0))
+    assert rates == pytest.approx([8e-6, 7e-6, 6e-6, 5e-6])
+
+
+@pytest.mark.parametrize(("size", "bounded"), [(1e-4, False), (1.0, True)])
+def test_a_gradient_is_that_of_its_own_batch_with_a_norm_of_at_most_1(one_step, size, bounded):
+    step, network = one_step
+    scaled = step._replace(regrets=size * step.regrets.astype(np.float32))
+    norms = []
+    for updates in (1, 3):
+        network.fit([scaled], updates, (0.0, 0.0), np.random.default_rng(0))
+        gradients = [parameter.grad.ravel() for parameter in network.module.parameters()]
+        norms.append(torch.cat(gradients).norm().item())
+    assert norms[1] == pytest.approx(norms[0], rel=1e-3)
+    assert (norms[0] == pytest.approx(1.0, rel=1e-3)) == bounded
 
 
 def test_a_fit_lowers_the_loss(dataset):
@@ -78,6 +128,8 @@ def drawn_sequences(**settings):
 
 def test_a_sequence_counts_after_its_burn_in_unless_it_begins_an_episode():
     episodes, steps, counts = drawn_sequences(sequence=20, burn_in=5)
+    assert {*episodes.flat} == {0, 1, 2}
+    assert {*steps[0].tolist()} == {*range(21)}
     assert (np.diff(steps, axis=0) == 1).all()
     begins = steps[0] == 0
     ended = (episodes == 1) & (steps >= 25)
@@ -89,6 +141,7 @@ def test_a_sequence_counts_after_its_burn_in_unless_it_begins_an_episode():
 
 def test_a_share_of_the_sequences_begins_an_episode():
     _, steps, _ = drawn_sequences(sequence=20)
-    assert (steps[0] == 0).mean() > BEGINNINGS
+    # The others begin at one of 21 steps.
+    assert (steps[0] == 0).mean() == pytest.approx(0.15 + 0.85 / 21.0, abs=0.02)
     _, steps, _ = drawn_sequences(sequence=1, units=0)
     assert (steps[0] == 0).mean() < 0.1

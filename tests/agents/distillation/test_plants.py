@@ -6,7 +6,9 @@ import pytest
 from agents.distillation import plants
 from agents.distillation.config import STUDENTS
 from agents.distillation.plants import draw_changes, draw_disturbances, draw_groups, solve_groups
-from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS, REAL
+from baselines.dynamic_programming.archive import known_results, solve_near
+from capsule_gym.parameters import DISTURBANCES, NOMINAL, RANDOMIZATIONS, REAL
+from capsule_gym.parameters.disturbances import SAMPLING
 from tests.agents.distillation.conftest import RECURRENT
 
 STUDENT = STUDENTS["dp-distilled"]
@@ -32,13 +34,14 @@ def test_without_severity_the_pendulum_is_nominal():
 
 
 def test_at_full_severity_the_pendulum_is_drawn_as_in_real():
-    group = group_of(1.0)
+    groups = [group for group in GROUPS if group.severity == 1.0]
+    problems = [problem for group in groups for problem in group.problems]
     for name in plants.PENDULUM:
         low, high = getattr(RANDOMIZATIONS["real"], name)
-        values = {getattr(problem, name) for problem in group.problems}
-        assert len(values) == 1
-        assert low <= values.pop() <= high
-    assert {problem.motor_friction for problem in group.problems} == {REAL.motor_friction}
+        values = {getattr(problem, name) for problem in problems}
+        assert len(values) == len(groups)
+        assert low <= min(values) < getattr(NOMINAL, name) < max(values) <= high
+    assert {problem.motor_friction for problem in problems} == {REAL.motor_friction}
 
 
 def test_static_ratios_are_1_and_1_3():
@@ -63,6 +66,7 @@ def test_a_severity_of_none_draws_disturbances_up_to_their_full_size(name):
 def test_disturbances_of_a_fixed_severity():
     rng = np.random.default_rng(0)
     none = draw_disturbances(group_of(0.0), rng)
+    assert none.keys() == set(DISTURBANCES)
     del none["drift_time"]
     assert {*none.values()} == {0.0}
     full = draw_disturbances(group_of(1.0), rng)
@@ -71,13 +75,32 @@ def test_disturbances_of_a_fixed_severity():
     assert low <= full["latency"] <= high
 
 
+@pytest.mark.parametrize("name", SAMPLING)
+def test_sampling_is_drawn_if_it_is_disturbed(name):
+    disturbances = dataclasses.replace(REAL, **{name: 0.002})
+    group = dataclasses.replace(group_of(1.0), disturbances=disturbances)
+    assert draw_disturbances(group, np.random.default_rng(0))[name] == 0.002
+
+
+def test_sampling_that_is_not_disturbed_takes_no_draw():
+    rng = np.random.default_rng(0)
+    draw_disturbances(group_of(1.0), rng)
+    others = np.random.default_rng(0)
+    # The time constant of the drift is drawn twice.
+    others.random(len(DISTURBANCES) - len(SAMPLING) + 1)
+    assert rng.random() == others.random()
+
+
 def test_plants_change_at_the_rate_of_the_student_within_an_episode():
     rng = np.random.default_rng(0)
     group = GROUPS[0]
     episodes = [draw_changes(group, 0.2, 16.0, rng) for _ in range(300)]
+    for changes in episodes:
+        times = [change["t"] for change in changes]
+        assert times == sorted(times)
     times = np.array([change["t"] for changes in episodes for change in changes])
-    assert 0.0 < times.min()
-    assert times.max() < 16.0
+    assert 0.0 < times.min() < 0.1
+    assert 15.9 < times.max() < 16.0
     assert len(times) / len(episodes) == pytest.approx(0.2 * 16.0, rel=0.1)
 
 
@@ -95,6 +118,12 @@ def test_solutions_have_the_order_of_the_plants(solved):
     groups, solutions = solved
     problems = [problem for group in groups for problem in group.problems]
     assert [solution.problem for solution in solutions] == problems
+
+
+def test_a_grid_has_room_for_a_pendulum_that_is_not_nominal(solved):
+    _, (solution, *_) = solved
+    nominal = solve_near(solution.problem, known_results(), solution.values.shape)
+    assert solution.grid.y == pytest.approx(np.multiply(1.15, nominal.grid.y))
 
 
 def test_solved_plants_are_not_solved_again(plants_folder, monkeypatch, solved):

@@ -1,7 +1,10 @@
 import dataclasses
+import itertools
 import json
+import pickle
 import shutil
 from functools import partial
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import numpy as np
@@ -14,6 +17,7 @@ from agents.distillation import dagger
 from agents.distillation.config import STUDENTS
 from agents.training.signals import INTERRUPTED
 from capsule_gym import load_policy
+from capsule_gym.parameters import RANDOMIZATIONS
 from capsule_gym.policies.policy import POLICY
 from tests.agents.distillation.conftest import RECURRENT
 
@@ -60,8 +64,8 @@ def test_the_schedule_has_all_updates():
 def test_the_step_size_falls_to_zero():
     rates = [fit.rates for fit in dagger.schedule(STUDENT)]
     final = rates[STUDENT.rounds :]
-    assert rates[0][0] == STUDENT.learning_rate
-    assert final[0][0] == dagger.FINAL_START * STUDENT.learning_rate
+    assert rates[0] == pytest.approx((STUDENT.learning_rate, 0.3 * STUDENT.learning_rate))
+    assert final[0][0] == 0.5 * STUDENT.learning_rate
     assert all(first > last for first, last in rates)
     next_firsts = [first for first, _ in final[1:]]
     assert [last for _, last in final] == pytest.approx([*next_firsts, 0.0])
@@ -105,14 +109,19 @@ def test_a_finished_run_keeps_no_data(runs):
 
 @pytest.mark.parametrize(("failure_cost", "kept"), [(4.0, 6.0), (6.0, 5.0)])
 def test_the_failure_cost_decides_which_policy_is_kept(runs, monkeypatch, failure_cost, kept):
-    slow = {"mean_speed": 5.0, "failed": 0.1}
-    fast = {"mean_speed": 6.0, "failed": 0.3}
-    answers = [[slow], [fast], [fast], [fast]]
-    monkeypatch.setattr(dagger, "evaluate", Mock(side_effect=answers))
+    slow = [{"mean_speed": 4.0, "failed": 0.1}, {"mean_speed": 6.0, "failed": 0.1}]
+    fast = [{"mean_speed": 6.0, "failed": 0.2}, {"mean_speed": 6.0, "failed": 0.4}]
+    evaluate = Mock(side_effect=[slow, fast, fast, fast])
+    monkeypatch.setattr(dagger, "evaluate", evaluate)
     student = dataclasses.replace(RECURRENT, rounds=2, failure_cost=failure_cost)
     monkeypatch.setitem(STUDENTS, NAME, student)
     (run,) = distilled(runs("runs"), 0)
     assert json.loads((run / dagger.FINISHED).read_text())["mean_speed"] == kept
+    assert evaluate.call_count == 4
+    low, high = RANDOMIZATIONS["paper"].M
+    for call in evaluate.call_args_list:
+        _, selection = call.args
+        assert all(low <= plant.M <= high for plant in selection.plants)
 
 
 @pytest.fixture
@@ -135,24 +144,46 @@ def test_ctrl_c_keeps_the_best_policy(capsys, interrupted):
     assert kept.tobytes() == evaluated.start([0])(observation).tobytes()
 
 
-def test_an_interrupted_run_ends_with_the_same_policy(runs, monkeypatch):
-    evaluate = dagger.evaluate
-    (whole,) = distilled(runs("whole"), 0)
-    folder = runs("parts")
-    for stop_at in (1, 2):
-        calls = []
+def run_with(folder, monkeypatch, answers):
+    """Repeats the command until the run ends, on a clock that advances by 1 s a reading.
 
-        def stopping(*args, calls=calls, stop_at=stop_at):
-            calls.append(args)
-            if len(calls) > stop_at:
-                raise KeyboardInterrupt
-            return evaluate(*args)
+    Returns:
+        The folder of the run, and the actions of the policies that were evaluated.
+    """
+    evaluate = Mock(side_effect=answers)
+    clock = SimpleNamespace(process_time=itertools.count().__next__)
+    with monkeypatch.context() as patch:
+        patch.setattr(dagger, "evaluate", evaluate)
+        patch.setattr(dagger, "time", clock)
+        while command.main(arguments(folder, 0)) == INTERRUPTED:
+            pass
+    assert evaluate.call_count == len(answers)
+    observation = np.ones((1, 5), np.float32)
+    policies = [call.args[0] for call in evaluate.call_args_list]
+    actions = [policy.start([0])(observation).item() for policy in policies]
+    return folder / NAME / "seed-0", actions
 
-        with monkeypatch.context() as patch:
-            patch.setattr(dagger, "evaluate", stopping)
-            assert command.main(arguments(folder, 0)) == INTERRUPTED
-    (run,) = distilled(folder, 0)
-    assert (run / POLICY).read_bytes() == (whole / POLICY).read_bytes()
+
+def test_an_interrupted_run_ends_as_one_that_is_not(runs, monkeypatch):
+    falling = [[{"mean_speed": speed, "failed": 0.0}] for speed in (5.0, 4.0, 3.0, 2.0, 1.0)]
+    first, second, *rest = falling
+    stops = [first, KeyboardInterrupt, second, KeyboardInterrupt, *rest]
+    whole, actions = run_with(runs("whole"), monkeypatch, falling)
+    parts, repeated = run_with(runs("parts"), monkeypatch, stops)
+    assert len(set(actions)) == 5
+    assert [repeated[n] for n in (0, 2, 4, 5, 6)] == actions
+    for name in (POLICY, dagger.FINISHED):
+        assert (parts / name).read_bytes() == (whole / name).read_bytes()
+    result = json.loads((parts / dagger.FINISHED).read_text())
+    assert result["mean_speed"] == 5.0
+    assert result["core_seconds"] == 5.0
+
+
+def test_a_checkpoint_with_pickled_code_is_not_loaded(interrupted):
+    folder, _ = interrupted
+    torch.save(SimpleNamespace(), folder / NAME / "seed-0" / dagger.CHECKPOINT)
+    with pytest.raises(pickle.UnpicklingError):
+        command.main(arguments(folder, 0))
 
 
 def test_a_run_of_another_student_is_not_continued(interrupted, monkeypatch, refused):
