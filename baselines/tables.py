@@ -21,12 +21,12 @@ def text_table(rows: Rows, *, left: int | None = None) -> str:
     The first `left` columns and the last one, for remarks, are aligned to the left; None aligns all
     columns so.
 
-    >>> rows = [["policy", "cm/s", ""], ["adaptive", "1.39", "reference"], ["epc", "11.62", ""]]
+    >>> rows = [["policy", "cm/s", ""], ["adaptive", "1.390", "reference"], ["epc", "11.62", "new"]]
     >>> print(text_table(rows, left=1))
     policy      cm/s
     --------  ------  ---------
-    adaptive    1.39  reference
-    epc        11.62
+    adaptive   1.390  reference
+    epc        11.62  new
     """
     count = len(rows[0])
     if left is None:

@@ -69,6 +69,7 @@ def test_a_speed_has_the_digits_of_the_file():
 def test_a_failure_scores_below_standstill():
     score, metrics = open_loop_score(1.5)
     assert metrics["failures"] == 2
+    assert score == pytest.approx(metrics["mean_speed"] - 10.0, abs=1e-4)
     assert score < -5.0
 
 
@@ -87,14 +88,16 @@ def runs(monkeypatch):
 
 
 def test_a_search_has_200_generations_of_20_candidates(runs):
-    searched = [count for (_, plants, _), count in runs.items() if plants == 32]
-    assert searched == [20] * 200
+    searched = [(seconds, count) for (_, plants, seconds), count in runs.items() if plants == 32]
+    assert searched == [(12.0, 20)] * 200
 
 
 def test_no_two_generations_have_a_plant_in_common_or_one_of_an_evaluation_set(runs):
     seeds = sorted(seed for seed, plants, _ in runs if plants == 32)
     assert min(seeds) >= 2**40
     assert (np.diff(seeds) >= 32).all()
+    (validation,) = {seed for seed, plants, _ in runs if plants == 1024}
+    assert validation >= max(seeds) + 32
 
 
 def test_a_search_validates_on_whole_episodes_after_each_quarter(runs):
@@ -109,6 +112,26 @@ def test_better_parameters_replace_those_on_file(small):
     assert len(own["parameters"]) == len(own["start"])
     command = "python -m baselines.tuning gait --generations 3 --seed 0 --step 0.2"
     assert own["found"]["command"] == command
+
+
+def test_a_search_climbs_from_its_start_to_the_best_parameters(small, monkeypatch, capsys):
+    own = read()["pd"]
+    start = np.array(own["start"])
+    units = np.array(own["units"])
+    best = start + 4.0 * units
+    tried = []
+
+    def score_law(name, parameters, *_):
+        tried.append(parameters)
+        return -np.square((parameters - best) / units).sum(), {"mean_speed": 0.0, "failures": 0}
+
+    monkeypatch.setattr(tuning, "score_law", score_law)
+    assert tuning.main(["pd", "--generations", "200"]) == 0
+    assert tried[0] == pytest.approx(start)
+    first = np.array(tried[1 : 1 + tuning.POPULATION])
+    assert (np.abs(first - start) < 4.0 * 0.5 * units).all()
+    np.testing.assert_allclose(read()["pd"]["parameters"], best, atol=0.1 * units.min())
+    assert "generation 200: score -0.0" in capsys.readouterr().out
 
 
 def test_worse_parameters_do_not_replace_those_on_file(small, monkeypatch):
@@ -136,7 +159,8 @@ def test_a_search_keeps_its_best_when_interrupted(small, monkeypatch):
 
     def interrupted(*arguments):
         if not calls:  # another search has written its parameters
-            gains.TUNED.write_text(json.dumps(read() | {"gait": "other"}))
+            others = dict(reversed(read().items())) | {"gait": "other"}
+            gains.TUNED.write_text(json.dumps(others))
         calls.append(score(*arguments))
         if len(calls) == 10:
             raise KeyboardInterrupt
@@ -148,6 +172,7 @@ def test_a_search_keeps_its_best_when_interrupted(small, monkeypatch):
     content = read()
     assert len(content["pd"]["parameters"]) == len(content["pd"]["start"])
     assert content["gait"] == "other"
+    assert list(content) == sorted(content)
 
 
 @pytest.mark.parametrize("name", SCORES)
@@ -181,7 +206,8 @@ def test_no_regulator_is_written_before_all_are_tried(lazy, monkeypatch):
     assert not lqr.FILE.exists()
 
 
-def test_the_regulator_with_the_best_score_is_written(lazy, monkeypatch):
+def test_the_regulator_with_the_best_score_is_written(lazy, monkeypatch, capsys):
     monkeypatch.setattr(lqr, "candidates", lambda: iter([lazy, json.loads(REGULATOR), lazy]))
     assert tuning.main(["lqr"]) == 0
     assert lqr.FILE.read_text(encoding="utf-8") == REGULATOR
+    assert capsys.readouterr().out.count("control intervals: score") == 3

@@ -5,8 +5,17 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from baselines.dynamic_programming.archive import known_results, solve_near
-from baselines.dynamic_programming.policy import NUM_TORQUES, TORQUES, Oracle, PlantOracle
+from baselines.dynamic_programming.grid import Grid
+from baselines.dynamic_programming.policy import (
+    FAILURE_SCORE,
+    NUM_TORQUES,
+    TORQUES,
+    Oracle,
+    PlantOracle,
+    StoredValues,
+)
 from baselines.dynamic_programming.problem import Problem, plant_problems
+from baselines.dynamic_programming.solver import Solution
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.core.layout import Row
 from capsule_gym.evaluation.optimum import GRID
@@ -18,9 +27,10 @@ OWN = Problem(motor_friction=0.05, **PENDULUM)
 STATE = np.array([0.3, 2.0, 0.0, 0.05])
 
 
-def make_env(count, disturbances="none"):
+def make_env(count, disturbances="none", energy_weight=0.0):
     return CapsuleVectorEnv(
         num_envs=count,
+        energy_weight=energy_weight,
         randomization="real" if disturbances != "none" else "broad",
         disturbances=disturbances,
         autoreset_mode=AutoresetMode.DISABLED,
@@ -32,17 +42,48 @@ def nodes():
     return [known_results().solution(problem) for problem in plant_problems(GRID)]
 
 
+def test_stored_values_are_those_of_the_solutions():
+    rng = np.random.default_rng(0)
+    solutions = []
+    for shape in ((13, 18, 7), (9, 12, 10)):
+        grid = Grid(shape, (-6.0, 20.0), (-2.0, 5.0), Problem().q)
+        values = rng.uniform(-5.0, 20.0, shape).astype(np.float32)
+        solutions.append(Solution(Problem(), grid, values, 0.4, 20.0))
+    stored = StoredValues(solutions, 2, corners=2)
+    stored.corners[:] = [[0, 1], [1, 0]]
+    stored.weights[:] = [[0.75, 0.25], [0.5, 0.5]]
+    states = rng.uniform([[-1.0], [-3.0], [-0.1]], [[1.0], [0.3], [0.1]], (3, 50))
+    first, second = (solution.at(states) for solution in solutions)
+    expected = [0.75 * first + 0.25 * second, 0.5 * first + 0.5 * second]
+    found = stored.add(np.zeros((2, 50)), np.tile(states[:, None], (1, 2, 1)))
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-3)
+    # Off the grid they are those of its edge.
+    edge = np.array([0.5 * np.pi - 1e-6, 0.0, 0.0])
+    beyond = np.array([2.0, 0.0, 0.0])
+    ends = np.tile(np.stack([edge, beyond], axis=1)[:, None], (1, 2, 1))
+    at_edge, off = stored.add(np.zeros((2, 2)), ends).T
+    np.testing.assert_allclose(off, at_edge, atol=0.02)
+
+
 def test_on_a_node_of_the_grid_the_scores_are_those_of_the_oracle(nodes):
     plants = [(0.5, 0.01), (0.35, 0.3), (0.75, 0.1)]
-    M, mu = zip(*plants, strict=True)
-    env = make_env(3)
-    env.reset(seed=0, options={"M": M, "mu": mu, "state": STATE})
-    theta, theta_dot, _, x_dot = STATE
-    observed = [[theta, theta_dot, x_dot, *plant] for plant in plants]
-    expected = Oracle(3).scores(np.array(observed, np.float64))
+    # From slow to so fast that the platform is lifted.
+    states = np.tile(STATE, (60, 1))
+    states[:, 1] = np.linspace(2.0, 14.0, 60)
+    M, mu = np.tile(plants, (20, 1)).T
+    env = make_env(60, energy_weight=2.0)
+    env.reset(seed=0, options={"M": M.tolist(), "mu": mu.tolist(), "state": states})
+    observed = np.column_stack([states[:, [0, 1, 3]], M, mu])
+    oracle = Oracle(60)
+    expected = oracle.scores(observed)
     scores = PlantOracle(env.simulation, nodes).scores()
-    assert scores.shape == (3, NUM_TORQUES)
+    assert scores.shape == (60, NUM_TORQUES)
     np.testing.assert_allclose(scores, expected, rtol=1e-9)
+    # Contact that the rounding of an observation could lose counts as lost.
+    hardly = (oracle.normal_force > 0.0) & (oracle.normal_force <= 0.02)
+    assert hardly.any()
+    assert (scores[hardly] == FAILURE_SCORE).all()
+    assert (scores[oracle.normal_force > 0.02] != FAILURE_SCORE).any()
 
 
 def test_the_lookahead_is_the_step_of_the_disturbed_environment(nodes):
@@ -75,10 +116,11 @@ def test_the_lookahead_leaves_the_environment_as_it_is(nodes):
     assert (env.simulation.world == before).all()
 
 
-def test_a_change_of_the_plant_changes_its_values(nodes):
-    change = {"t": 2 * SECONDS, "M": 0.35, "mu": 0.1}
+@pytest.mark.parametrize("M", [0.35, 0.5])
+def test_a_change_of_the_plant_changes_its_values(nodes, M):
+    change = {"t": 2 * SECONDS, "M": M, "mu": 0.1}
     env = make_env(2)
-    options = {"M": [0.5, 0.35], "mu": [0.01, 0.1], "state": STATE, "changes": [[change], []]}
+    options = {"M": [0.5, M], "mu": [0.01, 0.1], "state": STATE, "changes": [[change], []]}
     env.reset(seed=0, options=options)
     expert = PlantOracle(env.simulation, nodes)
     first, other = expert.scores()

@@ -53,6 +53,8 @@ def test_trajectories_give_the_speeds_on_file_to_the_last_bit(some):
 
 
 def test_other_torques_of_a_problem_are_found(some):
+    for name in ("plants", "plants torques"):
+        del some.arrays[name]
     name = f"{next(iter(some.results))} torques"
     some.arrays[name] = some.arrays[name][::-1]
     assert len(some.check()) == 1
@@ -85,7 +87,7 @@ def test_interpolated_speeds_are_close_to_solved_ones():
 def test_a_plant_that_is_solved_again_has_the_torques_on_file():
     known = known_results()
     M, mu = set_plants()[722]
-    again = archive.solve_plant(Problem(M=M, mu=mu), known, solver.GRIDS[0])
+    again = archive.solve_plant(Problem(M=M, mu=mu), known)
     assert (again.choices[:, 0] == known.arrays["plants torques"][722]).all()
 
 
@@ -168,7 +170,8 @@ def written(monkeypatch, solution, fast):
 
     def solved(problem, shapes):
         grids.append(len(shapes))
-        return [(solution, slow), (solution, fast), (solution, slow)]
+        finer = replace(solution, gain=21.0)
+        return [(solution, slow), (finer, fast), (finer, slow)]
 
     monkeypatch.setattr(solver, "solve_on_grids", solved)
     found = Archive()
@@ -201,10 +204,33 @@ def test_results_survive_the_file(written, solution, fast, tmp_path):
     assert read.results == found.results
     assert sorted(read.arrays) == sorted(found.arrays)
     assert (read.repeat(SPEED).choices == fast.choices).all()
-    np.testing.assert_allclose(again.values, solution.values, atol=0.003)
+    np.testing.assert_allclose(again.values, solution.values, atol=0.0026)
     assert again.grid == solution.grid
     assert again.curvature == 0.4
     assert again.gain == 20.0
+
+
+def test_values_of_a_wide_range_are_stored_in_65535_steps(solution):
+    found = Archive()
+    found._add_values(SPEED, replace(solution, values=10.0 * solution.values))
+    again = found.solution(SPEED)
+    atol = 0.51 * 10.0 * np.ptp(solution.values) / 65535.0
+    np.testing.assert_allclose(again.values, 10.0 * solution.values, atol=atol)
+
+
+def reward(**metrics):
+    metrics = {name: np.array([value]) for name, value in metrics.items()}
+    return archive._reward(Problem(energy_weight=2.0), Trajectory(metrics, None, None))
+
+
+def test_a_reward_is_the_distance_in_cm_less_the_weighted_energy():
+    assert reward(distance=0.5, energy=3.0, failed=0.0) == 44.0
+
+
+def test_a_failure_is_worse_than_any_trajectory():
+    assert reward(distance=9.0, energy=0.0, failed=1.0) < reward(
+        distance=-9.0, energy=99.0, failed=0.0
+    )
 
 
 @pytest.fixture
@@ -240,11 +266,17 @@ def test_the_command_solves_what_is_missing_and_keeps_it(tmp_path, problems, cap
     assert command.main(arguments) == 0
     assert solved[3:] == chosen[2:]
     assert command.main([*arguments, "--check"]) == 0
-    assert "5 trajectories repeated: 0 differ" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    for result in load_archive(tmp_path / "new").results.values():
+        assert f"\n{result.mean_speed:.2f} cm/s, " in printed
+    assert "\n3 problems and 2 plants of sets on file in" in printed
+    assert "5 trajectories repeated: 0 differ" in printed
 
 
-def test_a_check_without_results_is_an_error(tmp_path, refused):
-    refused(command.main, ["--folder", str(tmp_path / "new"), "--check"])
+@pytest.mark.parametrize("option", ["--check", "--report"])
+def test_an_option_that_needs_results_is_an_error_without_any(tmp_path, refused, option):
+    message = refused(command.main, ["--folder", str(tmp_path / "new"), option])
+    assert f"{option} needs results" in message
 
 
 def test_the_status_says_that_a_trajectory_differs(monkeypatch):
@@ -269,6 +301,19 @@ def test_every_problem_is_on_file():
     assert {problem.key for problem in command.PROBLEMS} == set(RESULTS)
 
 
+def test_the_optimal_front_has_every_result_that_no_other_dominates():
+    front = archive.optimal_front()
+    costs, speeds = zip(*front, strict=True)
+    assert list(speeds) == sorted(speeds)
+    assert list(costs) == sorted(costs)
+    for problem in command.PROBLEMS:
+        if problem == SPEED or problem.energy_weight:
+            result = RESULTS[problem.key]
+            cost, speed = result.cost_of_transport, result.mean_speed
+            dominated = any(low <= cost and fast > speed for low, fast in front)
+            assert dominated == ((cost, speed) not in front)
+
+
 def test_the_page_shows_the_results_by_energy_weight():
     for result in RESULTS.values():
         if result.energy_weight:
@@ -288,6 +333,22 @@ def test_the_page_shows_the_results_by_control_interval(control_dt):
     gain = result.gains[-1]
     assert_on_page(1e3 * control_dt, result.mean_speed, max(result.steady), gain)
     assert f"{gain:.2f}|{archive.extrapolated(result)}|" in PAGE
+
+
+@pytest.mark.parametrize(("turns", "speed"), [(0, 10.0), (1, 10.0), (2, 20.0)])
+def test_without_a_whole_cycle_the_steady_speed_is_that_of_the_whole_time(turns, speed):
+    # A platform at 0.1 m/s after the start, but at 0.2 m/s between the two times of a turn.
+    t = CONTROL_DT * np.arange(round(HORIZON / CONTROL_DT))
+    velocity = np.where(t >= SETTLED, 0.1, 0.0)
+    turning = np.zeros_like(t, bool)
+    for n in range(turns):
+        turning |= np.isclose(t, 20.0 + n)
+    if turns == 2:
+        velocity[(t >= 20.0) & (t < 21.0)] = 0.2
+    x = CONTROL_DT * np.append(0.0, np.cumsum(velocity)[:-1])
+    states = np.stack([np.full_like(t, -1.0), np.where(turning, 1.0, -1.0), x, 0.0 * t], axis=1)
+    run = Trajectory({}, states[..., None], np.zeros((len(t), 1), np.uint8))
+    assert run.steady_speed(CONTROL_DT) == pytest.approx(speed)
 
 
 def test_cycles_begin_where_the_pendulum_turns_left_of_upright():

@@ -188,6 +188,8 @@ def test_nothing_counts_after_the_end_of_an_episode(coarse):
     solution = solve(Problem(), make_grid())
     final = final_solutions(solution)
     assert not final[0].values.any()
+    # From rest little is gained in a step.
+    assert 0.0 <= final[1].at(ORIGIN)[0] < 0.2
     _, steady = run(solution)
     _, ending = run(solution, final)
     # The last swing forwards ends with the episode.
@@ -199,20 +201,26 @@ def test_the_curvature_of_a_parabola_of_values_is_its_coefficient():
     first, spacing = grid.axes[2]
     w = first + spacing * np.arange(SHAPE[2])
     # Only the node nearest to the state has this coefficient; two nodes further the values jump.
-    i, j, k = np.round(grid.positions(np.zeros((3, 1)))[0]).astype(int)
+    state = np.array([0.3, -1.0, 0.7, 0.066])
+    position = grid.positions(state[[0, 1, 3], None])[0]
+    i, j, k = np.round(position).astype(int)
+    assert 0.25 < position[2] - k < 0.5
     coefficients = np.zeros(SHAPE[:2])
     coefficients[i, j] = 1.5
     values = coefficients[..., None] * (w - 1.0) ** 2 + 10.0 * (w > w[k + 1])
     solution = Solution(Problem(), grid, values.astype(np.float32), 0.0, 0.0)
     steps = round(2.0 * solver.SETTLED / Problem().control_dt)
-    at_rest = SimpleNamespace(states=np.zeros((steps, 4, 3)))
-    assert solver.curvature_of(solution, at_rest) == pytest.approx(1.5, abs=1e-3)
+    states = np.tile(state[:, None], (steps, 1, 3))
+    assert solver.curvature_of(solution, SimpleNamespace(states=states)) == pytest.approx(1.5)
+    fallen = np.full((steps, 4, 3), 2.0)
+    assert solver.curvature_of(solution, SimpleNamespace(states=fallen)) == 0.0
 
 
 def test_torques_are_refined_around_the_best(monkeypatch):
     widths = []
 
     def recorded(problem, grid, torques):
+        assert np.abs(torques).max() == 1.0
         widths.append(np.ptp(torques, axis=1).max())
         return transitions(problem, grid, torques)
 
@@ -223,12 +231,13 @@ def test_torques_are_refined_around_the_best(monkeypatch):
 
 
 def test_a_grid_extends_beyond_the_trajectories():
-    # At theta = 0 y is x_dot / q, and w is that minus theta_dot: from 1 to 9, and from 2 to 3.
-    first = [0.0, -1.0, 0.0, 0.1]
-    second = [0.0, 6.0, 0.0, 0.9]
+    # The cosine of the angle is 0.5: y is 2 x_dot / q, from 2 to 18, and w is half of that minus
+    # half of theta_dot, from 2 to 3.
+    first = [np.pi / 3.0, -2.0, 0.0, 0.1]
+    second = [np.pi / 3.0, 12.0, 0.0, 0.9]
     states = np.array([first, second])[..., None]
     y, w = solver.ranges(SimpleNamespace(states=states), 0.1)
-    assert y == (-1.4, 11.4)
+    assert y == (-2.8, 22.8)
     assert w == (1.0, 4.0)
 
 
