@@ -8,20 +8,12 @@ import pytest
 from agents.distillation import dagger, dataset
 from agents.distillation.__main__ import main
 from agents.distillation.config import RIG, STUDENTS, for_rig
-from agents.distillation.dataset import collect
-from agents.distillation.plants import draw_changes, draw_disturbances, draw_groups, solve_groups
-from capsule_gym import load_policy
-from capsule_gym.core.layout import Row
+from agents.distillation.plants import draw_changes, draw_disturbances, draw_groups
+from capsule_gym import CapsuleVectorEnv, load_policy
 from tests.agents.distillation.conftest import RECURRENT
 from tests.agents.rig import RANGES, make_fit
 
 STUDENT = for_rig(dataclasses.replace(RECURRENT, groups=2, final_updates=2), make_fit())
-
-
-@pytest.fixture(scope="module")
-def solved(tmp_path_factory):
-    groups = draw_groups(STUDENT)
-    return groups, solve_groups(groups, tmp_path_factory.mktemp("plants"), jobs=1)
 
 
 def within(name, value):
@@ -66,20 +58,13 @@ def test_disturbances_are_those_of_the_rig():
     assert drawn["motor_friction"] == group.problems[0].motor_friction
 
 
-def test_friction_acts_once(solved, monkeypatch):
-    found = []
-    expert_of = dataset.PlantOracle
-
-    def expert(simulation, solutions):
-        found.append(simulation)
-        return expert_of(simulation, solutions)
-
-    monkeypatch.setattr(dataset, "PlantOracle", expert)
-    collect(STUDENT, *solved, np.random.default_rng(0), 1.0, None)
-    groups, _ = solved
-    frictions = {group.problems[0].motor_friction for group in groups}
-    (simulation,) = found
-    assert {*simulation.row(Row.motor_friction).tolist()} <= frictions
+def test_friction_acts_once():
+    groups = draw_groups(STUDENT)
+    options = dataset._episode_options(STUDENT, groups, np.random.default_rng(0))
+    env = CapsuleVectorEnv(STUDENT.num_envs, **STUDENT.env_kwargs)
+    _, info = env.reset(seed=0, options=options)
+    friction = info["capsule"]["motor_friction"] + info["disturbances"]["motor_friction"]
+    assert {*friction.tolist()} <= {group.problems[0].motor_friction for group in groups}
 
 
 def test_the_command_distils_a_policy_of_the_rig(tmp_path, monkeypatch, capsys):
