@@ -170,10 +170,8 @@ class PlantOracle:
         count = simulation.num_envs
         self._values = StoredValues(solutions, count)
         self._plants = np.zeros((2, count))
-        # The reward of the speed problem: the progress alone.
-        options = replace(
-            simulation.options, stack_size=1, energy_weight=0.0, termination_penalty=0.0
-        )
+        # The reward of the speed problem, the progress alone; a failed step has its own score.
+        options = replace(simulation.options, stack_size=1, energy_weight=0.0)
         self._ahead = Simulation(count * NUM_TORQUES, options)
         self._actions = np.tile(TORQUES.astype(np.float64), count)
         numbers: dict[tuple[float, float], int] = {}

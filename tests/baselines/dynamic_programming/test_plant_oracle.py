@@ -58,11 +58,12 @@ def test_stored_values_are_those_of_the_solutions():
     found = stored.add(np.zeros((2, 50)), np.tile(states[:, None], (1, 2, 1)))
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-3)
     # Off the grid they are those of its edge.
-    edge = np.array([0.5 * np.pi - 1e-6, 0.0, 0.0])
-    beyond = np.array([2.0, 0.0, 0.0])
-    ends = np.tile(np.stack([edge, beyond], axis=1)[:, None], (1, 2, 1))
-    at_edge, off = stored.add(np.zeros((2, 2)), ends).T
-    np.testing.assert_allclose(off, at_edge, atol=0.02)
+    edge = np.array([[0.5 * np.pi - 1e-6], [0.0], [0.0]])
+    beyond = np.array([[2.0], [0.0], [0.0]])
+    first, second = (solution.at(edge) for solution in solutions)
+    expected = [0.75 * first + 0.25 * second, 0.5 * first + 0.5 * second]
+    found = stored.add(np.zeros((2, 1)), np.tile(beyond[:, None], (1, 2, 1)))
+    np.testing.assert_allclose(found, expected, atol=0.02)
 
 
 def test_on_a_node_of_the_grid_the_scores_are_those_of_the_oracle(nodes):

@@ -12,10 +12,11 @@ from baselines.dynamic_programming.problem import (
     SETTLED,
     Problem,
     Trajectory,
+    corner_weights,
     plant_problems,
     repeat,
 )
-from baselines.dynamic_programming.solver import Solution, solve_on_grids
+from baselines.dynamic_programming.solver import Solution, run_policy, solve_on_grids
 from baselines.policies import SCRIPTED
 from capsule_gym.evaluation.episodes import evaluate
 from capsule_gym.evaluation.optimum import (
@@ -38,9 +39,14 @@ SMALL = (13, 18, 7)
 
 @pytest.fixture
 def some():
-    """Three results and three plants of the archive, with arrays of their own."""
+    """Four results and three plants of the archive, with arrays of their own."""
     known = known_results()
-    problems = [Problem(M=0.35, mu=0.5), SPEED, Problem(mu=0.45, static_ratio=1.3)]
+    problems = [
+        Problem(M=0.35, mu=0.5),
+        SPEED,
+        Problem(mu=0.45, static_ratio=1.3),
+        Problem(control_dt=0.005),
+    ]
     results = {problem.key: RESULTS[problem.key] for problem in problems}
     arrays = {f"{key} torques": known.arrays[f"{key} torques"] for key in results}
     for name in ("plants", "plants torques"):
@@ -116,6 +122,12 @@ def test_a_cell_has_the_plants_around_a_plant():
     corners, *_ = GRID.cell(0.6, 0.07)
     plants = [GRID.plants[corner] for corner in corners]
     assert plants == [(0.5, 0.03), (0.5, 0.1), (0.75, 0.03), (0.75, 0.1)]
+
+
+def test_the_weights_of_the_corners_of_a_cell_interpolate_linearly():
+    weights = corner_weights(0.25, 0.4)
+    assert weights.sum() == pytest.approx(1.0)
+    assert weights @ [[0, 0], [0, 1], [1, 0], [1, 1]] == pytest.approx([0.25, 0.4])
 
 
 def test_rounded_observations_and_plants_outside_the_grid_use_its_edge():
@@ -267,10 +279,14 @@ def test_the_command_solves_what_is_missing_and_keeps_it(tmp_path, problems, cap
     assert solved[3:] == chosen[2:]
     assert command.main([*arguments, "--check"]) == 0
     printed = capsys.readouterr().out
-    for result in load_archive(tmp_path / "new").results.values():
+    found = load_archive(tmp_path / "new")
+    for result in found.results.values():
         assert f"\n{result.mean_speed:.2f} cm/s, " in printed
     assert "\n3 problems and 2 plants of sets on file in" in printed
     assert "5 trajectories repeated: 0 differ" in printed
+    # The archived trajectory considers the end of the episode.
+    endless = run_policy(found.solution(SPEED), solver.STARTS[:1])
+    assert found.results[SPEED.key].mean_speed > endless.metrics["mean_speed"][0] + 0.1
 
 
 @pytest.mark.parametrize("option", ["--check", "--report"])
