@@ -43,8 +43,8 @@ def _coarse_grids():
 
 @pytest.fixture(scope="package")
 def plants_folder(tmp_path_factory):
-    """The folder with the solved plants of `RECURRENT`."""
-    folder = tmp_path_factory.mktemp("plants")
+    """The folder with the solved plants of `RECURRENT`, which solving them has made."""
+    folder = tmp_path_factory.mktemp("runs") / "student" / "plants"
     solve_groups(draw_groups(RECURRENT), folder, jobs=1)
     return folder
 
