@@ -1,6 +1,5 @@
 """The problems that dynamic programming solves, their plants, the transitions, and trajectories."""
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,7 +9,7 @@ import numpy as np
 
 from baselines.dynamic_programming.grid import q_of
 from capsule_gym.core.layout import Row
-from capsule_gym.envs.config import DIRECT_PHYSICS_DT, EnvConfig
+from capsule_gym.envs.config import EnvConfig
 from capsule_gym.envs.simulation import Simulation
 from capsule_gym.evaluation.optimum import GRID, STICKY_GRID, PlantGrid
 from capsule_gym.parameters import NOMINAL, Capsule
@@ -20,7 +19,6 @@ from capsule_gym.tasks.task import CONTROL_DT, HORIZON, START_THETA
 ACTIONS = np.linspace(-1.0, 1.0, 121)
 SETTLED = HORIZON / 2.0  # s: time after which every trajectory is close to its limit cycle
 CONTROL_INTERVALS = (0.01, 0.005)  # s
-ROUNDING = 1e-9  # of a number of steps
 # cm/J
 ENERGY_WEIGHTS = (
     0.1,
@@ -89,11 +87,8 @@ class Problem:
     @cached_property
     def options(self) -> EnvConfig:
         """Options of the environment whose agent step is the control interval."""
-        # The environment's own steps if they divide the control interval.
-        steps = math.ceil(self.control_dt / DIRECT_PHYSICS_DT - ROUNDING)
         return EnvConfig(
             control_dt=self.control_dt,
-            physics_dt=self.control_dt / steps,
             energy_weight=self.energy_weight,
             termination_penalty=0.0,
             randomization="none",
