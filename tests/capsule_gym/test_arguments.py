@@ -254,7 +254,7 @@ NO_COMMAND = r"^options\['commands'\]\[0\]\['t'\] must be 0 s for the"
             "speed",
             {"state": [0.3, 1e120, 0.0, 0.0]},
             ValueError,
-            r"\|theta_dot\| <= 1000 rad/s, .* and \|x_dot\| <= 1000 m/s",
+            r"\|theta_dot\| <= 1000 rad/s, .* and \|x_dot\| <= 1000 m/s, got \[0\.3, ",
         ),
         ("speed", {"state": [0.5 * np.pi, 0.0, 0.0, 0.0]}, ValueError, r"\|theta\| < pi/2"),
         ("speed", {"changes": [{"t": 1.0, "M": 0.5}]}, ValueError, NO_CHANGES),
@@ -318,6 +318,8 @@ NO_COMMAND = r"^options\['commands'\]\[0\]\['t'\] must be 0 s for the"
             r"options\['M'\] must be .* one entry per environment \(2\), got 3",
         ),
         ("batch", {"state": [[0.0] * 4] * 3}, ValueError, r"of shape \(3, 4\)"),
+        ("batch", {"state": [[0.0] * 4, [1.6, 0.0, 0.0, 0.0]]}, ValueError, r"\|theta\| < pi/2"),
+        ("batch", {"capsule": [{}, {"l": 0.3}]}, ValueError, r"options\['capsule'\] needs an"),
         ("batch", {"reset_mask": np.array([False, False])}, ValueError, "reset_mask"),
     ],
 )
@@ -362,6 +364,21 @@ def test_what_the_core_divides_by_may_be_0_or_the_smallest_size(name, value):
         assert np.isfinite(observation).all()
 
 
+@pytest.mark.parametrize("make", [CapsuleEnv, CapsuleVectorEnv])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_largest_state_is_accepted(make, sign):
+    state = [0.0, sign * 1e3, sign * 1e6, sign * 1e3]
+    _, info = make().reset(options={"state": state})
+    assert np.ravel(info["state"]).tolist() == state
+
+
+@pytest.mark.parametrize("make", [CapsuleEnv, CapsuleVectorEnv])
+def test_an_option_of_none_is_not_given(make):
+    env = make(randomization="wide")
+    drawn, plain = (env.reset(seed=3, options=options)[1] for options in ({"M": None}, {}))
+    assert drawn["M"] == plain["M"]
+
+
 @pytest.mark.parametrize(
     "action",
     [
@@ -370,6 +387,7 @@ def test_what_the_core_divides_by_may_be_0_or_the_smallest_size(name, value):
         np.zeros((1, 1)),
         0.5,
         np.array([np.inf]),
+        np.array([1j]),
         ["a"],
         None,
         {},

@@ -6,8 +6,9 @@ import pytest
 from capsule_gym import demo
 from capsule_gym.demo import KEYBOARD, NAMES, STRENGTH, Episode, find_policy
 from capsule_gym.envs.env import shown_state
-from capsule_gym.evaluation.sets import load_set
+from capsule_gym.evaluation.sets import EvaluationSet, PlantSpec, load_set
 from capsule_gym.tasks.task import Termination
+from tests.capsule_gym.policies.test_policy import POLICY, make_policy
 
 Image = pytest.importorskip("PIL.Image")
 ImageSequence = pytest.importorskip("PIL.ImageSequence")
@@ -118,6 +119,26 @@ def test_a_file_has_the_speed_and_the_plant_that_were_asked_for(pictures, capsys
     frames = pictures("pd", "--seconds", "0.2", "--speed", "0.5", "--M", "0.6")
     assert len(frames) == 11
     assert f"M = 0.6 kg, mu = {PLANT.mu:g}" in capsys.readouterr().out
+
+
+def test_the_command_says_why_an_episode_has_ended(pictures, tmp_path, capsys):
+    # The policy pushes in one direction until the pendulum lies down.
+    push = np.zeros((1, 5), np.float32), np.full(1, 3.0, np.float32)
+    make_policy(layers=(push,)).save(tmp_path / POLICY)
+    frames = pictures(str(tmp_path), "--speed", "4")
+    assert capsys.readouterr().out.endswith(": the ball met the platform\n")
+    assert len(frames) < 10
+
+
+@pytest.mark.parametrize(
+    ("M", "mu", "plant"), [(0.6, None, (0.6, 0.2)), (None, 0.1, (0.4, 0.1)), (0.6, 0.1, (0.6, 0.1))]
+)
+def test_a_given_mass_or_friction_replaces_the_sets_and_its_changes(M, mu, plant):
+    changes = ({"t": 1.0, "M": 0.7, "mu": 0.3},)
+    chosen = EvaluationSet("jumps", (PlantSpec(M=0.4, mu=0.2, seed=5, changes=changes),))
+    found = demo._find_plant(chosen, 5, M, mu)
+    assert (found.M, found.mu) == plant
+    assert found.changes == ()
 
 
 LEFT = pygame.K_LEFT, pygame.K_a

@@ -107,6 +107,7 @@ from train import main as train
         (demo, "adaptive --set papr", r"got 'papr'; did you mean 'paper'\?"),
         (demo, "adaptive --seed 400", "--seed must be one of the set's, 0 to 399, got 400"),
         (demo, "adaptive --speed 0", "--speed must be a number from 0.1 to 20"),
+        (demo, "adaptive --seconds 0", "--seconds must be above 0 and at most 33 s, got 0.0"),
         (demo, "adaptive --rival keyboard -o out.gif", "'keyboard' with --output"),
         (
             identify,

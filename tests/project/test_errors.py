@@ -38,6 +38,16 @@ GAIT = known_parameters("gait")
         ({"residual_limit": 0.0}, "^residual_limit must be > 0"),
         ({"stack_size": 101}, "^stack_size must be an integer from 1 to 100, got 101"),
         ({"physics_dt": 0.003}, "^physics_dt must be control_dt=0.02 s over .*, got 0.003"),
+        (
+            {"control_dt": 1e-5, "physics_dt": 3e-6},
+            "^physics_dt must be control_dt=1e-05 s over .*, got 3e-06",
+        ),
+        (
+            {"control_dt": 0.0205, "controller": adaptive},
+            r"^the controller's dt must be control_dt=0\.0205 s over .*, got 0\.001",
+        ),
+        ({"disturbances": Disturbances(motor_friction=100.0)}, "^physics_dt must be at most"),
+        ({"initial_noise": 0.6}, r"^initial_noise must be .*, at most 0\.5, got 0\.6"),
         ({"physics_dt": 1e-25}, r"^physics_dt must be .*>= 1e-09 \(s\).*, got 1e-25"),
         ({"physics_dt": 1e-9, "controller": adaptive}, "^control_dt must be at most 1000000 times"),
         ({"control_dt": 1e6}, r"^control_dt must be at most 1000000 times physics_dt=0\.002 s,"),
@@ -58,7 +68,11 @@ GAIT = known_parameters("gait")
             r"^capsule\.m must be left out where .* m in \[0\.1242, 0\.1518\].*, got 0\.2",
         ),
         ({"capsule": Capsule(M=1.0), "task": "goal"}, r"^capsule\.M must be left out where"),
-        ({"total_torque": True}, "^total_torque must be False without a controller"),
+        ({"total_torque": True}, "^total_torque must be False without a controller.*, got True$"),
+        (
+            {"total_torque": True, "residual_limit": 1.5},
+            "^total_torque must be False without a controller",
+        ),
         (
             {"total_torque": True, "residual_limit": 3.0},
             "^total_torque must be False without a controller",
@@ -134,6 +148,8 @@ def test_fields_are_given_by_name(kind):
     ("kind", "fields", "message"),
     [
         (Capsule, {"slope": 1.51}, r"slope must be a finite number from -1\.5 to 1\.5, got 1\.51"),
+        (Capsule, {"normal_force": "none"}, "normal_force must be 'newton' or 'paper', got 'none'"),
+        (Randomization, {"mu": (-0.1, 0.1)}, r"mu\[0\] must .* 0 <= low"),
         (Randomization, {"stribeck_speed": (0.0, 0.1)}, r"stribeck_speed\[0\] must .* 0 < l"),
         (Randomization, {"M": (0.2, 0.1)}, r"M must be a pair \(low, high\) of"),
         # Zero is a friction coefficient, but no mass, and has no logarithm.
@@ -150,6 +166,8 @@ def test_fields_are_given_by_name(kind):
         (Disturbances, {"lost": (0.0, 1.5)}, r"lost\[1\] must be a number from 0 to 1, .*1\.5"),
         (Disturbances, {"hold": float("nan")}, r"hold must be a number from 0 to 1000, .* got nan"),
         (Disturbances, {"x_noise": -1.0}, "x_noise must be None or a number .* 1000, got -1"),
+        (Disturbances, {"stick_threshold": -1.0}, "stick_threshold must be a number .*, got -1"),
+        (Disturbances, {"controls": "none"}, "controls must be 'both', .*, got 'none'"),
         (Disturbances, {"unmeasured": ("x",)}, r"unmeasured must be .* got \('x',\)"),
     ],
 )
@@ -181,6 +199,7 @@ def test_an_invalid_parameter_is_named(kind, fields, message):
             lambda: CapsuleVectorEnv(3).reset(seed=2**128 - 2),
             r"^seed must be .* from 0 to 2\*\*128 - 3, None",
         ),
+        (lambda: CapsuleVectorEnv(3).reset(seed=[1, 2]), r"^seed must be .* a sequence of 3 "),
         (
             lambda: CapsuleSB3VecEnv(2, 0, privileged=True, task="goal", goal_env=True),
             "privileged must be",
@@ -226,6 +245,10 @@ def test_an_invalid_value_is_named(call, message):
     ("call", "message"),
     [
         (lambda: CapsuleSB3VecEnv(2, "a"), "seed must be an integer .*, got 'a'"),
+        (
+            lambda: REAL.reset(options={"capsule": 0.1}),
+            r"^options\['capsule'\] must be a dict with keys out of .*, got 0\.1",
+        ),
         (lambda: dynamics.contact_phase(*ORIGIN, Capsule()), "plant must be a Plant, such as"),
         (lambda: Controller(5, len, np.zeros((1, 2))), "Controller.name must be a string, got 5"),
         (
