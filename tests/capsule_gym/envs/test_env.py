@@ -359,6 +359,15 @@ def test_observation_entries():
         assert info["stick"] == observation[3]
 
 
+@pytest.mark.parametrize("seed", [0, 2**128 - 1])
+def test_the_smallest_and_the_largest_seed_give_the_same_plant_again(seed):
+    env = CapsuleEnv()
+    masses = [env.reset(seed=seed)[1]["M"] for _ in range(2)]
+    assert masses[0] == masses[1]
+    with pytest.raises(ValueError, match="seed must be an integer in"):
+        env.reset(seed=2**128)
+
+
 def first_mass():
     _, info = gym.make("capsule_gym:CapsuleStickSlip-v0").reset(seed=4)
     return info["M"]

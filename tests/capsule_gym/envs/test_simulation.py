@@ -63,9 +63,11 @@ def test_a_step_a_quarter_longer_than_the_advised_one_is_refused(fields):
         Simulation(1, longer)
 
 
-def test_no_step_would_do_for_a_plant_that_is_much_too_stiff():
+# With a law, 200,000 steps in each of 20 of the law would do, but are too many in one of the agent.
+@pytest.mark.parametrize(("controller", "c"), [(None, 1e9), ("baselines:adaptive", 6.6e6)])
+def test_no_step_would_do_for_a_plant_that_is_much_too_stiff(controller, c):
     with pytest.raises(ValueError, match=TOO_STIFF + ".*; no step would do"):
-        Simulation(1, EnvConfig(capsule=Capsule(c=1e9)))
+        Simulation(1, EnvConfig(controller=controller, capsule=Capsule(c=c)))
 
 
 VISCOUS = Capsule(c=8.0)

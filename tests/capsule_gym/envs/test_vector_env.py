@@ -292,6 +292,17 @@ def test_a_copy_goes_on_with_the_episodes_bit_for_bit_and_on_its_own(make_copy, 
         env.reset(seed=5)
 
 
+@pytest.mark.parametrize("make_copy", [copy.deepcopy, unpickled])
+def test_a_copy_shows_what_its_next_episodes_draw(make_copy):
+    env = CapsuleVectorEnv(3, **VARIED)
+    env.reset(seed=0)
+    twin = make_copy(env)
+    _, expected = env.reset()
+    _, info = twin.reset()
+    for name in ("capsule", "disturbances"):
+        assert_same_infos(info[name], expected[name])
+
+
 def test_options_per_environment_apply_to_their_episode_only():
     env = CapsuleVectorEnv(3)
     state = [0.1, -0.2, 3.0, 0.0]
@@ -317,6 +328,18 @@ def test_options_of_a_later_reset_apply_to_the_environments_of_its_mask():
     _, info = env.reset(options=options)
     assert_array_equal(info["state"][1:], states[1:])
     assert info["mu"][1:].tolist() == [0.2, 0.3]
+
+
+def test_many_changes_of_many_environments_apply_in_the_order_of_time():
+    n = 30
+    times = 0.02 * np.arange(1, 9)
+    schedules = [[{"t": t, "M": 0.4 + t + 0.01 * i, "mu": 0.1} for t in times] for i in range(n)]
+    env = CapsuleVectorEnv(n)
+    env.reset(seed=0, options={"changes": schedules})
+    env.step(np.zeros((n, 1), np.float32))
+    for t in times:
+        *_, info = env.step(np.zeros((n, 1), np.float32))
+        assert_array_equal(info["M"], 0.4 + t + 0.01 * np.arange(n))
 
 
 def test_changes_of_several_resets_apply_in_every_block():

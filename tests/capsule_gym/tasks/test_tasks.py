@@ -5,8 +5,10 @@ import pytest
 
 from capsule_gym import CapsuleEnv, CapsuleVectorEnv, Controller
 from capsule_gym.core import _core
+from capsule_gym.envs.env import shown_state
 from capsule_gym.envs.resets import random_stream
 from capsule_gym.tasks.registry import TASKS, find_task
+from capsule_gym.tasks.task import Task
 from capsule_gym.tasks.velocity import with_commands
 
 NO_TORQUE = np.zeros(1, np.float32)
@@ -73,12 +75,27 @@ def test_a_reset_may_set_what_an_episode_draws(name):
     assert info[shown] == value
 
 
+@pytest.mark.parametrize(("value", "numbers"), [(0.2, [0.2]), ((0.2, 0.3), [0.2, 0.3])])
+def test_an_option_without_a_parser_is_a_number_or_several(value, numbers):
+    assert Task(name="goal").parse("goal", value) == numbers
+
+
 @EACH_TASK
 def test_a_reset_of_a_batch_may_set_what_an_episode_draws(name):
     options, shown, value = OPTIONS[name]
     options = {key: [given] * 5 for key, given in options.items()}
     _, info = CapsuleVectorEnv(5, task=name).reset(seed=0, options=options)
     assert (info[shown] == value).all()
+
+
+@EACH_TASK
+def test_a_rendering_marks_the_goal_or_the_target_with_an_upright_pendulum(name):
+    env = CapsuleEnv(task=name)
+    _, info = env.reset(seed=0, options={"state": [0.0, 0.0, 3.0, 0.0]})
+    marked, theta, x = shown_state(env.simulation, 0)["ghost"]
+    assert theta == 0.0
+    assert x == info[marked]
+    assert abs(x - 3.0) <= 0.5
 
 
 @EACH_TASK
