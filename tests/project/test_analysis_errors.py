@@ -78,7 +78,7 @@ def test_an_invalid_log_is_named(log, message):
     [
         ({"epsilon": -1.0}, "^epsilon must be a finite number >= 0, got -1"),
         ({"training_seed": 2**63}, r"^training_seed must be an integer from 0 to 2\*\*63 - 1,"),
-        ({"variance": -np.ones(5)}, "variance must be >= 0"),
+        ({"variance": np.array([1.0, 1.0, -1.0, 1.0, 1.0])}, "variance must be >= 0"),
         ({"variance": np.zeros(5), "epsilon": 0.0}, "and with epsilon > 0"),
         ({"env_kwargs": {"goal_env": True}}, "env_kwargs must be a dict with keys out of"),
     ],
@@ -250,6 +250,7 @@ def test_an_invalid_value_is_named(call, message):
         ),
         (lambda: load_policy(3), "name_or_path must be a policy's name or a path, got 3"),
         (lambda: evaluate(3), "policy must be an object with predict.* got a int"),
+        (lambda: evaluate(len, env_kwargs=3), "^env_kwargs must be None or a dict, got 3"),
         (lambda: evaluate(Sine), "policy must be an object with predict.* got the class"),
         (
             lambda: evaluate(find_candidate("pd"), env_kwargs={}),

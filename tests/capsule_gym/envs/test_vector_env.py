@@ -335,7 +335,9 @@ def test_many_changes_of_many_environments_apply_in_the_order_of_time():
     times = 0.02 * np.arange(1, 9)
     schedules = [[{"t": t, "M": 0.4 + t + 0.01 * i, "mu": 0.1} for t in times] for i in range(n)]
     env = CapsuleVectorEnv(n)
-    env.reset(seed=0, options={"changes": schedules})
+    later = np.arange(n) >= n // 2
+    for mask in (later, ~later):
+        env.reset(options={"reset_mask": mask, "changes": schedules})
     env.step(np.zeros((n, 1), np.float32))
     for t in times:
         *_, info = env.step(np.zeros((n, 1), np.float32))

@@ -9,7 +9,7 @@ from stable_baselines3 import PPO
 import capsule_gym
 from agents.leaderboard.candidates import all_candidates
 from baselines import adaptive, goal_pulses, pd
-from capsule_gym.evaluation.candidates import find_candidate, wrap_policy
+from capsule_gym.evaluation.candidates import Candidate, find_candidate, wrap_policy
 from capsule_gym.evaluation.episodes import evaluate, validation_set
 from capsule_gym.evaluation.sets import parse_set
 from capsule_gym.sb3 import CapsuleSB3VecEnv
@@ -108,6 +108,7 @@ def test_a_module_is_imported_only_if_trusted(my_rules):
         find_candidate("my_rules:zero")
     assert "my_rules" not in sys.modules
     (policy,) = find_candidate("my_rules:zero", trust=True).policies
+    assert policy.name == "my_rules:zero"
     assert evaluate(policy, TINY, horizon=0.1) == evaluate(Sine(0.0), TINY, horizon=0.1)
 
 
@@ -146,6 +147,21 @@ def test_policies_of_this_project_stay_as_they_are(policy):
 def test_a_control_law_acts_alone(law, name):
     plants = replace(TINY, task=law.task or "speed")
     assert capsule_gym.evaluate(law, plants, horizon=0.5) == evaluate(name, plants, horizon=0.5)
+
+
+def test_a_control_law_is_a_policy_for_its_task():
+    message = "policy must be for the task 'speed' of the set 'tiny', got 'goal_pulses', which is"
+    with pytest.raises(ValueError, match=message):
+        evaluate(goal_pulses(), TINY)
+
+
+def test_a_run_on_a_law_of_another_package_must_be_trusted(tmp_path):
+    layer = np.zeros((1, 10), np.float32), np.zeros(1, np.float32)
+    arrays = {"layers": (layer,), "mean": np.zeros(10), "variance": np.ones(10)}
+    write_run(tmp_path, 0, **arrays, env_kwargs={"controller": "tests.agents.fakes:quiet"})
+    with pytest.raises(ValueError, match="does not come with this package"):
+        find_candidate(str(tmp_path))
+    assert len(find_candidate(str(tmp_path), trust_controller=True).trained) == 1
 
 
 def test_a_control_law_has_its_name_or_a_given_one():
@@ -233,6 +249,20 @@ def test_a_validation_set_has_the_plants_of_its_capsule():
 )
 def test_the_inputs_of_policies(name, senses, told):
     assert find_candidate(name).inputs == (senses, told)
+
+
+@pytest.mark.parametrize(
+    ("env_kwargs", "entries", "inputs"),
+    [
+        ({"stack_size": 2}, 10, ("state, stick of 2 steps", "nothing")),
+        ({"observe_parameters": True}, 7, ("state, stick", "M, mu")),
+    ],
+)
+def test_the_inputs_of_a_policy_follow_from_its_environment(env_kwargs, entries, inputs):
+    layer = np.zeros((1, entries), np.float32), np.zeros(1, np.float32)
+    arrays = {"layers": (layer,), "mean": np.zeros(entries), "variance": np.ones(entries)}
+    policy = make_policy(**arrays, env_kwargs=env_kwargs)
+    assert Candidate("x", (policy,), "").inputs == inputs
 
 
 def every_option(period=1.0, *, gain=2.0):

@@ -1,17 +1,23 @@
 import math
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
-from capsule_gym import Capsule, CapsuleVectorEnv
+from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv
 from capsule_gym.evaluation.episodes import (
     SHARE_OF_OPTIMUM,
     TABLE_METRICS,
     TableMetric,
+    drawn_like,
     evaluate,
     failures,
+    summarise,
+    validation_set,
 )
 from capsule_gym.evaluation.optimum import optimal_speed
-from capsule_gym.evaluation.sets import parse_set
+from capsule_gym.evaluation.sets import load_set, parse_set
+from capsule_gym.evaluation.statistics import estimate
 from capsule_gym.tasks.task import METRICS
 from tests.agents.fakes import PLANTS, Sine
 from tests.capsule_gym.evaluation.test_sets import plant, spec
@@ -128,6 +134,68 @@ def test_tables_show_metrics():
     assert SHARE_OF_OPTIMUM.name not in METRICS
 
 
+def test_the_seed_of_an_episode_determines_its_disturbances():
+    pushed = {
+        "name": "x",
+        "plants": [spec(mu=0.1, seed=seed) for seed in (4, 4, 5)],
+        "disturbances": {"push": 3.0},
+    }
+    one, same, other = evaluate(Sine(0.0), parse_set(pushed), horizon=2.0)
+    assert one == same
+    assert one["distance"] != other["distance"]
+
+
+def test_a_validation_set_has_the_plants_that_the_environment_draws():
+    drawn = validation_set("real-wide", "x", 7, 3)
+    env = CapsuleEnv(randomization="real-wide")
+    for seed, found in zip((7, 8, 9), drawn.plants, strict=True):
+        _, info = env.reset(seed=seed)
+        assert (found.seed, found.M, found.mu) == (seed, info["M"], info["mu"])
+        assert found.capsule == {name: pytest.approx(info["capsule"][name]) for name in "mlkc"}
+    assert validation_set("wide", "x", 7, 1).plants[0].capsule is None
+
+
+def test_plants_drawn_like_those_of_a_set_have_its_disturbances():
+    assert drawn_like("real", 7, 1).disturbances == load_set("real").disturbances == "real"
+
+
+SCORES = np.array([[1.0, 2.0, 3.0, 8.0], [2.0, 3.0, 4.0, 9.0], [0.0, 1.0, 7.0, 2.0]])
+
+
+def test_a_summary_has_means_with_intervals_counts_and_training_seeds():
+    episodes = [
+        {
+            "M": 0.5,
+            "seed": n,
+            "failed": float(score == 9.0),
+            "mean_speed": score,
+            "success": float(score > 1.0),
+            "training_seed": training_seed,
+        }
+        for training_seed, row in zip((3, 1, 4), SCORES, strict=True)
+        for n, score in enumerate(row)
+    ]
+    summary = summarise(episodes)
+    assert summary.keys() == {"mean_speed", "success", "episodes", "failures", "training_seeds"}
+    counts = (summary["episodes"], summary["failures"], summary["training_seeds"])
+    assert counts == (12, 1, [3, 1, 4])
+    speed = summary["mean_speed"]
+    mean = estimate(SCORES, mean=True)
+    middle = estimate(SCORES)
+    assert (speed["iqm"], speed["low"], speed["high"]) == (middle.value, middle.low, middle.high)
+    assert (speed["mean"], speed["mean_low"], speed["mean_high"]) == (3.5, mean.low, mean.high)
+    assert speed["seeds"] == [3.5, 4.5, 2.5]
+    # A trimmed mean would hide a few misses.
+    assert summary["success"]["mean"] == 0.75
+    assert "iqm" not in summary["success"]
+
+
+def test_a_single_episode_of_a_scripted_policy_has_a_summary():
+    summary = summarise([{"seed": 0, "failed": 0.0, "mean_speed": 2.0}])
+    assert summary["mean_speed"]["iqm"] == 2.0
+    assert summary["training_seeds"] == []
+
+
 GOAL = {"name": "x", "task": "goal", "plants": [spec(mu=0.2, goal=0.3)]}
 STICKY = GOAL | {"capsule": {"static_ratio": 1.3}}
 NOMINAL = GOAL | {"capsule": {}}
@@ -140,6 +208,16 @@ def test_the_capsule_of_a_policy_does_not_change_the_episodes(content, capsule):
     policy = Sine(0.6, env_kwargs={"task": "goal"})
     other = Sine(0.6, env_kwargs={"task": "goal", "capsule": capsule})
     assert evaluate(other, chosen, horizon=2.0) == evaluate(policy, chosen, horizon=2.0)
+
+
+def test_the_task_of_the_caller_may_be_that_of_the_set():
+    goals = parse_set(GOAL)
+    start = Sine(0.6).start
+    policy = SimpleNamespace(start=start)
+    given = evaluate(policy, goals, env_kwargs={"task": "goal"}, horizon=0.2)
+    assert given[0]["goal_time"] == pytest.approx(0.2)
+    with pytest.raises(ValueError, match="policy must be for the task 'goal'"):
+        evaluate(policy, goals, env_kwargs={"task": "velocity"})
 
 
 def test_a_set_without_a_capsule_has_that_of_its_task():

@@ -30,6 +30,10 @@ def test_a_quarter_of_failed_ratios_has_no_effect_and_a_larger_share_does(scores
     np.testing.assert_equal(interquartile_mean(scores).item(), expected)
 
 
+def test_the_interquartile_mean_of_one_score_is_the_score():
+    assert interquartile_mean([1.5]) == 1.5
+
+
 @pytest.mark.parametrize("scores", [[], np.zeros((3, 0)), 1.0])
 def test_no_score_has_no_mean(scores):
     with pytest.raises(ValueError, match="scores must be at least one number"):
@@ -37,10 +41,14 @@ def test_no_score_has_no_mean(scores):
 
 
 def difference(scores):
+    return paired_difference(scores, [[1.0, 2.0]])
+
+
+def difference_to(scores):
     return paired_difference([[1.0, 2.0]], scores)
 
 
-@pytest.mark.parametrize("summary", [interquartile_mean, estimate, difference])
+@pytest.mark.parametrize("summary", [interquartile_mean, estimate, difference, difference_to])
 @pytest.mark.parametrize(
     "scores",
     [[[1.0, np.nan], [2.0, np.nan]], np.ma.masked_greater([[1, 9], [2, 9]], 8)],
@@ -95,6 +103,15 @@ def test_the_interval_is_students_t_where_only_one_axis_differs(differ):
         scores = np.repeat(scores.T, 100, axis=1)
     result = estimate(scores, mean=True)
     assert (result.low, result.high) == (pytest.approx(low), pytest.approx(high))
+
+
+def test_the_interval_of_one_run_has_the_standard_error_of_scipys_trimmed_mean():
+    scores = np.random.default_rng(7).gamma(2.0, size=(1, 24))
+    result = estimate(scores)
+    error = stats.mstats.trimmed_stde(scores[0], limits=(0.25, 0.25))
+    half = stats.t.ppf(0.975, 23) * error
+    assert result.high - result.value == pytest.approx(half, rel=1e-9)
+    assert result.value - result.low == pytest.approx(half, rel=1e-9)
 
 
 def test_the_interval_of_equal_seeds_is_that_of_one():
@@ -208,7 +225,12 @@ def test_the_lowest_decile_is_of_plants_and_not_of_episodes():
 
 @pytest.mark.parametrize(
     ("count", "total", "low", "high"),
-    [(0, 1000, 0.0, 0.003827), (5, 10, 0.236593, 0.763407), (400, 400, 0.990488, 1.0)],
+    [
+        (0, 1000, 0.0, 0.003827),
+        (1, 1, 0.206549, 1.0),
+        (5, 10, 0.236593, 0.763407),
+        (400, 400, 0.990488, 1.0),
+    ],
 )
 def test_a_share_has_wilsons_interval(count, total, low, high):
     # (p + z^2 / 2n +- z sqrt(p (1 - p) / n + z^2 / 4n^2)) / (1 + z^2 / n), z = 1.959964
