@@ -26,6 +26,36 @@ def test_words_replace_a_default():
 
 
 @dataclass(frozen=True)
+class Choice:
+    """Does something.
+
+    Examples:
+      prog --fast
+
+    Args:
+        fast: do it fast.
+    """
+
+    fast: bool = False
+
+
+def test_the_help_names_the_command_and_shows_its_description_before_the_options(capsys):
+    with pytest.raises(SystemExit):
+        parse(Choice, "python -m prog", ["--help"])
+    said = capsys.readouterr().out
+    assert "usage: python -m prog " in said
+    assert "Examples:\n  prog --fast" in said
+    assert "Args:" not in said
+
+
+def test_a_flag_has_no_negation(capsys):
+    assert parse(Choice, "prog", ["--fast"]).fast
+    with pytest.raises(SystemExit):
+        parse(Choice, "prog", ["--no-fast"])
+    assert "--no-fast" in capsys.readouterr().err
+
+
+@dataclass(frozen=True)
 class Steps:
     """Options of another command.
 

@@ -34,13 +34,16 @@ def backend(monkeypatch):
 
 @pytest.fixture
 def programs(monkeypatch, tmp_path):
-    """Writes programs that end with a status into the only folder of PATH."""
+    """Writes programs into the only folder of PATH.
+
+    Each ends with its status if it is given a source, else with an error.
+    """
     monkeypatch.setenv("PATH", str(tmp_path))
 
     def write(statuses):
         for name, status in statuses.items():
             program = tmp_path / name
-            program.write_text(f"#!/bin/sh\nexit {status}\n")
+            program.write_text(f"#!/bin/sh\nread -r source && exit {status}\nexit 1\n")
             program.chmod(0o755)
 
     return write

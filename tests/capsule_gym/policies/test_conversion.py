@@ -7,6 +7,7 @@ import torch
 from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import A2C, DDPG, DQN, PPO, SAC, TD3
 from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
 from torch import nn
 
@@ -51,6 +52,7 @@ def test_an_agent_becomes_a_policy(algorithm, make_env):
     policy = Policy.from_sb3(model)
     assert policy.env_kwargs == KWARGS
     assert policy.training_seed == 3
+    assert policy.name == policy.algorithm == algorithm.__name__.lower()
     assert_same_actions(policy, model)
 
 
@@ -69,7 +71,30 @@ def test_the_normalisation_of_observations_comes_along(algorithm):
 def test_relu_and_gsde_are_converted():
     options = {"use_sde": True, "policy_kwargs": {"activation_fn": nn.ReLU, "squash_output": True}}
     model = PPO("MlpPolicy", native_env(), device="cpu", **options)
-    assert_same_actions(Policy.from_sb3(model), model)
+    policy = Policy.from_sb3(model, name="mine")
+    assert (policy.name, policy.training_seed) == ("mine", 0)
+    assert_same_actions(policy, model)
+
+
+class Doubled(FlattenExtractor):
+    """Features that are not the observation."""
+
+    def forward(self, observations):
+        return 2.0 * super().forward(observations)
+
+
+def test_an_agent_with_other_features_is_refused():
+    options = {"policy_kwargs": {"features_extractor_class": Doubled}}
+    model = PPO("MlpPolicy", native_env(), device="cpu", **options)
+    with pytest.raises(ValueError, match="model must be an agent that takes the observation as it"):
+        Policy.from_sb3(model)
+
+
+def test_an_agent_without_its_environment_is_refused():
+    model = PPO("MlpPolicy", native_env(), device="cpu")
+    model.env = None
+    with pytest.raises(ValueError, match="env must be the environment of the training, got None"):
+        Policy.from_sb3(model)
 
 
 @pytest.mark.parametrize(
@@ -135,6 +160,21 @@ def test_a_network_of_torch_becomes_a_policy():
     with torch.no_grad():
         expected = network.double()(torch.from_numpy(values.astype(np.float64)))
     np.testing.assert_allclose(actions, expected, rtol=0.0, atol=1e-7)
+
+
+def test_layers_without_biases_are_converted():
+    torch.manual_seed(0)
+    cell = nn.GRU(6, 4, bias=False)
+    first = nn.Linear(ENTRIES, 6, bias=False)
+    last = nn.Linear(4, 1, bias=False)
+    policy = Policy.from_torch(nn.Sequential(first, nn.Tanh(), cell, last))
+    values = np.random.default_rng(0).normal(size=(3, ENTRIES)).astype(np.float32)
+    actions = policy.start(range(3))(values)
+    with torch.no_grad():
+        hidden, _ = cell(torch.tanh(first(torch.from_numpy(values)))[None])
+        expected = last(hidden[0])
+    np.testing.assert_allclose(actions, expected, rtol=0.0, atol=1e-6)
+    assert policy.training_seed == 0
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,8 @@ from safetensors.numpy import load_file, save
 import capsule_gym
 from agents.distillation.config import STUDENTS
 from capsule_gym import Capsule, Policy, Randomization, load_policy, policy_names
-from capsule_gym.policies.policy import IMITATION, POLICY
+from capsule_gym.envs.config import EnvConfig
+from capsule_gym.policies.policy import ENV_ARGUMENTS, IMITATION, POLICY
 from capsule_gym.tasks.task import START_THETA
 from tests.capsule_gym.policies.test_network import make_layers
 
@@ -71,7 +72,7 @@ def test_the_environment_of_a_policy_starts_at_rest(name):
 def test_a_file_gives_back_what_was_saved(tmp_path):
     ranges = Randomization(M=(0.4, 0.6), mu=(0.01, 0.1), log_mu=True)
     env_kwargs = {"capsule": Capsule(m=0.2), "randomization": ranges}
-    policy = make_policy(env_kwargs=env_kwargs, training_seed=np.int64(2**63 - 1))
+    policy = make_policy(env_kwargs=env_kwargs, training_seed=np.int64(2**63 - 1), clip=0.5)
 
     policy.save(tmp_path / POLICY)
     loaded = load_policy(tmp_path)
@@ -87,6 +88,16 @@ def test_a_policy_gives_the_same_file_after_loading_and_pickling(path, tmp_path)
     again = pickle.loads(pickle.dumps(load_policy(path)))
     again.save(tmp_path / "again")
     assert (tmp_path / "again").read_bytes() == path.read_bytes()
+
+
+def test_a_file_with_another_name_gives_the_policy_its_name(policy, tmp_path):
+    policy.save(tmp_path / "mine.safetensors")
+    assert load_policy(tmp_path / "mine.safetensors").name == "mine"
+
+
+def test_a_policy_may_name_every_argument_of_its_environment():
+    defaults = {name: getattr(EnvConfig(), name) for name in ENV_ARGUMENTS}
+    assert make_policy(env_kwargs=defaults).entries == 5
 
 
 def test_the_tensors_of_a_file_are_aligned(path):

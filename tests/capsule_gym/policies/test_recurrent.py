@@ -197,6 +197,15 @@ def test_starts_clears_the_memory_of_the_episodes_that_begin(policy):
     assert act(inputs[4])[0].tobytes() == other(inputs[4, 0]).tobytes()
 
 
+def test_the_text_of_a_policy_leaves_out_arrays():
+    assert "array(" not in repr(recurrent_policy())
+
+
+def test_a_cell_may_have_1_to_512_units():
+    for units in (1, 512):
+        assert recurrent_policy(units=units).cell.units == units
+
+
 def test_the_memory_changes_the_action():
     act = recurrent_policy().start([0])
     (values,) = observations(1, 1)
@@ -237,7 +246,9 @@ def test_predict_refuses_random_actions_and_foreign_states():
     values = observations(1, 2)[0]
     with pytest.raises(ValueError, match="deterministic must be True"):
         policy.predict(values, deterministic=False)
-    for foreign in ((np.zeros((2, 3)),), (np.full((2, 16), np.inf),), ("a", "b"), 1.0):
+    infinite = np.zeros((2, 16))
+    infinite[1, 3] = np.inf
+    for foreign in ((np.zeros((2, 3)),), (infinite,), ("a", "b"), 1.0):
         with pytest.raises(ValueError, match="state must be None or a tuple of an array"):
             policy.predict(values, foreign)
     with pytest.raises(ValueError, match="episode_start must be an array of bool"):
