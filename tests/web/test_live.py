@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from capsule_gym import CapsuleEnv, Disturbances
+from capsule_gym.envs.config import EnvConfig
 from capsule_gym.evaluation.sets import SET_NAMES, load_set
 from tests import ROOT
 from tests.web.conftest import check_errors
@@ -281,6 +282,35 @@ def test_tasks_have_pythons_observations_and_metrics(node, task, options, distur
     assert len(finite) >= 14
     for name in finite:
         assert found[name] == metrics[name], name
+
+
+def test_the_command_prints_the_size_of_every_file(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(build, "compile_wasm", lambda: b"")
+    monkeypatch.setattr(build, "pack_data", lambda module: "archive")
+    build.main(["--output", str(tmp_path)])
+    sizes = {path: path.stat().st_size for path in tmp_path.iterdir()}
+    assert len(sizes) == 3
+    printed = capsys.readouterr().out.splitlines()
+    assert sorted(printed) == sorted(f"{path}: {size / 1e3:.0f} kB" for path, size in sizes.items())
+
+
+def test_a_file_in_place_of_the_folder_is_named(tmp_path, refused):
+    file = tmp_path / "live"
+    file.touch()
+    message = f"--output must be a folder that can be written to, got {str(file)!r}"
+    assert message in refused(build.main, ["--output", str(file)])
+
+
+def test_the_documentation_states_the_accepted_constants():
+    page = " ".join((ROOT / "docs/live.md").read_text("utf-8").split())
+    for name, (low, high) in data.describe_plant()["limits"].items():
+        assert f"`{name}` {low:g} to {high:g}" in page
+
+
+def test_an_integrator_must_be_stable_for_every_accepted_plant():
+    # Of all accepted plants only those with friction of the motor need a shorter step.
+    with pytest.raises(ValueError, match=r"physics_dt must be at most .*, got 0\.0028 s"):
+        data.pack_options(EnvConfig(control_dt=0.028, physics_dt=0.0028))
 
 
 def test_the_light_theme_defines_every_colour():

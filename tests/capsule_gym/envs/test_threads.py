@@ -20,14 +20,15 @@ ACTIONS = np.full((LANES + 2, 1), 0.5, np.float32)
 
 def start(**options):
     """A batch whose steps release the interpreter's lock for milliseconds."""
-    batch = CapsuleVectorEnv(LANES + 2, physics_dt=1e-5, **options)
+    batch = CapsuleVectorEnv(LANES + 2, physics_dt=1e-5, initial_noise=0.1, **options)
     batch.reset(seed=0)
     return batch
 
 
 CALLS = {
     "step": lambda batch: batch.step(ACTIONS),
-    "reset": lambda batch: batch.reset(options={"changes": [CHANGES] * batch.num_envs}),
+    "reset": lambda batch: batch.reset(seed=9, options={"changes": [CHANGES] * batch.num_envs}),
+    "reset of the simulation": lambda batch: batch.simulation.reset(np.arange(batch.num_envs)),
     "copy": copy.deepcopy,
     "pickle": pickle.dumps,
     "metrics": lambda batch: batch.episode_metrics(),
@@ -56,7 +57,21 @@ def test_a_call_during_the_step_of_another_thread_is_refused(name):
     worker.join()
     # Nothing has changed.
     np.testing.assert_array_equal(batch.step(ACTIONS)[0], alone.step(ACTIONS)[0])
+    np.testing.assert_array_equal(batch.reset()[0], alone.reset()[0])
     CALLS[name](batch)
+
+
+@pytest.mark.parametrize(
+    ("count", "sizes"), [(1, [130]), (2, [64, 66]), (3, [64, 64, 2]), (7, [64, 64, 2])]
+)
+def test_every_thread_has_whole_blocks(count, sizes):
+    threads = Threads(130, 64, count)
+    assert threads.share(lambda first, last: last - first) == sizes
+    threads.close()
+
+
+def test_a_guarded_method_keeps_its_documentation():
+    assert CapsuleVectorEnv.step.__doc__.startswith("One agent step of every environment.")
 
 
 def test_threads_that_use_one_batch_at_once_work_or_are_refused():

@@ -305,6 +305,39 @@ def test_headers_of_one_name_do_not_skip_each_other(header, tmp_path):
     assert "pd_memory" in found.stderr
 
 
+def test_a_name_in_c_has_only_letters_of_ascii(tmp_path):
+    path = tmp_path / "2-zwölf.safetensors"
+    make_policy().save(path)
+    exported = Exported(str(path))
+    assert exported.name == "_2_zw_lf"
+    assert exported.c().endswith("\n")
+
+
+@pytest.mark.parametrize(
+    ("name", "found"), [("direct-ppo", "paper"), ("residual-real", "real"), ("goal", "goal")]
+)
+def test_the_test_vectors_are_of_a_set_for_the_policy(name, found):
+    assert f'of the set "{found}"' in Exported(name).c_test("policy.h")
+
+
+@pytest.mark.parametrize(
+    ("name", "option", "given"),
+    [
+        ("policy.h", "--c", "policy.h"),
+        ("policy_test.c", "--c", "policy.h"),
+        ("policy.onnx", "--onnx", "policy.onnx"),
+    ],
+)
+def test_a_file_is_overwritten_only_on_request(name, option, given, tmp_path, refused):
+    path = tmp_path / name
+    path.write_text("mine")
+    words = ["direct-ppo", option, str(tmp_path / given)]
+    assert "must name a new file unless --overwrite is given" in refused(main, words)
+    assert path.read_text() == "mine"
+    assert main([*words, "--overwrite"]) == 0
+    assert path.read_bytes() != b"mine"
+
+
 def test_program_of_an_episode_that_ends_early(tmp_path):
     # The policy pushes in one direction until the pendulum lies down.
     push = np.zeros((1, 5), np.float32), np.full(1, 3.0, np.float32)

@@ -109,6 +109,12 @@ def test_the_test_program_of_a_policy_passes(path, single, tmp_path):
     assert ": 0 of " in run(program)
 
 
+def test_the_widest_input_of_a_layer_may_be_that_of_the_cell(tmp_path):
+    recurrent_policy(units=3, skip=False).save(tmp_path / POLICY)
+    # The layers have 5, 7, 3 and 6 inputs.
+    assert Exported(str(tmp_path / POLICY)).widest == 7
+
+
 @pytest.mark.parametrize("cell", [nn.GRU, nn.LSTM])
 def test_the_test_program_of_a_policy_on_a_law_passes(cell, tmp_path):
     # The memories of policy, law and filter are in one struct.
@@ -143,6 +149,12 @@ def test_onnx_computes_the_same_actions(path, episodes, single, tolerance):
 def test_a_model_says_what_it_takes(path):
     onnx = pytest.importorskip("onnx")
     model = onnx.load_from_string(Exported(str(path)).onnx())
+    assert model.graph.doc_string == load_policy(path).description
+    # Those of ONNX 1.12, which also older runtimes read.
+    assert (model.ir_version, model.opset_import[0].version) == (8, 17)
+    action, _ = model.graph.output
+    rows, columns = action.type.tensor_type.shape.dim
+    assert (rows.dim_param, columns.dim_value) == ("n", 1)
     found = {each.key: json.loads(each.value) for each in model.metadata_props}
     assert found == {
         "control_dt": 0.02,
