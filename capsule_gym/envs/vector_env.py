@@ -120,7 +120,6 @@ class CapsuleVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         vars(self).update(state)
         # A copied array can be written to, and the copied simulation counts its resets from 0 on.
         self._everyone.flags.writeable = False
-        self._masks = {}
         self._drawn_at = -1
 
     @property

@@ -318,7 +318,12 @@ NO_COMMAND = r"^options\['commands'\]\[0\]\['t'\] must be 0 s for the"
             r"options\['M'\] must be .* one entry per environment \(2\), got 3",
         ),
         ("batch", {"state": [[0.0] * 4] * 3}, ValueError, r"of shape \(3, 4\)"),
-        ("batch", {"state": [[0.0] * 4, [1.6, 0.0, 0.0, 0.0]]}, ValueError, r"\|theta\| < pi/2"),
+        (
+            "batch",
+            {"state": [[0.0] * 4, [0.5 * np.pi, 0.0, 0.0, 0.0]]},
+            ValueError,
+            r"\|theta\| < pi/2",
+        ),
         ("batch", {"capsule": [{}, {"l": 0.3}]}, ValueError, r"options\['capsule'\] needs an"),
         ("batch", {"reset_mask": np.array([False, False])}, ValueError, "reset_mask"),
     ],

@@ -10,6 +10,7 @@ from types import ModuleType
 
 import pytest
 
+import capsule_gym
 from capsule_gym.control.lookup import find_controller
 from capsule_gym.evaluation.episodes import evaluate
 from capsule_gym.evaluation.sets import NOMINAL_PLANT, EvaluationSet
@@ -52,6 +53,12 @@ def test_another_package_named_baselines_does_not_hide_the_laws(monkeypatch):
     assert find_controller("baselines:adaptive").name == "adaptive"
     (episode,) = evaluate("adaptive", EvaluationSet("one", (NOMINAL_PLANT,)), horizon=0.1)
     assert episode["duration"] == pytest.approx(0.1)
+
+
+def test_the_package_shows_only_its_public_names_of_the_evaluation():
+    assert capsule_gym.evaluate is evaluate
+    with pytest.raises(AttributeError, match="module 'capsule_gym' has no attribute 'failures'"):
+        capsule_gym.failures  # noqa: B018
 
 
 @pytest.mark.parametrize(("former", "found"), FORMER_NAMES.items())

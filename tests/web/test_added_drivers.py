@@ -4,10 +4,13 @@ import json
 
 import pytest
 
-from capsule_gym import CapsuleEnv, load_policy
+from agents.leaderboard.page import OTHER_LAWS
+from capsule_gym import CapsuleEnv, Policy, load_policy
+from tests.capsule_gym.policies.test_policy import make_policy_on
 from tests.capsule_gym.policies.test_recurrent import recurrent_policy, vectors
 from tests.web.conftest import check_errors
 from web import data
+from web.episodes import drivers
 
 
 @pytest.fixture
@@ -81,6 +84,7 @@ def test_drivers_show_an_added_policy_without_its_network(node, mine):
     driver = node(mine + "live.addDriver(mine); show(live.drivers.at(-1));")
     assert driver["name"] == "mine"
     assert driver["controlDt"] == 0.02
+    assert driver["seed"] == 0
     assert "network" not in driver
 
 
@@ -96,6 +100,7 @@ WRONG_OPTIONS = {
     "M_low: 1, M_high: 0.9": "RangeError: options.M_low must be .* up to 0.9, got 1",
     "mu_low: 1": "RangeError: options.mu_low must be .* up to null, got 1",
     "initial_theta: 1": "RangeError: options.initial_theta and .* together",
+    "disturbances_motor_friction_high: 0.3": r"RangeError: .*high must be .* in \[0, 0.2\]",
     "disturbances_latency_high: 0.6": r"RangeError: .*latency_high must be .* in \[0, 0.5\]",
     "disturbances_latency_low: -1": r"RangeError: .*latency_low must be .* in \[0, 0.5\]",
     "disturbances_latency_low: 0.1": "RangeError: .*latency_low must be .* up to 0, got 0.1",
@@ -134,6 +139,27 @@ def test_a_driver_that_does_not_fit_is_refused(node, mine):
     errors, added = node(mine + code)
     assert not added
     check_errors(wrong, errors)
+
+
+def test_a_policy_on_a_law_of_another_package_has_no_description():
+    policy = make_policy_on("tests.agents.fakes:quiet")
+    message = "controller must be None or a law of baselines, got tests.agents.fakes:quiet"
+    with pytest.raises(ValueError, match=message):
+        data.describe_policy("mine", policy)
+
+
+def test_every_policy_of_the_module_has_a_group():
+    found = {name: data.group_of(policy) for name, policy in drivers().items()}
+    assert {found[name] for name in OTHER_LAWS} == {"The paper"}
+    assert found["goal"] == "Learned"
+    assert found["goal-pulses"] == "Simple feedback"
+
+
+def test_trained_policies_of_other_tasks_come_last():
+    trained = [policy for policy in drivers().values() if isinstance(policy, Policy)]
+    others = ["task" in policy.env_kwargs for policy in trained]
+    assert others == sorted(others)
+    assert True in others
 
 
 def test_a_driver_has_one_value_for_each_field(node, mine):

@@ -95,6 +95,15 @@ def test_a_reward_at_the_goal_in_motion_and_at_rest():
     assert rewards == pytest.approx([0.04, 0.1])
 
 
+def test_the_reward_of_goals_in_float32_is_computed_in_float64():
+    env = CapsuleEnv(**GOAL)
+    achieved, desired = np.float32([[-0.1, 0.0]]), np.float32([[0.3, 0.0]])
+    narrow = env.compute_reward(achieved, desired, {})
+    assert_array_equal(
+        narrow, env.compute_reward(achieved.astype(float), desired.astype(float), {})
+    )
+
+
 def test_only_goal_environments_compute_rewards():
     assert not hasattr(CapsuleEnv(task="goal"), "compute_reward")
     assert not hasattr(CapsuleVectorEnv(2), "compute_reward")

@@ -196,6 +196,12 @@ def test_a_lighter_platform_and_a_rougher_floor_have_faster_rates(normal_force):
 @pytest.mark.parametrize(
     "capsule",
     [
+        Capsule(c=5.0, mu=0.5),
+        Capsule(c=5.0, mu=0.5, normal_force="paper"),
+        Capsule(k=500.0, mu=0.5),
+        Capsule(k=500.0, mu=0.5, normal_force="paper"),
+        Capsule(k=0.8, c=0.0, mu=1.5, M=50.0),
+        Capsule(k=0.0, c=0.0, mu=0.5),
         Capsule(viscous=30.0),
         Capsule(viscous=300.0, mu=1.0, M=0.1),
         Capsule(motor_friction=1.0),

@@ -129,6 +129,15 @@ def test_a_window_shows_the_frames(no_screen):
     renderer.close()
 
 
+def test_a_window_opens_with_the_display_of_the_system(no_screen, monkeypatch):
+    pygame.display.init()
+    # No variable names a driver, as on a desktop.
+    monkeypatch.delenv("SDL_VIDEODRIVER")
+    renderer = Renderer(Capsule(), "human", 200, 1.5)
+    assert pygame.display.get_init()
+    renderer.close()
+
+
 def test_an_environment_draws_every_step_in_its_window(no_screen):
     env = CapsuleEnv(render_mode="human")
     env.reset(seed=0)
