@@ -329,6 +329,7 @@ def test_the_test_vectors_are_of_a_set_for_the_policy(name, found):
     ],
 )
 def test_a_file_is_overwritten_only_on_request(name, option, given, tmp_path, refused):
+    pytest.importorskip("onnx")
     path = tmp_path / name
     path.write_text("mine")
     words = ["direct-ppo", option, str(tmp_path / given)]
