@@ -9,6 +9,7 @@ import pytest
 from capsule_gym import Capsule, CapsuleEnv, Randomization, identify
 from capsule_gym.identification import Fit
 from capsule_gym.identification.__main__ import main
+from capsule_gym.identification.doubts import doubts
 from capsule_gym.identification.ranges import RANGES
 from capsule_gym.identification.result import FITTED
 from capsule_gym.parameters.disturbances import SAMPLING
@@ -295,6 +296,10 @@ def test_a_wrong_model_warns():
     with pytest.warns(UserWarning) as caught:
         assert identify(log).chi2 > 1.2
     assert any("chi2 is" in str(warning.message) for warning in caught)
+
+
+def test_a_chi2_above_the_documented_one_is_a_doubt(fit):
+    assert next(doubts(replace(fit, chi2=1.21), None, None)).startswith("chi2 is 1.21")
 
 
 def test_a_saved_result_is_the_same(fit, tmp_path):
