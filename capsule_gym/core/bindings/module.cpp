@@ -364,7 +364,10 @@ int fill(PyObject* module) {
     return value;
   };
   auto put_type = [&](const char* name, const char* fields) {
-    return put(name, named_tuple_type(name, fields));
+    PyObject* type = named_tuple_type(name, fields);
+    // Another load of the module may be freed while this one is used.
+    Py_XINCREF(type);
+    return put(name, type);
   };
   settings_type = put_type("Settings", CAPSULE_SETTINGS(CAPSULE_NAME));
   layout_type = put_type("Layout", CAPSULE_LAYOUT(CAPSULE_NAME));

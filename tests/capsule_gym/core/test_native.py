@@ -1,11 +1,13 @@
 """Calls of the core: the number and the types of arguments are those of the C++ function."""
 
+import gc
+import importlib.util
 import re
 
 import numpy as np
 import pytest
 
-from capsule_gym import dynamics
+from capsule_gym import CapsuleEnv, dynamics
 from capsule_gym.control.laws.profiles import platform_motion
 from capsule_gym.core import _core, native
 from capsule_gym.parameters import Capsule
@@ -172,3 +174,15 @@ def test_a_recording_ends_with_its_outputs():
     rows = _core.trace("exp", 0, native.address(ARRAY))
     assert rows[0] == ("input",)
     assert rows[-1][0] == "output"
+
+
+def test_a_module_that_is_loaded_again_and_freed_leaves_the_first_one():
+    spec = importlib.util.spec_from_file_location("_core", _core.__file__)
+    again = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(again)
+    del again
+    gc.collect()
+    # Types that may lie where those of the freed module were.
+    others = [type("Other", (), {}) for _ in range(50)]
+    CapsuleEnv().reset(seed=0)
+    assert len(others) == 50
