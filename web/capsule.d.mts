@@ -200,7 +200,9 @@ export const constants: {
   ranges: Record<string, { M: [number, number]; mu: [number, number] }>;
   /**
    * Accepted ranges: M and mu in `reset` and `setPlant`; a disturbed plant's other constants in
-   * `reset`.
+   * `reset`. In SI units: `M` 0.2 to 2, `mu` 0 to 1, `m` 0.1 to 0.18, `l` 0.25 to 0.35, `g` 1
+   * to 15, `k` 0.2 to 0.6, `c` 0.05 to 0.15, `static_ratio` 1 to 1.5, `backward_ratio` 0.5 to 1.5,
+   * `viscous` 0 to 2, `stribeck_speed` 0.02 to 1, `slope` -0.2 to 0.2, `motor_friction` 0 to 0.2.
    */
   limits: { M: [number, number]; mu: [number, number] } & Record<string, [number, number]>;
   /** The disturbances that "real" selects. */

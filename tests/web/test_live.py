@@ -301,10 +301,11 @@ def test_a_file_in_place_of_the_folder_is_named(tmp_path, refused):
     assert message in refused(build.main, ["--output", str(file)])
 
 
-def test_the_documentation_states_the_accepted_constants():
-    page = " ".join((ROOT / "docs/live.md").read_text("utf-8").split())
+def test_the_types_of_the_module_state_the_accepted_constants():
+    types = (ROOT / "web/capsule.d.mts").read_text("utf-8")
+    text = " ".join(types.replace("*", "").split())
     for name, (low, high) in data.describe_plant()["limits"].items():
-        assert f"`{name}` {low:g} to {high:g}" in page
+        assert f"`{name}` {low:g} to {high:g}" in text
 
 
 def test_an_integrator_must_be_stable_for_every_accepted_plant():
