@@ -182,7 +182,7 @@ def written(monkeypatch, solution, fast):
 
     def solved(problem, shapes):
         grids.append(len(shapes))
-        finer = replace(solution, gain=21.0)
+        finer = replace(solution, gain=21.00004)
         return [(solution, slow), (finer, fast), (finer, slow)]
 
     monkeypatch.setattr(solver, "solve_on_grids", solved)
@@ -214,7 +214,10 @@ def test_results_survive_the_file(written, solution, fast, tmp_path):
     read = load_archive(tmp_path)
     again = read.solution(SPEED)
     assert read.results == found.results
-    assert sorted(read.arrays) == sorted(found.arrays)
+    # In the order of their names, so that two files can be compared.
+    assert list(read.results) == sorted(found.results)
+    assert list(read.arrays) == sorted(found.arrays)
+    assert read.results[SPEED.key].gains == [20.0, 21.0, 21.0]
     assert (read.repeat(SPEED).choices == fast.choices).all()
     np.testing.assert_allclose(again.values, solution.values, atol=0.0026)
     assert again.grid == solution.grid

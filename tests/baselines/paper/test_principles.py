@@ -104,6 +104,20 @@ def test_only_lemmas_as_printed_are_violated():
         assert row["worst"] > 0.9
 
 
+def test_lemmas_are_checked_on_all_angles_between_lying_positions(monkeypatch):
+    angles = []
+    lemma = principles.lemma_1
+
+    def recorded(cycle, plant, **settings):
+        angles.extend(np.degrees(cycle.theta))
+        return lemma(cycle, plant, **settings)
+
+    monkeypatch.setattr(principles, "lemma_1", recorded)
+    principles.check_lemmas(20_000)
+    assert -90.0 < min(angles) < -89.9
+    assert 89.9 < max(angles) < 90.0
+
+
 @pytest.mark.parametrize(
     "demand",
     ["Principle 4, Newton", "Principle 4, (8)", "Lemma 2, (15)", "Lemma 2, corrected"],

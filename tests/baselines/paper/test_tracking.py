@@ -111,6 +111,16 @@ def test_what_follows_from_the_selection():
         assert row["follows"] is (follows == "yes")
 
 
+def test_the_momentum_of_a_pendulum_at_rest_is_that_of_the_constant_forces():
+    # Eq. (21) at a constant angle of 0.3 rad over 2 s.
+    found = selection._p2_of_momentum(np.linspace(0.0, 2.0, 50), np.full(50, 0.3))
+    p = Capsule()
+    along = p.k * 0.3 * np.sin(0.3) + p.c * 0.3 * np.cos(0.3)
+    impulse = 2.0 * p.mu * ((p.M + p.m) * 9.81 - along)
+    swing = p.m * p.l * (np.cos(np.pi / 3.0) + p.mu * np.sin(np.pi / 3.0))
+    assert found == pytest.approx(impulse / swing)
+
+
 def as_printed(value):
     """A number to half a unit of its last digit."""
     _, _, decimals = value.partition(".")
