@@ -264,6 +264,21 @@ def test_program(tmp_path, target, arguments):
     assert re.search(r": 0 of \d\d+ periods differ", output), output
 
 
+def test_a_policy_that_observes_the_plant_is_given_it(tmp_path):
+    weights = np.linspace(-1.0, 1.0, 7, dtype=np.float32)[None]
+    policy = make_policy(
+        layers=((weights, np.zeros(1, np.float32)),),
+        mean=np.zeros(7),
+        variance=np.ones(7),
+        env_kwargs={"observe_parameters": True},
+    )
+    policy.save(tmp_path / "told.safetensors")
+    assert main([str(tmp_path / "told.safetensors"), "--c", str(tmp_path / "policy.h")]) == 0
+    program = tmp_path / "program"
+    run("gcc", *C99, tmp_path / "policy_test.c", "-o", program, "-lm")
+    assert re.search(r": 0 of \d\d+ periods differ", run(program))
+
+
 FLAGS = (
     "-ffast-math",
     "-freciprocal-math",
