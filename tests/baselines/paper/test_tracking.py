@@ -111,14 +111,17 @@ def test_what_follows_from_the_selection():
         assert row["follows"] is (follows == "yes")
 
 
-def test_the_momentum_of_a_pendulum_at_rest_is_that_of_the_constant_forces():
-    # Eq. (21) at a constant angle of 0.3 rad over 2 s.
-    found = selection._p2_of_momentum(np.linspace(0.0, 2.0, 50), np.full(50, 0.3))
+def test_the_momentum_of_a_turning_pendulum_is_the_impulse_of_the_forces():
+    # Eq. (21) from -0.5 rad to 1 rad at 1 rad/s, where the angle can replace the time.
+    t = np.linspace(0.0, 1.5, 3001)
+    found = selection._p2_of_momentum(t, t - 0.5)
     p = Capsule()
-    along = p.k * 0.3 * np.sin(0.3) + p.c * 0.3 * np.cos(0.3)
-    impulse = 2.0 * p.mu * ((p.M + p.m) * 9.81 - along)
+    # The integrals of theta sin(theta) and sin(theta).
+    spring = p.k * (np.sin(1.0) - np.cos(1.0) + np.sin(0.5) - 0.5 * np.cos(0.5))
+    damper = p.c * (np.cos(0.5) - np.cos(1.0))
+    impulse = p.mu * (1.5 * (p.M + p.m) * 9.81 - spring + damper)
     swing = p.m * p.l * (np.cos(np.pi / 3.0) + p.mu * np.sin(np.pi / 3.0))
-    assert found == pytest.approx(impulse / swing)
+    assert found == pytest.approx(impulse / swing, rel=1e-7)
 
 
 def as_printed(value):
