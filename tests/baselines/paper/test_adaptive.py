@@ -35,8 +35,10 @@ def test_lyapunov_function_without_errors_is_the_term_of_eta(exact):
     np.testing.assert_allclose(lyapunov(exact, START, PLANT), LEAST, rtol=1e-12)
 
 
-def test_lyapunov_function_of_a_wrong_estimate(exact):
-    off = Capsule(mu=PLANT.mu + 0.1).plant()
+# An entry of alpha_theta, one of alpha_x.
+@pytest.mark.parametrize("parameter", ["k", "mu"])
+def test_lyapunov_function_of_a_wrong_estimate(exact, parameter):
+    off = Capsule(**{parameter: getattr(PLANT, parameter) + 0.1}).plant()
     expected = LEAST + 0.5 * 0.1**2 / 0.1
     np.testing.assert_allclose(lyapunov(exact, START, off), expected, rtol=1e-12)
 
