@@ -1,10 +1,20 @@
 """The optimised profiles: their assessment by independent code, the optima on file, the search."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from baselines.paper import optimal_profiles
-from baselines.paper.optimal_profiles import ProfileProblem, assess, load, problems, search
+from baselines.paper.optimal_profiles import (
+    ProfileProblem,
+    _decode,
+    _encode,
+    assess,
+    load,
+    problems,
+    search,
+)
 from capsule_gym.control.laws.profiles import P2, PROPOSED, TABLE_1, V1, reference_table
 from capsule_gym.parameters import NOMINAL
 
@@ -82,6 +92,27 @@ def test_solutions_on_file_are_what_they_claim(filed):
     np.testing.assert_allclose(filed.times, np.round(filed.times, 3), atol=1e-12)
 
 
+@pytest.mark.parametrize("filed", SOLUTIONS.values(), ids=lambda filed: filed.problem.label)
+def test_solutions_on_file_are_points_of_the_search(filed):
+    point = np.array(_encode(filed.times, filed.V1, filed.P2))
+    times, *rates = _decode(point, filed.problem)
+    assert times == pytest.approx(filed.times, abs=1e-12)
+    assert rates == pytest.approx([filed.V1, filed.P2], rel=1e-12)
+
+
+def test_the_search_keeps_to_whole_milliseconds_and_the_largest_velocity():
+    times, velocity, _ = _decode(np.array([-3.4, -2.81] + [0.0] * 5 + [20.0, -1.0]), EASY)
+    assert times[:3] == (0.001, 0.003, 1.003)
+    assert velocity == V1
+
+
+def test_a_platform_that_only_moves_backwards_has_no_ratio_of_distances():
+    back = assess(EASY, (2.0, 4.0, 6.0, 6.05, 8.0, 9.0, 12.0), 0.4, 0.2)
+    assert back.mean_speed < 0.0
+    assert back.backward_ratio is None
+    assert back.cost_of_transport is None
+
+
 def short_search(problem, known=()):
     pytest.importorskip("scipy")
     return search(problem, known, seed=3, generations=1, members=1)
@@ -108,13 +139,33 @@ def test_a_search_says_when_it_fails():
     assert 1.0 < hopeless.excess <= 1.02 * assess(problem, *PUBLISHED).excess
 
 
+def test_a_search_lasts_its_generations(monkeypatch):
+    pytest.importorskip("scipy")
+    good = SOLUTIONS[EASY]
+    evaluated = []
+
+    def assessed(problem, times, V1, P2, *_, reserve=False):
+        evaluated.append(reserve)
+        # Nearly alike, as at the end of a search.
+        return replace(good, mean_speed=1.0 + 1e-9 * V1)
+
+    monkeypatch.setattr(optimal_profiles, "assess", assessed)
+    counts = []
+    for generations in (1, 2, 5):
+        evaluated.clear()
+        search(EASY, seed=0, generations=generations, members=1)
+        counts.append(sum(evaluated))
+    first, second, fifth = counts
+    assert fifth - second == 3 * (second - first) > 0
+
+
 def test_the_command_does_not_replace_results(tmp_path, refused):
     path = tmp_path / "optima.json"
     path.touch()
     assert "--json" in refused(optimal_profiles.main, ["--json", str(path)])
 
 
-def test_the_command_writes_the_best_profile_of_any_search(tmp_path, monkeypatch):
+def test_the_command_writes_the_best_profile_of_any_search(tmp_path, monkeypatch, capsys):
     def found(problem, known, **settings):
         assert len(known) == problems().index(problem)
         assert settings == {"seed": 1, "generations": 2}
@@ -125,6 +176,9 @@ def test_the_command_writes_the_best_profile_of_any_search(tmp_path, monkeypatch
     path = tmp_path / "optima.json"
     optimal_profiles.main(["--json", str(path), "--seed", "1", "--generations", "2"])
 
+    *progress, last = capsys.readouterr().out.splitlines()
+    assert [line.partition(":")[0] for line in progress] == [each.label for each in problems()]
+    assert last == f"{len(problems())} solutions written to {path}"
     first, *others = (solution.times for solution in load(path))
     _, *expected = (solution.times for solution in SOLUTIONS.values())
     assert others == expected
