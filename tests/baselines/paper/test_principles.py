@@ -104,6 +104,12 @@ def test_only_lemmas_as_printed_are_violated():
         assert row["worst"] > 0.9
 
 
+def test_the_page_counts_the_random_states_that_violate_a_principle():
+    first, *_, second, _, _ = principles.check_lemmas()
+    counts = [f"{row['violations']:,} of {row['states']:,} (Lemma" for row in (first, second)]
+    assert all(each in PAGE for each in counts)
+
+
 def test_lemmas_are_checked_on_all_angles_between_lying_positions(monkeypatch):
     angles = []
     lemma = principles.lemma_1
@@ -177,3 +183,23 @@ def test_bound_of_the_proof_lies_closely_below_every_sample(velocity, low, high)
             found.append(principles.torque_without_acceleration(theta, velocity, slip, p).min())
     bound = principles.torque_at_peak(velocity, low, high)
     assert bound <= min(found) < bound + 2e-4
+
+
+@pytest.mark.parametrize("samples", [2, 3, 10, 100])
+@pytest.mark.parametrize(("velocity", "low", "high"), [(7.8, START, SWING), (20.0, 0.2, 1.0)])
+def test_bound_of_the_proof_holds_on_coarse_grids(monkeypatch, samples, velocity, low, high):
+    fine = principles.torque_at_peak(velocity, low, high)
+    monkeypatch.setattr(principles, "SAMPLES", samples)
+    coarse = principles.torque_at_peak(velocity, low, high)
+    assert coarse < fine
+
+
+@pytest.mark.parametrize("p", [NEWTON, PAPER], ids=["newton", "paper"])
+@pytest.mark.parametrize("velocity", [0.0, 7.8, 20.0])
+def test_slope_of_the_proof_bounds_every_slope(p, velocity):
+    theta = np.linspace(-1.2, 1.2, 5001)
+    bound = principles._slope_of_torque(1.2, velocity, p)
+    for slip in SLIPS:
+        torque = principles.torque_without_acceleration(theta, velocity, slip, p)
+        steepest = np.abs(np.diff(torque) / np.diff(theta)).max()
+        assert steepest <= bound
