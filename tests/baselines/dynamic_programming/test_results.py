@@ -359,6 +359,9 @@ def test_without_a_whole_cycle_the_steady_speed_is_that_of_the_whole_time(turns,
     # A platform at 0.1 m/s after the start, but at 0.2 m/s between the two times of a turn.
     t = CONTROL_DT * np.arange(round(HORIZON / CONTROL_DT))
     velocity = np.where(t >= SETTLED, 0.1, 0.0)
+    # In the first interval as much slower as faster in the last.
+    velocity[round(SETTLED / CONTROL_DT)] = 0.0
+    velocity[-2] = 0.2
     turning = np.zeros_like(t, bool)
     for n in range(turns):
         turning |= np.isclose(t, 20.0 + n)
