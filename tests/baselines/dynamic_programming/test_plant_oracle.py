@@ -140,6 +140,16 @@ def own_solution():
     return solve_near(OWN, known_results(), shape=(13, 18, 7), room=0.15)
 
 
+def test_a_solution_with_room_extends_the_ranges_of_the_plants_around_it(nodes, own_solution):
+    corners, *_ = GRID.cell(OWN.M, OWN.mu)
+    grids = [nodes[corner].grid for corner in corners]
+    for name in ("y", "w"):
+        low, high = np.transpose([getattr(grid, name) for grid in grids])
+        assert low.max() < 0.0 < high.min()
+        expected = 1.15 * low.min(), 1.15 * high.max()
+        assert getattr(own_solution.grid, name) == pytest.approx(expected)
+
+
 def mean_speed(solution, seconds=12.0):
     """The speed of the expert on the plant `OWN` with the lag and friction of `real`, cm/s."""
     env = make_env(1, "real")
