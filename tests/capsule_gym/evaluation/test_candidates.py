@@ -245,6 +245,9 @@ def test_a_validation_set_has_the_plants_of_its_capsule():
         ("residual-ppo", "state, stick, law", "nominal plant"),
         ("goal", "state, stick, estimates of M, mu", "nominal pendulum"),
         ("adaptive", "state, x", "nominal plant"),
+        ("open-loop", "nothing", "nothing"),
+        ("open-loop-real", "nothing", "nothing"),
+        ("pd", "theta, theta_dot", "nothing"),
     ],
 )
 def test_the_inputs_of_policies(name, senses, told):

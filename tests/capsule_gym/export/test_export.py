@@ -244,6 +244,7 @@ def test_c_law(library, name):
         ["residual-real", "--law", "--float"],
         ["baselines:gait"],
         ["excitation", "--amplitude", "0.3", "--duration", "2"],
+        ["excitation"],
     ],
     ids=" ".join,
 )

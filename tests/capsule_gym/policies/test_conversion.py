@@ -140,7 +140,7 @@ def test_a_wrapper_that_changes_observations_is_refused():
         space = gym.spaces.Box(-np.inf, np.inf, (ENTRIES,), np.float32)
         return gym.wrappers.TransformObservation(CapsuleEnv(), lambda x: 2.0 * x, space)
 
-    model = PPO("MlpPolicy", DummyVecEnv([scaled]), device="cpu")
+    model = PPO("MlpPolicy", DummyVecEnv([CapsuleEnv, scaled]), device="cpu")
     with pytest.raises(ValueError, match="env must be without an ObservationWrapper"):
         Policy.from_sb3(model)
 
