@@ -165,8 +165,8 @@ def test_the_curves_of_a_row_are_those_of_its_runs():
 
 def test_a_run_with_a_single_evaluation_is_a_point():
     figure = curves.draw_learning({"three": RUNS, "one": {0: (STEPS[:1], STEPS[:1])}})
-    lines, point = figure.axes[0].lines[0], figure.axes[1].lines[0]
-    assert (lines.get_linestyle(), lines.get_marker()) == ("-", "None")
+    curve, point = (axes.lines[0] for axes in figure.axes[:2])
+    assert (curve.get_linestyle(), curve.get_marker()) == ("-", "None")
     assert (point.get_linestyle(), point.get_marker()) == ("None", ".")
 
 

@@ -44,7 +44,8 @@ def shown(table, label):
 
 
 def test_the_table_shows_the_interquartile_mean_and_the_mean_of_the_headline_metric():
-    fast, slow = [9.0, 10.0, 11.0, 30.0], [8.0, 8.0, 8.0, 8.0]
+    fast = [9.0, 10.0, 11.0, 30.0]
+    slow = [8.0, 8.0, 8.0, 8.0]
     both = [
         [{"mean_speed": speed, "rms_torque": speed, "failed": 0.0} for speed in speeds]
         for speeds in (fast, slow)

@@ -328,7 +328,8 @@ def test_the_optimal_front_has_every_result_that_no_other_dominates():
     for problem in command.PROBLEMS:
         if problem == SPEED or problem.energy_weight:
             result = RESULTS[problem.key]
-            cost, speed = result.cost_of_transport, result.mean_speed
+            cost = result.cost_of_transport
+            speed = result.mean_speed
             dominated = any(low <= cost and fast > speed for low, fast in front)
             assert dominated == ((cost, speed) not in front)
 

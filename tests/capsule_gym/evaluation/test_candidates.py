@@ -12,8 +12,10 @@ from baselines import adaptive, goal_pulses, pd
 from capsule_gym.evaluation.candidates import Candidate, find_candidate, wrap_policy
 from capsule_gym.evaluation.episodes import evaluate, validation_set
 from capsule_gym.evaluation.sets import parse_set
+from capsule_gym.policies.policy import POLICY
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 from tests.agents.fakes import PLANTS, Sine, make_policy, write_run
+from tests.capsule_gym.policies.test_policy import make_linear_policy, make_policy_on
 
 TINY = parse_set(PLANTS)
 
@@ -156,9 +158,7 @@ def test_a_control_law_is_a_policy_for_its_task():
 
 
 def test_a_run_on_a_law_of_another_package_must_be_trusted(tmp_path):
-    layer = np.zeros((1, 10), np.float32), np.zeros(1, np.float32)
-    arrays = {"layers": (layer,), "mean": np.zeros(10), "variance": np.ones(10)}
-    write_run(tmp_path, 0, **arrays, env_kwargs={"controller": "tests.agents.fakes:quiet"})
+    make_policy_on("tests.agents.fakes:quiet").save(tmp_path / POLICY)
     with pytest.raises(ValueError, match="does not come with this package"):
         find_candidate(str(tmp_path))
     assert len(find_candidate(str(tmp_path), trust_controller=True).trained) == 1
@@ -262,9 +262,7 @@ def test_the_inputs_of_policies(name, senses, told):
     ],
 )
 def test_the_inputs_of_a_policy_follow_from_its_environment(env_kwargs, entries, inputs):
-    layer = np.zeros((1, entries), np.float32), np.zeros(1, np.float32)
-    arrays = {"layers": (layer,), "mean": np.zeros(entries), "variance": np.ones(entries)}
-    policy = make_policy(**arrays, env_kwargs=env_kwargs)
+    policy = make_linear_policy(entries, **env_kwargs)
     assert Candidate("x", (policy,), "").inputs == inputs
 
 

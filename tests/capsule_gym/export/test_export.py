@@ -22,7 +22,7 @@ from capsule_gym.export import main
 from capsule_gym.export.exported import Exported
 from capsule_gym.tasks.registry import find_task
 from tests import ROOT
-from tests.capsule_gym.policies.test_policy import make_policy
+from tests.capsule_gym.policies.test_policy import make_linear_policy, make_policy
 
 C99 = ("-std=c99", "-Wall", "-Wextra", "-Werror")
 M4 = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "--specs=rdimon.specs")
@@ -266,13 +266,7 @@ def test_program(tmp_path, target, arguments):
 
 
 def test_a_policy_that_observes_the_plant_is_given_it(tmp_path):
-    weights = np.linspace(-1.0, 1.0, 7, dtype=np.float32)[None]
-    policy = make_policy(
-        layers=((weights, np.zeros(1, np.float32)),),
-        mean=np.zeros(7),
-        variance=np.ones(7),
-        env_kwargs={"observe_parameters": True},
-    )
+    policy = make_linear_policy(7, observe_parameters=True)
     policy.save(tmp_path / "told.safetensors")
     assert main([str(tmp_path / "told.safetensors"), "--c", str(tmp_path / "policy.h")]) == 0
     program = tmp_path / "program"

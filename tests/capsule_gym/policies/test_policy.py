@@ -39,9 +39,18 @@ def make_policy(**changes):
     return Policy(**(values | changes))  # type: ignore[arg-type]
 
 
+def make_linear_policy(entries, **env_kwargs):
+    """A policy of one layer for an environment whose observation has this number of entries."""
+    return make_policy(
+        mean=np.zeros(entries),
+        variance=np.ones(entries),
+        layers=tuple(make_layers((entries, 1))),
+        env_kwargs=env_kwargs,
+    )
+
+
 def make_policy_on(law):
-    arrays = {"mean": np.zeros(10), "variance": np.ones(10), "layers": tuple(make_layers((10, 1)))}
-    return make_policy(**arrays, env_kwargs={"controller": law})
+    return make_linear_policy(10, controller=law)
 
 
 @pytest.fixture
