@@ -203,8 +203,9 @@ def _move(steps: Cycle, h: float, p: Plant) -> _Motion:
     u = inertia - weight + p.k * theta + p.c * theta_dot  # Eq. (1), first row
     energy = h * float(np.abs(u * theta_dot).sum())
     distance = float(x[-1])
-    backward = float(np.maximum(0.0, -np.diff(x)).sum())
-    forward = distance + backward
+    moved = np.diff(x)
+    forward = float(np.maximum(0.0, moved).sum())
+    backward = float(np.maximum(0.0, -moved).sum())
     cost_of_transport = backward_ratio = math.inf
     if distance > 0.0:
         cost_of_transport = energy / ((p.M + p.m) * p.g * distance)
