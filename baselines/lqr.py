@@ -170,7 +170,7 @@ def _fastest_cycles(transitions: Transitions) -> list[tuple[np.ndarray, np.ndarr
         state = trajectory.states[first, [0, 1, 3], 0]
         distance, state, torques = close_cycle(transitions, state, torques)
         length = last - first
-        if distance >= distances.get(length, -np.inf):
+        if distance > distances.get(length, -np.inf):
             distances[length] = distance
             fastest[length] = (state, torques)
     return list(fastest.values())

@@ -215,3 +215,8 @@ def test_the_regulator_on_file_is_one_of_the_designs(content):
     nearest, second, *_ = sorted(differences)
     assert nearest < 1e-6
     assert second > 1e-6
+
+
+def test_no_regulator_follows_a_cycle_that_does_not_close(monkeypatch):
+    monkeypatch.setattr(lqr, "close_cycle", lambda _, *cycle: (-np.inf, *cycle))
+    assert list(lqr.candidates()) == []
